@@ -34,9 +34,8 @@ from tactile_toolkit.read.features import stored_class_names
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import of_the_process, readable
-from tactile_toolkit.store.folder import file_at
+from tactile_toolkit.store.folder import VERSION_KEYS, file_at
 from tactile_toolkit.store.parquet import open_checked
-from tactile_toolkit.store.remote import VERSION_KEYS
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 from tactile_toolkit.store.small_columns import MADE_OF
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from tactile_toolkit.lazy_names import on_first_use
 
 if TYPE_CHECKING:
     from tactile_toolkit.run.parts import Check, Finish, Part
@@ -12,23 +13,11 @@ if TYPE_CHECKING:
 
 __all__ = ["Check", "Finish", "InlineRunner", "Part", "ProcessRunner", "RayRunner", "Runner"]
 
-_HOMES = {
-    "Check": "parts",
-    "Finish": "parts",
-    "Part": "parts",
-    "InlineRunner": "processes",
-    "ProcessRunner": "processes",
-    "Runner": "processes",
-    "RayRunner": "ray",
-}
-
-
-def __getattr__(name: str) -> Any:
-    if name in _HOMES:
-        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
-    message = f"module {__name__!r} has no attribute {name!r}"
-    raise AttributeError(message)
-
-
-def __dir__() -> list[str]:
-    return sorted(__all__)
+__getattr__, __dir__ = on_first_use(
+    __name__,
+    {
+        "tactile_toolkit.run.parts": ("Check", "Finish", "Part"),
+        "tactile_toolkit.run.processes": ("InlineRunner", "ProcessRunner", "Runner"),
+        "tactile_toolkit.run.ray": ("RayRunner",),
+    },
+)

@@ -50,17 +50,11 @@ class Part:
     workers: int | Runner = 1
 
     def __post_init__(self) -> None:
-        if not self.count:
-            message = (
-                f"--part {self.index}/{self.count}: a set cannot be made in no parts; expected a number of "
-                "parts of at least 1; nothing was made; next: say --part K/N"
-            )
-            raise InputError(message)
-        if not 0 <= self.index <= self.count:
+        if not self.count or not 0 <= self.index <= self.count:
+            expected = f"0 to {self.count - 1} (or 1 to {self.count})" if self.count else "at least 1 part"
             message = (
                 f"--part {self.index}/{self.count}: there is no part {self.index} of {self.count}; expected "
-                f"0 to {self.count - 1} (or 1 to {self.count}); nothing was made; next: number the jobs of "
-                "the array so"
+                f"{expected}; nothing was made; next: number the jobs of the array so"
             )
             raise InputError(message)
 
@@ -110,25 +104,12 @@ def part_of(text: str, workers: int | Runner = 1, environment: Mapping[str, str]
     """
     match = _PART.fullmatch(text.strip())
     if match is None or (match["index"] and not match["count"]):
-        message = (
-            f"--part is {text!r}; expected K/N, such as 17/500, or auto, or auto/N; nothing was made; next: "
-            "number the parts from 0"
-        )
+        message = f"--part is {text!r}; expected K/N, such as 17/500, with K from 0, or auto, or auto/N"
         raise InputError(message)
     index, count = (None if match[name] is None else int(match[name]) for name in ("index", "count"))
     if index is None:
-        slurm = _number(environment, "SLURM_ARRAY_TASK_ID")
-        index = _number(environment, "JOB_COMPLETION_INDEX") if slurm is None else slurm
-        if count is None:
-            kubernetes = _number(environment, "JOB_COMPLETION_COUNT")
-            count = kubernetes if slurm is None else _slurm_length(environment)
-    if index is None:
-        message = (
-            "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the "
-            "environment; nothing was made; next: run it in an array job of Slurm or an indexed job of "
-            "Kubernetes, or say --part K/N"
-        )
-        raise InputError(message)
+        index, length = _place_in_array(environment)
+        count = length if count is None else count
     if count is None:
         message = (
             "--part auto: nothing says how many parts there are: neither a whole Slurm array from 0 or 1 on "
@@ -138,15 +119,24 @@ def part_of(text: str, workers: int | Runner = 1, environment: Mapping[str, str]
     return Part(index, count, workers)
 
 
+def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
+    """Return the number of this process in its array, and the length of one that was given whole."""
+    names = ("ID", "COUNT", "MIN", "MAX")
+    index, count, first, last = (_number(environment, f"SLURM_ARRAY_TASK_{name}") for name in names)
+    if index is not None:
+        is_whole = count is not None and first in (0, 1) and last == first + count - 1
+        return index, count if is_whole else None
+    index = _number(environment, "JOB_COMPLETION_INDEX")
+    if index is None:
+        message = (
+            "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the "
+            "environment; nothing was made; next: run it in an array job of Slurm or an indexed job of "
+            "Kubernetes, or say --part K/N"
+        )
+        raise InputError(message)
+    return index, _number(environment, "JOB_COMPLETION_COUNT")
+
+
 def _number(environment: Mapping[str, str], name: str) -> int | None:
     text = environment.get(name, "")
     return int(text) if re.fullmatch("[0-9]{1,9}", text) else None
-
-
-def _slurm_length(environment: Mapping[str, str]) -> int | None:
-    """Return the length of an array that was given whole; None for some of its numbers, or one with steps."""
-    names = (f"SLURM_ARRAY_TASK_{name}" for name in ("COUNT", "MIN", "MAX"))
-    count, least, most = (_number(environment, name) for name in names)
-    if count is None or least not in (0, 1) or most is None or most - least + 1 != count:
-        return None
-    return count

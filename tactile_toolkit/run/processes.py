@@ -12,20 +12,22 @@ import os
 import pickle
 import sys
 import threading
+import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cache
 from itertools import islice
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
 
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.run.limits import prepare_batch_process
 from tactile_toolkit.run.system import ignore_interrupts
-from tactile_toolkit.run.work import carry_out, given_up, outcome
 
-__all__ = ["InlineRunner", "ProcessRunner", "Runner", "runner_for"]
+__all__ = ["InlineRunner", "ProcessRunner", "Runner", "carry_out", "died", "outcome", "runner_for"]
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -36,9 +38,8 @@ _NO_MORE = b""
 class Runner(Protocol):
     """Maps a function over tasks.
 
-    Of a function, runners that leave this machine use two attributes, where it has them: ``libraries``, the
-    distributions whose versions decide what it returns, and ``confirm(result, machine)``, called in this
-    process with the first result of each machine, which raises where that machine's work does not arrive.
+    Of a function, runners that leave this machine use an attribute, where it has it: ``libraries``, the
+    distributions whose versions decide what it returns.
     """
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
@@ -116,7 +117,7 @@ class ProcessRunner:
                     except (EOFError, OSError):
                         workers.pop(pipe).join()
                         if attempt >= self.attempts:
-                            raise given_up(task, attempt, "worker process", "with fewer --workers") from None
+                            raise died(task, attempt, "worker process", "with fewer --workers") from None
                         waiting.appendleft((task, attempt + 1))
         finally:
             for pipe, process in workers.items():
@@ -154,15 +155,13 @@ def _main_hidden() -> Iterator[None]:
     Spawned processes import the main script; one without an ``if __name__ == "__main__"`` guard, or typed
     into an interpreter, would fail or start the work anew in each of them. Nothing of ours lives there.
     """
-    main = sys.modules["__main__"]
-    hidden = {name: vars(main)[name] for name in ("__spec__", "__file__") if name in vars(main)}
-    for name in hidden:
-        setattr(main, name, None)
+    main = sys.modules["__main__"].__dict__
+    hidden: dict[str, Any] = {name: main[name] for name in ("__spec__", "__file__") if name in main}
+    main.update(dict.fromkeys(hidden))
     try:
         yield
     finally:
-        for name, value in hidden.items():
-            setattr(main, name, value)
+        main.update(hidden)
 
 
 def _work(pipe: Any, function: bytes) -> None:
@@ -182,3 +181,45 @@ def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:
         while True:
             inbox.put(pipe.recv_bytes())
     os._exit(1)
+
+
+def carry_out(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pickle.dumps) -> bytes:
+    """Call a pickled function with a pickled task; return what it returned or raised, for :func:`outcome`."""
+    try:
+        _prepare_worker()
+        return dumps((pickle.loads(function)(pickle.loads(task)), None))
+    except Exception as error:
+        where = traceback.format_exc()
+        for kept in (error, ToolkitError(f"{type(error).__name__}: {error}")):
+            with contextlib.suppress(Exception):  # one that cannot travel
+                kept.add_note(where)
+                pickle.loads(packed := dumps((None, kept)))
+                return packed
+        raise
+
+
+@cache
+def _prepare_worker() -> None:
+    """Keep a worker to its one core; once, since it carries out many tasks."""
+    from threadpoolctl import threadpool_limits
+
+    prepare_batch_process()
+    threadpool_limits(limits=1, user_api="blas")  # in Ray numpy is there before the variables are set
+
+
+def outcome(packed: bytes, *notes: str) -> Any:
+    """Return what the function returned, or raise what it raised, with notes."""
+    value, error = pickle.loads(packed)
+    if error is None:
+        return value
+    for note in notes:
+        error.add_note(note)
+    raise error
+
+
+def died(task: object, attempts: int, worker: str, again: str) -> ToolkitError:
+    """Return the error of a task whose workers always died."""
+    return ToolkitError(
+        f"the {worker} died {attempts} times while it made {task}; out of memory is the usual cause; next: "
+        f"run the same command {again} (finished shards are kept)"
+    )

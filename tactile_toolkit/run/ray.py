@@ -1,8 +1,8 @@
 """Tasks on the machines of a Ray cluster.
 
 The cluster is somebody else's: it is joined, never started, and left as it was. What runs on its nodes is the
-toolkit as installed there, so versions are compared before anything else is done; the few lines that compare
-them travel with the question, because a node may lack the toolkit altogether.
+toolkit as installed there, so every worker compares versions before it works; the few lines that do so travel
+with the first task, because a node may lack the toolkit altogether.
 """
 
 from __future__ import annotations
@@ -10,15 +10,16 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
+import re
 import socket
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any, TypeVar
 
 from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError
-from tactile_toolkit.run.work import given_up, outcome
+from tactile_toolkit.run.processes import died, outcome
 
 __all__ = ["RayRunner"]
 
@@ -28,13 +29,12 @@ R = TypeVar("R")
 _DISTRIBUTION = "tactile-toolkit"
 _ANSWER_S = 5.0
 """How long a cluster may take to answer at all."""
-_PROBE_S = 60.0
-"""How long a node may take to tell its versions; one that takes longer is asked with its first task."""
 _CANCEL_S = 3.0
 """How long a cancelled task may take to clean up before its worker is killed."""
 _LOOK_AGAIN_S = 5.0
 """How often the cores of the cluster are counted while nothing finishes: nodes come and go."""
 _TASKS_PER_CORE = 2  # one at work, one that waits: a core never waits for an answer to travel
+_ADDRESS = re.compile(r"\[?(?P<host>[^/\[\]]+)\]?:(?P<port>[0-9]{1,5})")
 
 _SETTINGS = {
     # No prompt, no banner, no reports to the makers of Ray, and no word of Ray's inner life on the terminal:
@@ -94,13 +94,11 @@ class RayRunner:
         if not waiting:
             return
         with _connected(self.address) as ray:
-            wanted, there = _travelling((_DISTRIBUTION, *getattr(function, "libraries", ())))
             # Repeating is ours: Ray's own repeats a task that ran out of memory without end.
-            work = ray.remote(num_cpus=1, max_retries=0)(there)
-            _ask_all_nodes(ray, work, wanted)
+            names = (_DISTRIBUTION, *getattr(function, "libraries", ()))
+            work = ray.remote(num_cpus=1, max_retries=0)(_travelling(names))
             # Pickled here, not by Ray, so that what cannot be unpickled there is an error like any other.
             dumps, called = ray.cloudpickle.dumps, ray.put(ray.cloudpickle.dumps(function))
-            confirm, confirmed = getattr(function, "confirm", None), set[str]()
             running: dict[Any, tuple[T, int]] = {}
             try:
                 while waiting or running:
@@ -111,22 +109,19 @@ class RayRunner:
                     for reference in ray.wait(list(running), timeout=_LOOK_AGAIN_S)[0]:
                         task, attempt = running.pop(reference)
                         try:
-                            node, versions, answer = ray.get(reference)
+                            node, differing, answer = ray.get(reference)
                         except ray.exceptions.RayTaskError as error:
                             message = f"Ray could not run {task}: {error}"
                             raise ToolkitError(message) from None
                         except ray.exceptions.RayError as error:
                             if attempt >= self.attempts:
                                 again = "on nodes with more memory or with fewer --workers"
-                                raise given_up(task, attempt, "Ray worker", again) from error
+                                raise died(task, attempt, "Ray worker", again) from error
                             waiting.appendleft((task, attempt + 1))
                             continue
-                        _require_same(node, versions, wanted)
-                        result = outcome(answer, f"raised on node {node}")
-                        if confirm is not None and node not in confirmed:
-                            confirm(result, node)
-                            confirmed.add(node)
-                        yield result
+                        if differing:
+                            raise _other_versions(node, differing)
+                        yield outcome(answer, f"raised on node {node}")
             finally:
                 # Interrupted, tasks remove what is half-written; then the workers of those left are killed.
                 left = list(running)
@@ -136,13 +131,12 @@ class RayRunner:
                     left = left and ray.wait(left, num_returns=len(left), timeout=_CANCEL_S)[1]
 
 
-def _travelling(names: Sequence[str]) -> tuple[dict[str, str], Callable[..., Any]]:
-    """Return versions of this machine, and what nodes run: it carries its own code and needs nothing of ours.
+def _travelling(names: Iterable[str]) -> Callable[..., Any]:
+    """Return what nodes run: it carries its own code and needs nothing of ours.
 
-    It returns the name of its machine, the versions there, and, where they are those of this machine, the
-    answer of a task, if it was given one.
+    It returns the name of its machine, the versions that differ there from those here (there, here), and,
+    where none does, the answer of a task.
     """
-    known: dict[str, str] = {}  # to one worker process, which carries out many tasks
 
     def versions() -> dict[str, str]:
         from importlib.metadata import distributions
@@ -150,8 +144,9 @@ def _travelling(names: Sequence[str]) -> tuple[dict[str, str], Callable[..., Any
         return {name: next((d.version for d in distributions(name=name)), "not installed") for name in names}
 
     wanted = versions()
+    known: dict[str, str] = {}  # to one worker process, which carries out many tasks
 
-    def work(function: bytes = b"", task: bytes = b"") -> tuple[str, dict[str, str], bytes]:
+    def work(function: bytes, task: bytes) -> tuple[str, dict[str, tuple[str, str]], bytes]:
         import socket
 
         import ray
@@ -159,39 +154,26 @@ def _travelling(names: Sequence[str]) -> tuple[dict[str, str], Callable[..., Any
         known.update(known or versions())
         node = ray.get_runtime_context().get_node_id()[:8]  # containers may have all else in common
         machine = f"{socket.gethostname()} ({ray.util.get_node_ip_address()}, {node})"
-        if known != wanted or not function:
-            return machine, known, b""
-        from tactile_toolkit.run.work import carry_out
+        if known != wanted:
+            return (
+                machine,
+                {name: (known[name], wanted[name]) for name in names if known[name] != wanted[name]},
+                b"",
+            )
+        from tactile_toolkit.run.processes import carry_out
 
-        return machine, known, carry_out(function, task, ray.cloudpickle.dumps)
+        return machine, {}, carry_out(function, task, ray.cloudpickle.dumps)
 
-    return wanted, work
-
-
-def _ask_all_nodes(ray: Any, work: Any, wanted: Mapping[str, str]) -> None:
-    """Ask every node for its versions before any works. Raises InputError that names one that differs."""
-    from ray.util.scheduling_strategies import NodeAffinitySchedulingStrategy
-
-    nodes = [node["NodeID"] for node in ray.nodes() if node["Alive"] and node["Resources"].get("CPU")]
-    strategies = [NodeAffinitySchedulingStrategy(node, soft=False) for node in nodes]
-    asked = [work.options(num_cpus=0, scheduling_strategy=strategy).remote() for strategy in strategies]
-    for reference in asked and ray.wait(asked, num_returns=len(asked), timeout=_PROBE_S)[0]:
-        # A node that died or answers too late is asked again with its first task.
-        with contextlib.suppress(ray.exceptions.RayError):
-            machine, versions, _ = ray.get(reference)
-            _require_same(machine, versions, wanted)
+    return work
 
 
-def _require_same(machine: str, there: Mapping[str, str], wanted: Mapping[str, str]) -> None:
-    differing = {name: here for name, here in wanted.items() if there[name] != here}
-    if differing:
-        found = ", ".join(f"{name} {there[name]} (here: {here})" for name, here in differing.items())
-        pins = " ".join(f"{name}=={here}" for name, here in differing.items())
-        message = (
-            f"node {machine} has {found}; other versions write other bytes, so nothing was made there; "
-            f"next: pip install {pins} on that node, or take it out of the cluster"
-        )
-        raise InputError(message)
+def _other_versions(machine: str, differing: Mapping[str, tuple[str, str]]) -> InputError:
+    found = ", ".join(f"{name} {there} (here: {here})" for name, (there, here) in differing.items())
+    pins = " ".join(f"{name}=={here}" for name, (_, here) in differing.items())
+    return InputError(
+        f"node {machine} has {found}; other versions write other bytes, so nothing was made there; "
+        f"next: pip install {pins} on that node, or take it out of the cluster"
+    )
 
 
 @contextlib.contextmanager
@@ -224,12 +206,11 @@ def _connected(address: str | None) -> Iterator[Any]:
 
 
 def _host_and_port(address: str) -> tuple[str, int]:
-    host, colon, port = address.rpartition(":")
-    if "://" in address or not (colon and host and port.isdecimal() and len(port) <= 5):
+    match = _ADDRESS.fullmatch(address)
+    if match is None:
         message = (
             f"{address!r} is not the address of a Ray cluster; expected HOST:PORT, which `ray start --head` "
-            "prints, such as 10.0.0.5:6379 (ray:// addresses are another protocol); next: run the command on "
-            "a machine of the cluster with that address"
+            "prints, such as 10.0.0.5:6379; next: run the command on a machine of the cluster with that"
         )
         raise InputError(message)
-    return host.strip("[]"), int(port)
+    return match["host"], int(match["port"])

@@ -37,7 +37,7 @@ def locked(path: Path, *, shared: bool = False, patience_s: float = math.inf) ->
     with contextlib.ExitStack() as stack:
         while True:
             try:
-                stack.enter_context(_locked_now(path, shared, wait=patience_s == math.inf))
+                stack.enter_context(_locked_now(path, shared))
                 break
             except BlockingIOError:
                 if time.monotonic() >= deadline_s:
@@ -47,26 +47,23 @@ def locked(path: Path, *, shared: bool = False, patience_s: float = math.inf) ->
 
 
 @contextlib.contextmanager
-def _locked_now(path: Path, shared: bool, *, wait: bool) -> Iterator[None]:
+def _locked_now(path: Path, shared: bool) -> Iterator[None]:
     is_folder = path.is_dir()
-    if is_folder and _module("fcntl") is None:  # Windows opens no folders
-        with _lock_file(path / LOCK_FILE):
-            yield
-        return
-    handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
     with contextlib.ExitStack() as stack:
-        stack.callback(os.close, handle)
-        try:
-            _lock(handle, shared=shared, wait=wait)
-            # Said, not left to closing: a child forked meanwhile has the file open too.
-            stack.callback(_unlock, handle)
-        except BlockingIOError:
-            raise
-        except OSError:
-            if is_folder:
-                stack.enter_context(_lock_file(path / LOCK_FILE))
-        if is_folder and not os.path.samestat(os.fstat(handle), path.stat()):
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+        if is_folder and _module("fcntl") is None:  # Windows opens no folders
+            stack.enter_context(_lock_file(path / LOCK_FILE))
+        else:
+            handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
+            stack.callback(os.close, handle)
+            try:
+                stack.enter_context(_lock(handle, shared))
+            except BlockingIOError:
+                raise
+            except OSError:
+                if is_folder:
+                    stack.enter_context(_lock_file(path / LOCK_FILE))
+            if is_folder and not os.path.samestat(os.fstat(handle), path.stat()):
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
         yield
 
 
@@ -85,11 +82,30 @@ def _lock_file(path: Path) -> Iterator[None]:
 
 
 @contextlib.contextmanager
+def _lock(handle: int, shared: bool) -> Iterator[None]:
+    """Lock an open file without waiting; BlockingIOError where another holds it."""
+    fcntl, msvcrt = _module("fcntl"), _module("msvcrt")
+    if fcntl is not None:
+        fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    elif msvcrt is not None:
+        try:
+            msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+        except OSError as error:
+            raise BlockingIOError from error
+    try:
+        yield
+    finally:
+        # Done here, not left to closing: a child forked meanwhile has the file open too.
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_UN)
+
+
+@contextlib.contextmanager
 def held(path: Path, *, wait: bool = True) -> Iterator[bool]:
     """Hold a file or folder that only one process uses, so that others see it; yield whether this one does.
 
-    Without ``wait``, one that somebody holds is left to them, as is one of which nobody can tell: where it
-    cannot be locked, and folders on Windows, where nobody can remove a file that is open. Raises OSError.
+    Without ``wait``, one that somebody holds is left to them, as is one that cannot be locked, and folders on
+    Windows, where an open file cannot be removed anyway. Raises OSError.
     """
     fcntl = _module("fcntl")
     if fcntl is None:
@@ -105,29 +121,6 @@ def held(path: Path, *, wait: bool = True) -> Iterator[bool]:
             yield True
     finally:
         os.close(handle)
-
-
-def _lock(handle: int, *, shared: bool, wait: bool) -> None:
-    if fcntl := _module("fcntl"):
-        how = fcntl.LOCK_SH if shared else fcntl.LOCK_EX
-        fcntl.flock(handle, how | (0 if wait else fcntl.LOCK_NB))
-    elif msvcrt := _module("msvcrt"):
-        while True:
-            try:
-                msvcrt.locking(handle, msvcrt.LK_LOCK if wait else msvcrt.LK_NBLCK, 1)
-            except OSError as error:
-                if not wait:
-                    raise BlockingIOError from error
-                continue  # it gives up after ten seconds
-            return
-
-
-def _unlock(handle: int) -> None:
-    with contextlib.suppress(OSError):
-        if fcntl := _module("fcntl"):
-            fcntl.flock(handle, fcntl.LOCK_UN)
-        elif msvcrt := _module("msvcrt"):
-            msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)
 
 
 def _module(name: str) -> Any:

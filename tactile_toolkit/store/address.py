@@ -44,44 +44,39 @@ def place_of_data(place: str) -> str:
 
     Raises InputError for an address that names no bucket, is of the web, or holds a key or a signature.
     """
-    match = _SCHEME.fullmatch(place)
+    match, scheme = _SCHEME.fullmatch(place), scheme_of(place)
+    rest = match["rest"].rstrip("/") if match else ""
+    bucket, *parts = rest.split("/")
+    problem = ""
     if match is None:
         if _FOLDED.match(place):
-            message = (
-                f"{place!r} is an address of which a slash was lost, as pathlib.Path does it; next: give it "
-                "as text, or write ./ before it where a local folder is meant"
+            problem = (
+                "is an address of which a slash was lost, as pathlib.Path does it; next: give it as text, or "
+                "write ./ before it where a local folder is meant"
             )
-            raise InputError(message)
-        return place
-    scheme, rest = scheme_of(place), match["rest"].rstrip("/")
-    if not scheme:
+    elif not scheme:
         if not match["rest"].startswith("/"):
-            message = f"{place!r} is not the address of a file; expected {match['scheme']}:///FOLDER; next: "
-            raise InputError(message + "write it so, or as a path")
-        return rest or "/"
-    problem = _problem_of(scheme, rest)
-    if problem:
-        message = f"{shown(place)!r} {problem}"
-        raise InputError(message)
-    return f"{scheme}://{rest}"
-
-
-def _problem_of(scheme: str, rest: str) -> str:
-    if scheme in _WEB_SCHEMES:
-        return (
+            expected = f"{match['scheme']}:///FOLDER"
+            problem = f"is not the address of a file; expected {expected}; next: write it so, or as a path"
+    elif scheme in _WEB_SCHEMES:
+        problem = (
             "is an address of the web, where a data set can be neither listed nor written; next: give a "
             "folder, s3://BUCKET/FOLDER, gs://BUCKET/FOLDER or USER/NAME on the Hub"
         )
-    bucket, *parts = rest.split("/")
-    if not bucket:
-        return f"names no bucket; next: write it as {scheme}://BUCKET/FOLDER"
-    if "@" in bucket or "?" in rest:
-        return (
+    elif not bucket:
+        problem = f"names no bucket; next: write it as {scheme}://BUCKET/FOLDER"
+    elif "@" in bucket or "?" in rest:
+        problem = (
             f"holds a user, a key or a signature; next: write {scheme}://BUCKET/FOLDER alone, and give "
             "credentials as the store's own tools take them, such as AWS_PROFILE"
         )
-    if _CONTROL.search(rest):
-        return "holds a line break or another control character; next: leave it out"
-    if {".", ".."} & {bucket, *parts}:
-        return "has '.' or '..' in it, which lead nowhere in a store; next: write the folder in full"
-    return ""
+    elif _CONTROL.search(rest):
+        problem = "holds a line break or another control character; next: leave it out"
+    elif {".", ".."} & {bucket, *parts}:
+        problem = "has '.' or '..' in it, which lead nowhere in a store; next: write the folder in full"
+    if problem:
+        message = f"{shown(place)!r} {problem}"
+        raise InputError(message)
+    if match is None:
+        return place
+    return f"{scheme}://{rest}" if scheme else rest or "/"

@@ -11,18 +11,16 @@ the same is asked for again: a task whose record is true is done.
 from __future__ import annotations
 
 import contextlib
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import groupby
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
 from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.files import named_failures
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.identity import identity_digest
+from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import Job, State, begin, look, pending_records, tidy, write_record
-from tactile_toolkit.store.local import PENDING_FOLDER
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.overwrite import make_room, promote, require_replaceable, settle
 from tactile_toolkit.store.parquet import (
@@ -35,17 +33,14 @@ from tactile_toolkit.store.parquet import (
 )
 from tactile_toolkit.store.plan import BuildPlan, ShardTask
 from tactile_toolkit.store.reports import merge_reports
-from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord, Skipped
+from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord
 from tactile_toolkit.store.small_columns import write_small_columns
-from tactile_toolkit.wording import counted
 
 __all__ = ["MissingPartsError", "Progress", "array_text", "build", "look_for"]
 
 _CAUSES_SHOWN = 3
 _PATIENCE_S = 60.0
 """How long a run waits to begin where others write; one that was stopped (Ctrl-Z) holds its lock for good."""
-_APPEARS_S = 30.0
-"""How long a file may take to show on another machine; network file systems keep listings that long."""
 
 WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, whose report is there by then."""
@@ -63,28 +58,24 @@ class Progress:
 class MissingPartsError(IntegrityError):
     """Parts of a data set that cannot be finished yet.
 
-    ``shards`` is how many are missing of ``planned``; ``array`` are the parts that make them, one a shard, as
-    Slurm writes numbers of an array, and ``parts`` how many there are in all.
+    ``shards`` is how many are missing of ``parts`` in all; ``array`` are the parts that make them, one a
+    shard, as Slurm writes numbers of an array.
     """
 
-    def __init__(self, where: str, shards: int, planned: int, array: str) -> None:
+    def __init__(self, where: str, shards: int, parts: int, array: str) -> None:
+        super().__init__(where, shards, parts, array)
+        self.shards, self.parts, self.array = shards, parts, array
         which = "part" if array.isdigit() else "parts"
-        super().__init__(
-            f"{shards:,} of {planned:,} shards of {where!r} are not finished; they are those of {which} "
-            f"{array} of {planned:,}; next: give these (--part auto/{planned}; Slurm: --array={array}), then "
+        self.message = (
+            f"{shards:,} of {parts:,} shards of {where!r} are not finished; they are those of {which} "
+            f"{array} of {parts:,}; next: give these (--part auto/{parts}; Slurm: --array={array}), then "
             "--finish, or run the same command without --finish"
         )
-        self.shards, self.planned, self.array, self.parts = shards, planned, array, planned
-        self._where = where
-
-    def __reduce__(self) -> tuple[object, ...]:
-        """Rebuild from what it says, so that the error crosses process borders."""
-        return (MissingPartsError, (self._where, self.shards, self.planned, self.array))
 
 
 @dataclass(frozen=True)
-class _Work:
-    """Picklable: make one shard, unless its record is there, and write it with its record."""
+class _WriteShard:
+    """Picklable: make one shard, unless others have finished it meanwhile, and write it with its record."""
 
     job: Job
     style: ParquetStyle = field(repr=False)
@@ -92,30 +83,15 @@ class _Work:
     begun: tuple[object, ...] | None = None
     """The version of the manifest when the run began: what it listed then is to be made again."""
 
-    def confirm(self, record: ShardRecord, machine: str) -> None:
-        """Raise InputError when what another machine has written is not to be seen from this one."""
-        folder, deadline_s = self.job.folder, time.monotonic() + _APPEARS_S
-        # Listed, not asked for by name: network file systems remember for a while that a name was not there.
-        while not record.is_size_of(folder.sizes(DATA_FOLDER)):
-            if time.monotonic() > deadline_s:
-                message = (
-                    f"node {machine} writes to a folder that this machine does not see: "
-                    f"{record.shard.data_path!r}, finished there, is not in {folder.address()!r} here after "
-                    f"{_APPEARS_S:.0f} s; nothing made there counts; next: give a folder that all nodes "
-                    "share, or s3://BUCKET/PATH"
-                )
-                raise InputError(message)
-            time.sleep(0.5)
-
     def __call__(self, task: ShardTask) -> ShardRecord:
         """Write rows, then report rows, then further files, then the record that proves them all."""
-        folder = self.job.folder
+        folder, shard = self.job.folder, task.shard
         content = task.make()
         table = content.table
         data, footer = write_parquet(table, self.style)
         report = None if content.report is None else encode_parquet(content.report, REPORT_STYLE)
         record = ShardRecord(
-            task.shard,
+            shard,
             table.num_rows,
             len(data),
             sha256_hex(data),
@@ -126,22 +102,17 @@ class _Work:
         )
         # As late as can be: hours may have passed, and what is there now may be of another data set.
         with folder.locked(shared=True):
-            is_listed = self.job.require().get(task.shard) == record
-            if is_listed and folder.version(MANIFEST_FILE) != self.begun and _has_size(folder, record):
-                return record  # others have finished the set meanwhile
-            folder.write_bytes(task.shard.data_path, data)
+            if self.job.require().get(shard) == record and folder.version(MANIFEST_FILE) != self.begun:
+                with contextlib.suppress(FileNotFoundError):
+                    if folder.size_bytes(shard.data_path) == record.bytes:
+                        return record  # others have finished the set meanwhile
+            folder.write_bytes(shard.data_path, data)
             if report is not None:
-                folder.write_bytes(task.shard.report_path, report)
+                folder.write_bytes(shard.report_path, report)
             for path, further in content.files.items():
                 folder.write_bytes(path, further)
             write_record(folder, record, self.job.of, None if report is None else len(report))
         return record
-
-
-def _has_size(folder: DataFolder, record: ShardRecord) -> bool:
-    with contextlib.suppress(FileNotFoundError):
-        return folder.size_bytes(record.shard.data_path) == record.bytes
-    return False
 
 
 def build(
@@ -181,53 +152,136 @@ def build(
     StorageError
         The folder cannot be written, or the disk is full. Finished shards stay.
     """
-    check = isinstance(runner, Check)
-    if isinstance(runner, Check):
-        runner = runner_for(runner.workers)
+    run = _Run(folder, plan, isinstance(runner, Check), on_progress, write_card)
+    runner = runner_for(runner.workers) if isinstance(runner, Check) else runner
     if overwrite:
         _refuse_overwriting(folder, runner)
     if isinstance(runner, Part):
-        return _make_part(folder, plan, runner, on_progress, check)
+        return run.make_part(runner)
     if isinstance(runner, Finish):
-        return _finish_parts(folder, plan, on_progress, write_card, check)
-    return _make_all(folder, plan, runner, overwrite, on_progress, write_card, check)
+        return run.finish_parts()
+    return run.make_all(runner, overwrite)
 
 
-def _make_all(
-    folder: DataFolder,
-    plan: BuildPlan,
-    runner: Runner,
-    overwrite: bool,
-    on_progress: Callable[[Progress], None],
-    write_card: WriteCard | None,
-    check: bool,
-) -> Manifest:
-    with named_failures(folder.address()):
-        before = _Before(folder, plan, folder.exists())
-    folder.require_folder()
-    try:
+@dataclass(frozen=True)
+class _Run:
+    """What a folder is to become, and how."""
+
+    folder: DataFolder
+    plan: BuildPlan
+    check: bool
+    on_progress: Callable[[Progress], None]
+    write_card: WriteCard | None
+
+    def make_all(self, runner: Runner, overwrite: bool) -> Manifest:
+        folder, plan = self.folder, self.plan
+        with named_failures(folder.address()):
+            before = _Before(folder, plan, folder.exists())
+        folder.require_folder()
+        try:
+            settle(folder, _PATIENCE_S)
+            with folder.locked(patience_s=_PATIENCE_S):
+                if overwrite and require_replaceable(folder, plan.extra_dirs):
+                    before = _Before(make_room(folder, plan), plan, existed=False)
+                target = before.folder
+                before.had_manifest = target.exists(MANIFEST_FILE)
+                job, state = begin(target, plan, plan.tasks, check=self.check)
+            # By names and sizes alone; manifests are written last.
+            is_finished = not state.todo and state.manifest.complete and not folder.names(PENDING_FOLDER)
+            if is_finished and not folder.is_local and not self.check:
+                return state.manifest
+            records = [*state.kept, *self._work(job, runner, state)]
+            with folder.locked():
+                job.require()
+                _require_records(target, plan.tasks, records)
+                manifest = self._finish(target, state.manifest, records)
+                if target is not folder:
+                    promote(folder)
+            return manifest
+        except BaseException:
+            # What ended the run is what is reported, even where the disk does not let us tidy up.
+            with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=_PATIENCE_S):
+                before.undo()
+            raise
+
+    def make_part(self, part: Part) -> Manifest:
+        """Make the tasks of a part that have no record; return what the manifest would hold of them."""
+        folder, tasks = self.folder, part.of(self.plan.tasks)
+        folder.require_folder()
         settle(folder, _PATIENCE_S)
+        # Shared, as for shards: of many parts that write at once, one would never find the folder free.
+        with folder.locked(shared=True, patience_s=_PATIENCE_S):
+            job, state = begin(folder, self.plan, tasks, check=self.check)
+        records = [*state.kept, *self._work(job, part, state)]
+        there = read_manifest(folder)
+        if state.todo and there is not None and there.complete:
+            with folder.locked():
+                listed = job.require()
+                if all(task.shard in listed for task in tasks):  # others have finished the set meanwhile
+                    tidy(folder, there)
+                    return there
+        _require_records(folder, tasks, records)
+        return replace(state.manifest.with_shards(records), complete=False)
+
+    def finish_parts(self) -> Manifest:
+        """Put together what all parts have made. Raises MissingPartsError where something is missing."""
+        folder = self.folder
+        if not folder.names():
+            message = f"{folder.lacks('data set')}; nothing can be finished; next: make its parts with --part"
+            raise InputError(message)
+        folder.require_folder()
+        settle(folder, _PATIENCE_S)
+        self.on_progress(Progress(0, 0))
         with folder.locked(patience_s=_PATIENCE_S):
-            if overwrite and require_replaceable(folder, plan.extra_dirs):
-                before = _Before(make_room(folder, plan), plan, existed=False)
-            target = before.folder
-            before.had_manifest = target.exists(MANIFEST_FILE)
-            job, state = begin(target, plan, plan.tasks, in_parts=False, check=check)
-        if not folder.is_local and not check and _is_finished(folder, state):
-            return state.manifest
-        records = [*state.kept, *_run(job, plan, runner, state, on_progress)]
-        with folder.locked():
-            job.require()
-            _require_records(target, plan.tasks, records)
-            manifest = _finish(target, plan, state.manifest, records, write_card)
-            if target is not folder:
-                promote(folder)
-        return manifest
-    except BaseException:
-        # What ended the run is what is reported, even where the disk does not let us tidy up.
-        with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=_PATIENCE_S):
-            before.undo()
-        raise
+            folder.refresh(DATA_FOLDER)
+            folder.refresh(PENDING_FOLDER)
+            state = _require_parts(folder, self.plan, self.check)
+            return self._finish(folder, state.manifest, state.kept)
+
+    def _work(self, job: Job, runner: Runner, state: State) -> Iterator[ShardRecord]:
+        sizes = {task.shard: task.size for task in state.todo}
+        done, total = 0, sum(sizes.values())
+        self.on_progress(Progress(done, total))
+        begun = job.folder.version(MANIFEST_FILE)
+        work = _WriteShard(job, self.plan.style, self.plan.libraries, begun)
+        for record in runner.run(work, state.todo):
+            done += sizes[record.shard]
+            self.on_progress(Progress(done, total, record))
+            yield record
+
+    def _finish(self, folder: DataFolder, manifest: Manifest, records: Sequence[ShardRecord]) -> Manifest:
+        """Write report, further files, card and, last, the manifest of a set whose shards are all there.
+
+        The caller holds the lock.
+        """
+        _require_rows(records)
+        plan, there = self.plan, read_manifest(folder)
+        if there is not None:  # other splits may have been finished meanwhile
+            manifest = replace(manifest, shards=there.shards, files=there.files)
+        manifest = manifest.with_shards(records)
+        if there is not None and there.complete and there.shards != manifest.shards:
+            # The report below is of all splits, and no longer what the manifest of some states.
+            write_manifest(folder, replace(there, complete=False))
+        files = dict(manifest.files or {})
+        if plan.report_file is not None:
+            checksum = merge_reports(folder, plan.report_file, manifest)
+            files |= {plan.report_file: checksum} if checksum is not None else {}
+        files |= write_small_columns(folder, manifest)
+        files |= plan.write_files(folder, manifest)
+        finished = replace(manifest, files=files, complete=True)
+        if self.write_card is not None:
+            self.write_card(folder, finished)
+        # A run that had nothing to do leaves the file as it is, with its time.
+        if there != finished:
+            write_manifest(folder, finished)
+            if read_manifest(folder) != finished:
+                message = (
+                    f"{folder.address(MANIFEST_FILE)!r} is not what was written there a moment ago; next: "
+                    "run the same command again, and check the disk"
+                )
+                raise StorageError(message)
+        tidy(folder, finished)
+        return finished
 
 
 @dataclass
@@ -246,16 +300,13 @@ class _Before:
         folder that holds nothing and refuses every other specification.
         """
         folder, manifest = self.folder, read_manifest(self.folder)
-        if manifest is not None and identity_digest(manifest) == identity_digest(self.plan.new_manifest()):
-            listed = {record.shard for record in manifest.shards}
-            made = [
-                pending.record
-                for shard, pending in pending_records(folder, identity_digest(manifest)).items()
-                if shard not in listed
-            ]
-            if not any(record.rows for record in made):
+        if manifest is not None and manifest.identity == self.plan.new_manifest().identity:
+            made = pending_records(folder, manifest.identity)
+            for record in manifest.shards:
+                made.pop(record.shard, None)
+            if not any(pending.record.rows for pending in made.values()):
                 # A shard from which all was left out is made again in no time.
-                for shard in (record.shard for record in made):
+                for shard in made:
                     for path in (shard.record_path, shard.report_path, shard.data_path):
                         folder.remove(path)
                 folder.remove_empty(DATA_FOLDER)
@@ -267,52 +318,26 @@ class _Before:
             folder.remove_empty("")
 
 
-def _make_part(
-    folder: DataFolder, plan: BuildPlan, part: Part, on_progress: Callable[[Progress], None], check: bool
-) -> Manifest:
-    """Make the tasks of a part that have no record; return what the manifest would hold of them."""
-    tasks = part.of(plan.tasks)
-    folder.require_folder()
-    settle(folder, _PATIENCE_S)
-    # Shared, as for shards: of many parts that write at once, one would never find the folder free.
-    with folder.locked(shared=True, patience_s=_PATIENCE_S):
-        job, state = begin(folder, plan, tasks, in_parts=True, check=check)
-    records = [*state.kept, *_run(job, plan, part, state, on_progress)]
-    there = read_manifest(folder)
-    if state.todo and there is not None and there.complete:
-        with folder.locked():
-            held = job.require()
-            if all(task.shard in held for task in tasks):  # others have finished the set meanwhile
-                tidy(folder, there)
-                return there
-    _require_records(folder, tasks, records)
-    return replace(state.manifest.with_shards(records), complete=False)
-
-
-def _finish_parts(
-    folder: DataFolder,
-    plan: BuildPlan,
-    on_progress: Callable[[Progress], None],
-    write_card: WriteCard | None,
-    check: bool,
-) -> Manifest:
-    """Put together what all parts have made. Raises MissingPartsError where something is missing."""
-    if not folder.names():
-        message = f"{folder.lacks('data set')}; nothing can be finished; next: make its parts with --part"
-        raise InputError(message)
-    folder.require_folder()
-    settle(folder, _PATIENCE_S)
-    on_progress(Progress(0, 0))
-    with folder.locked(patience_s=_PATIENCE_S):
-        folder.refresh(DATA_FOLDER)
-        folder.refresh(PENDING_FOLDER)
-        state = _require_parts(folder, plan, check)
-        return _finish(folder, plan, state.manifest, state.kept, write_card)
+def _require_records(folder: DataFolder, tasks: Sequence[ShardTask], records: Sequence[ShardRecord]) -> None:
+    """Refuse to go on where a task has no record, or this machine does not see what a record is of."""
+    folder.refresh(DATA_FOLDER)
+    sizes = folder.sizes(DATA_FOLDER)
+    found = {record.shard for record in records if record.is_size_of(sizes)}
+    lacking = [str(task.shard) for task in tasks if task.shard not in found]
+    if lacking:
+        names = ", ".join(lacking[:_CAUSES_SHOWN]) + (", ..." if len(lacking) > _CAUSES_SHOWN else "")
+        message = (
+            f"{len(lacking):,} of {len(tasks):,} shards that were to be made are not in "
+            f"{folder.address()!r}, or have other sizes: {names}; the runner did not make them, somebody "
+            "removed them, or a node writes to a folder that this machine does not see; finished shards "
+            "stay; next: run the same command again, on a folder that all nodes share, or s3://BUCKET/PATH"
+        )
+        raise IntegrityError(message)
 
 
 def _require_parts(folder: DataFolder, plan: BuildPlan, check: bool) -> State:
     """Look whether all parts are there, changing nothing. Raises MissingPartsError where they are not."""
-    state = look(folder, plan, in_parts=True, check=check)
+    state = look(folder, plan, check=check)
     if state.todo:
         missing = {task.shard for task in state.todo}
         numbers = [index for index, task in enumerate(plan.tasks) if task.shard in missing]
@@ -320,102 +345,17 @@ def _require_parts(folder: DataFolder, plan: BuildPlan, check: bool) -> State:
     return state
 
 
-def _run(
-    job: Job,
-    plan: BuildPlan,
-    runner: Runner,
-    state: State,
-    on_progress: Callable[[Progress], None],
-) -> Iterator[ShardRecord]:
-    sizes = {task.shard: task.size for task in state.todo}
-    done, total = 0, sum(sizes.values())
-    on_progress(Progress(done, total))
-    work = _Work(job, plan.style, plan.libraries, job.folder.version(MANIFEST_FILE))
-    for record in runner.run(work, state.todo):
-        done += sizes[record.shard]
-        on_progress(Progress(done, total, record))
-        yield record
-
-
-def _require_records(folder: DataFolder, tasks: Sequence[ShardTask], records: Sequence[ShardRecord]) -> None:
-    """Refuse to go on where a task has no record, or this machine does not see what a record is of."""
-    sizes = folder.sizes(DATA_FOLDER)
-    found = {record.shard for record in records if record.is_size_of(sizes)}
-    lacking = [task.shard for task in tasks if task.shard not in found]
-    if lacking:
-        names = ", ".join(map(str, lacking[:_CAUSES_SHOWN])) + (
-            ", ..." if len(lacking) > _CAUSES_SHOWN else ""
-        )
-        message = (
-            f"{len(lacking):,} of {counted(len(tasks), 'shards')} that were to be made are not in "
-            f"{folder.address()!r}, or have other sizes: {names}; the runner did not make them, somebody "
-            "removed them, or a node writes to a folder that this machine does not see; finished shards "
-            "stay, and the data set is not complete; next: run the same command again, on a folder that all "
-            "nodes share, or s3://BUCKET/PATH"
-        )
-        raise IntegrityError(message)
-
-
-def _finish(
-    folder: DataFolder,
-    plan: BuildPlan,
-    manifest: Manifest,
-    records: Sequence[ShardRecord],
-    write_card: WriteCard | None,
-) -> Manifest:
-    """Write report, further files, card and, last, the manifest of a set whose shards are all there.
-
-    The caller holds the lock.
-    """
-    _require_rows(records)
-    there = read_manifest(folder)
-    if there is not None:  # other splits may have been finished meanwhile
-        manifest = replace(manifest, shards=there.shards, files=there.files)
-    manifest = manifest.with_shards(records)
-    if there is not None and there.complete and there.shards != manifest.shards:
-        # The report below is of all splits, and no longer what the manifest of some states.
-        write_manifest(folder, replace(there, complete=False))
-    files = dict(manifest.files or {})
-    if plan.report_file is not None:
-        checksum = merge_reports(folder, plan.report_file, manifest)
-        files |= {plan.report_file: checksum} if checksum is not None else {}
-    files |= write_small_columns(folder, manifest)
-    files |= plan.write_files(folder, manifest)
-    finished = replace(manifest, files=files, complete=True)
-    if write_card is not None:
-        write_card(folder, finished)
-    # A run that had nothing to do leaves the file as it is, with its time.
-    if there != finished:
-        write_manifest(folder, finished)
-        if read_manifest(folder) != finished:
-            message = (
-                f"{folder.address(MANIFEST_FILE)!r} is not what was written there a moment ago; next: run "
-                "the same command again, and check the disk"
-            )
-            raise StorageError(message)
-    tidy(folder, finished)
-    return finished
-
-
-def _is_finished(folder: DataFolder, state: State) -> bool:
-    """Return, by names and sizes alone, whether a run has nothing left to do; manifests are written last."""
-    return not state.todo and state.manifest.complete and not folder.names(PENDING_FOLDER)
-
-
 def _require_rows(records: Sequence[ShardRecord]) -> None:
     """Refuse a run that left every item out: its source, not its items, is what is wrong."""
     skipped = [item for record in records for item in record.skipped]
-    if not skipped or any(record.rows for record in records):
-        return
-    first: dict[str, Skipped] = {}
-    for item in skipped:
-        first.setdefault(item.reason, item)
-    causes = "; ".join(f"{reason}: {item.message}" for reason, item in list(first.items())[:_CAUSES_SHOWN])
-    message = (
-        f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each reason: "
-        f"{causes}; next: mend the source, or choose another one"
-    )
-    raise (IntegrityError if set(first) == {DAMAGED} else InputError)(message)
+    if skipped and not any(record.rows for record in records):
+        first = {item.reason: item.message for item in reversed(skipped)}
+        causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
+        message = (
+            f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each "
+            f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}; next: mend the source, or choose another one"
+        )
+        raise (IntegrityError if set(first) == {DAMAGED} else InputError)(message)
 
 
 def _refuse_overwriting(folder: DataFolder, runner: Runner | int) -> None:
@@ -438,20 +378,16 @@ def look_for(
         _refuse_overwriting(folder, runner)
         require_replaceable(folder, plan.extra_dirs)
         return plan.tasks, State(plan.new_manifest(), (), plan.tasks)
-    if isinstance(runner, Part):
-        tasks = runner.of(plan.tasks)
-        return tasks, look(folder, plan, tasks, in_parts=True, check=check)
     if isinstance(runner, Finish):
         return plan.tasks, _require_parts(folder, plan, check)
-    return plan.tasks, look(folder, plan, check=check)
+    tasks = runner.of(plan.tasks) if isinstance(runner, Part) else plan.tasks
+    return tasks, look(folder, plan, tasks, check=check)
 
 
 def array_text(numbers: Sequence[int]) -> str:
     """Write numbers as Slurm takes them for ``--array``: ``3,17,40-44``."""
-    runs: list[list[int]] = []
-    for number in sorted(set(numbers)):
-        if runs and number == runs[-1][1] + 1:
-            runs[-1][1] = number
-        else:
-            runs.append([number, number])
-    return ",".join(str(first) if first == last else f"{first}-{last}" for first, last in runs)
+    runs = [
+        [number for _, number in run]
+        for _, run in groupby(enumerate(sorted(set(numbers))), lambda pair: pair[1] - pair[0])
+    ]
+    return ",".join(str(run[0]) if len(run) == 1 else f"{run[0]}-{run[-1]}" for run in runs)

@@ -85,17 +85,13 @@ def readable(address: str) -> Iterator[None]:
     """Turn errors that are not about the content of a file or folder into InputError."""
     try:
         yield
-    except PermissionError as error:
-        message = (
-            f"{address!r} cannot be read by this user (permission denied); next: change its permissions, or "
-            "ask its owner to"
-        )
-        raise InputError(message) from error
     except (OSError, MemoryError) as error:
-        lack = of_the_process(error)
-        if lack is None:
+        lack = f"now: {of_the_process(error)}"
+        if isinstance(error, PermissionError):
+            lack = "by this user (permission denied); next: change its permissions, or ask its owner to"
+        elif of_the_process(error) is None:
             raise
-        message = f"{address!r} cannot be read now: {lack}"
+        message = f"{address!r} cannot be read {lack}"
         raise InputError(message) from error
 
 

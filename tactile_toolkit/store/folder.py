@@ -1,9 +1,12 @@
 """The one seam through which data set folders are read and written.
 
-Local folders and every fsspec address (``s3://...``, ``memory://...``) go through :class:`DataFolder`. Its
-protocol has two implementations (:mod:`tactile_toolkit.store.local`, :mod:`tactile_toolkit.store.remote`):
-``entries, read, put`` (whole), ``create`` (if absent), ``move, remove, lock``. A file appears under its name
-complete or not at all.
+Local folders and every fsspec address (``s3://...``, ``memory://...``) are a :class:`DataFolder`: it lists,
+reads, writes whole files or creates them if absent, moves, removes, and holds a lock. Its methods are those
+of a local folder; a private class does the same in stores. A file appears under its name complete or not at
+all.
+
+What is written locally lies in ``.pending/tmp-...`` until it is whole. Who finishes a data set removes all
+such files, whoever's they are; a writer whose file has gone writes it again.
 """
 
 from __future__ import annotations
@@ -12,61 +15,82 @@ import contextlib
 import errno
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+import shutil
+import uuid
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import IO, Any
+from typing import IO, Any, ClassVar
 
-from tactile_toolkit.errors import IntegrityError, StorageError
-from tactile_toolkit.store.address import is_remote, place_of_data
-from tactile_toolkit.store.files import expanded, named_failures, readable, scratch_folder
-from tactile_toolkit.store.local import PENDING_FOLDER, TEMPORARY, LocalFiles
-from tactile_toolkit.store.remote import StoreFiles
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.run.system import locked, sync_folder
+from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.store.address import is_remote, place_of_data, scheme_of
+from tactile_toolkit.store.files import (
+    expanded,
+    is_there,
+    named_failures,
+    new_file,
+    open_regular,
+    readable,
+    scratch_folder,
+)
+from tactile_toolkit.store.remote import Store
 
-__all__ = ["DataFolder", "file_at"]
+__all__ = [
+    "NEXT_FOLDER",
+    "PENDING_FOLDER",
+    "TEMPORARY",
+    "VERSION_KEYS",
+    "DataFolder",
+    "file_at",
+]
+
+PENDING_FOLDER = ".pending"
+"""Holds the records and report rows of finished shards until the manifest has them."""
+
+NEXT_FOLDER = ".next"
+"""Holds the data set that is to take the place of the one around it."""
+
+TEMPORARY = "tmp-"
+"""How the name of every unfinished file in :data:`PENDING_FOLDER` begins."""
+
+VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created")
+"""What stores say of a file, under which name each, that changes with its content."""
 
 _READ_AT_ONCE = 16
 """Small files that are asked for at a time: a network file system or store answers many as fast as one."""
-_READ_AHEAD = 512
+_TRIES = 10
+_NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
 
 
 @dataclass(frozen=True)
 class DataFolder:
     """A data set folder, by its path or any fsspec address.
 
-    Pickles as its address alone, so that tasks carry it to other processes and machines.
+    Paths are relative to it, with slashes; nothing is written, moved or removed through symbolic links in it.
+    Pickles as its address alone, so that tasks carry it to other processes and machines. Methods raise
+    StorageError where a file system refuses, RemoteError where a store refuses or does not answer, and
+    InputError where the package of a store is not installed.
     """
 
     url: str
-    _root: str = field(init=False, repr=False, compare=False)
+    root: str = field(init=False, repr=False, compare=False)
+    is_local: ClassVar[bool] = True
+    """Whether the folder is on a local file system."""
+
+    def __new__(cls, url: str) -> DataFolder:
+        """Return a folder of the kind that the address is of."""
+        return super().__new__(_StoreFolder if is_remote(url) else DataFolder)
 
     def __post_init__(self) -> None:
         place = place_of_data(self.url)
-        root = place if is_remote(place) else str(expanded(place).absolute())
-        object.__setattr__(self, "_root", root)
+        object.__setattr__(self, "root", str(expanded(place).absolute()) if self.is_local else place)
 
-    @property
-    def is_local(self) -> bool:
-        """Whether the folder is on a local file system."""
-        return not is_remote(self._root)
-
-    @cached_property
-    def _store(self) -> StoreFiles:
-        return StoreFiles(self._root)
-
-    @cached_property
-    def _files(self) -> LocalFiles | StoreFiles:
-        return LocalFiles(self._root) if self.is_local else self._store
-
-    def __getstate__(self) -> dict[str, str]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Leave open connections behind."""
-        return {"url": self.url, "_root": self._root}
-
-    def __setstate__(self, state: dict[str, str]) -> None:
-        for name, value in state.items():
-            object.__setattr__(self, name, value)
+        return DataFolder, (self.root,)
 
     def address(self, path: str = "") -> str:
         """Return the full address of a file of the folder, for messages and readers.
@@ -76,87 +100,117 @@ class DataFolder:
         nothing is done even with one that was forgotten there.
         """
         if not path:
-            return self._root
+            return self.root
         # Most paths have no such dots: their parts are not looked at, which takes a while for 50,000 of them.
         if path.startswith("/") or "\0" in path or (".." in path and ".." in PurePosixPath(path).parts):
-            message = (
-                f"{path!r} leads out of {self._root!r} or is not a path; expected a path inside; nothing was "
-                "done"
-            )
+            message = f"{path!r} leads out of {self.root!r} or is not a path; nothing was done"
             raise StorageError(message)
-        return f"{self._root}/{path}"
-
-    def _inside(self, path: str) -> str:
-        """Return a path that was looked at by :meth:`address`."""
-        self.address(path)
-        return path
+        return f"{self.root}/{path}"
 
     def place(self, path: str) -> Path:
-        """Return where a local file is written; InputError where it is, or lies behind, a link."""
-        return LocalFiles(self._root).place(self._inside(path))
+        """Return where a file is written, moved or removed.
 
-    def exists(self, path: str = "") -> bool:
-        """Return whether a file (or, without an argument, the folder) is there."""
-        return self._files.exists(self._inside(path))
+        Raises InputError where the file, or a folder on the way to it, is a symbolic link: what that leads to
+        does not belong to this folder, which may be reached through a link itself.
+        """
+        place, root = Path(self.address(path)), Path(self.root)
+        for step in (place, *place.parents):
+            if step == root:
+                break
+            if step.is_symlink():
+                message = (
+                    f"{str(step)!r} is a symbolic link; nothing is written, moved or removed through a link; "
+                    "next: put what it leads to in its place, or choose another folder (--out or OUT)"
+                )
+                raise InputError(message)
+        return place
+
+    def problem(self) -> str:
+        """Say why nothing can be in the folder; empty where something can."""
+        if not Path(self.root).exists():
+            return f"{self.root!r} does not exist"
+        return "" if Path(self.root).is_dir() else f"{self.root!r} is a file, a folder was expected"
 
     def lacks(self, what: str) -> str:
         """Say what is wrong with a folder in which something was not found: it, or what was looked for."""
-        address = self.address()
-        if self.is_local and not Path(address).exists():
-            return f"{address!r} does not exist"
-        if self.is_local and not Path(address).is_dir():
-            return f"{address!r} is a file, a folder was expected"
-        if not self.is_local and not self._store.has_bucket():
-            return f"the bucket of {address!r} does not exist"
-        return f"no {what} in {address!r}"
+        return self.problem() or f"no {what} in {self.root!r}"
+
+    def exists(self, path: str = "") -> bool:
+        """Return whether a file (or, without an argument, the folder) is there."""
+        # Who asks for the folder itself is about to write there, and names the failure.
+        with readable(self.address(path)) if path else contextlib.nullcontext():
+            return is_there(Path(self.address(path)))
+
+    def version(self, path: str) -> tuple[object, ...] | None:
+        """Return what changes whenever a file is replaced; None where there is none."""
+        try:
+            facts = Path(self.address(path)).stat()
+        except OSError:
+            return None
+        return facts.st_ino, facts.st_size, facts.st_mtime_ns
+
+    def size_bytes(self, path: str) -> int:
+        """Return the size of a file; raises FileNotFoundError."""
+        with readable(self.address(path)):
+            return Path(self.address(path)).stat().st_size
+
+    def facts(self, path: str) -> Mapping[str, Any]:
+        """Return what a store says of a file; raises FileNotFoundError."""
+        raise NotImplementedError
+
+    def entries(self, folder: str = "") -> dict[str, int | None]:
+        """List names directly in a sub-folder, sorted, with sizes in bytes, None for what is not a file.
+
+        An absent sub-folder is empty.
+        """
+        path = self.address(folder)
+        sizes: dict[str, int | None] = {}
+        with (
+            readable(path),
+            contextlib.suppress(FileNotFoundError, NotADirectoryError),
+            os.scandir(path) as found,
+        ):
+            for entry in found:
+                try:
+                    sizes[entry.name] = entry.stat().st_size if entry.is_file() else None
+                except FileNotFoundError:  # gone since it was listed, or a link that leads nowhere
+                    if entry.is_symlink():
+                        sizes[entry.name] = None
+        return dict(sorted(sizes.items()))
 
     def names(self, folder: str = "") -> list[str]:
-        """List the names directly in a sub-folder, sorted; an absent sub-folder is empty."""
-        return list(self._files.entries(self._inside(folder)))
+        """List the names directly in a sub-folder, sorted."""
+        return list(self.entries(folder))
 
     def sizes(self, folder: str = "") -> dict[str, int]:
         """List the files directly in a sub-folder with their sizes in bytes, sorted by name, in one look."""
-        entries = self._files.entries(self._inside(folder))
-        return {name: size for name, size in entries.items() if size is not None}
+        return {name: size for name, size in self.entries(folder).items() if size is not None}
 
     def walk(self, folder: str = "") -> Iterator[str]:
         """Yield the paths of all files in a sub-folder and below it, in order of their names."""
-        for name, size in self._files.entries(self._inside(folder)).items():
+        for name, size in self.entries(folder).items():
             path = f"{folder}/{name}" if folder else name
             if size is None and not (self.is_local and Path(self.address(path)).is_symlink()):
                 yield from self.walk(path)
             else:
                 yield path
 
-    def size_bytes(self, path: str) -> int:
-        """Return the size of a file."""
-        if self.is_local:
-            with readable(self.address(path)):
-                return Path(self.address(path)).stat().st_size
-        return int(self.facts(path)["size"])
-
     def open(self, path: str) -> IO[bytes]:
         """Open a file for reading; IntegrityError for what is not a file, such as a pipe or a device."""
-        return self._files.open(self._inside(path))
-
-    def facts(self, path: str) -> Mapping[str, Any]:
-        """Return what a remote store says of a file; raises FileNotFoundError."""
-        found = self._store.info(self._inside(path))
-        if found is None:
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.address(path))
-        return found
-
-    def version(self, path: str) -> tuple[object, ...] | None:
-        """Return what changes whenever a file is replaced; None where there is none."""
-        return self._files.version(self._inside(path))
+        with readable(self.address(path)):
+            return open_regular(Path(self.address(path)))
 
     def read_bytes(self, path: str) -> bytes:
         """Read a whole (small) file; IntegrityError when it is not there or cannot be read."""
         try:
-            return self._files.read(self._inside(path))
+            return self._read(path)
         except OSError as error:
             message = f"cannot read {self.address(path)!r}: {error.strerror or error}"
             raise IntegrityError(message) from error
+
+    def _read(self, path: str) -> bytes:
+        with self.open(path) as stream:
+            return stream.read()
 
     def read_many(self, paths: Sequence[str]) -> Iterator[bytes | None]:
         """Read many small files, in their order; None for one that cannot be read."""
@@ -166,16 +220,7 @@ class DataFolder:
                 return self.read_bytes(path)
             return None
 
-        with ThreadPoolExecutor(_READ_AT_ONCE) as threads:
-            for start in range(0, len(paths), _READ_AHEAD):
-                yield from threads.map(read, paths[start : start + _READ_AHEAD])
-
-    def create_bytes(self, path: str, content: bytes) -> bool:
-        """Write a whole file unless there is one of that name; return whether this call did.
-
-        Of several writers at once, on any machines, one wins. Raises as :meth:`write_bytes`.
-        """
-        return self._files.create(self._inside(path), content)
+        return in_threads(read, paths, _READ_AT_ONCE)
 
     def write_bytes(self, path: str, content: bytes) -> None:
         """Write a whole file so that readers see all of it or nothing.
@@ -183,7 +228,33 @@ class DataFolder:
         Raises StorageError for a path that leads out of the folder, and where the file system refuses; then
         nothing is left behind under any name.
         """
-        self._files.put(self._inside(path), content)
+        self._write(path, lambda stream: stream.write(content))
+
+    def create_bytes(self, path: str, content: bytes) -> bool:
+        """Write a whole file unless there is one of that name; return whether this call did.
+
+        Of several writers at once, on any machines, one wins (in stores, where they know conditional writes;
+        S3 and gs do). Raises as :meth:`write_bytes`.
+        """
+        with named_failures(self.address(path)), self._temporary(path) as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+            target = self.place(path)
+            try:
+                # The one step that is all or nothing on network file systems too.
+                os.link(stream.name, target)
+            except FileExistsError:
+                return os.fstat(stream.fileno()).st_nlink == 2  # done, and the answer of the server was lost
+            except OSError as error:
+                if error.errno not in _NO_LINKS:
+                    raise
+                with contextlib.suppress(FileExistsError), target.open("xb") as other:
+                    other.write(content)
+                    return True
+                return False
+            sync_folder(target.parent)
+        return True
 
     @contextlib.contextmanager
     def writing(self, path: str) -> Iterator[IO[bytes]]:
@@ -191,40 +262,80 @@ class DataFolder:
 
         What goes to a store is put together in ``$TMPDIR`` first. Raises as :meth:`write_bytes`.
         """
-        if self.is_local:
-            with LocalFiles(self._root).writing(self._inside(path)) as stream:
-                yield stream
-            return
-        with scratch_folder() as scratch:
-            file = scratch / "file"
-            with named_failures(str(file)), file.open("wb") as stream:
-                yield stream
-            self.copy_in(path, file)
+        with named_failures(self.address(path)), self._temporary(path) as stream:
+            yield stream
+            self._arrive(stream, path)
 
     def copy_in(self, path: str, source: Path) -> None:
         """Write a whole file of another place of this machine, as :meth:`write_bytes` does, in pieces."""
-        self._files.put(self._inside(path), source)
+
+        def copy(stream: IO[bytes]) -> None:
+            with source.open("rb") as content:
+                shutil.copyfileobj(content, stream, 1 << 20)
+
+        self._write(path, copy)
+
+    def _write(self, path: str, fill: Callable[[IO[bytes]], object]) -> None:
+        with named_failures(self.address(path)):
+            for tries_left in reversed(range(_TRIES)):
+                try:
+                    with self._temporary(path) as stream:
+                        fill(stream)
+                        self._arrive(stream, path)
+                    return
+                except FileNotFoundError:  # who finished a data set here has removed it
+                    if not tries_left:
+                        raise
+
+    @contextlib.contextmanager
+    def _temporary(self, path: str) -> Iterator[IO[bytes]]:
+        """Give a new temporary file for one of that path, and remove it if it is still there at the end."""
+        self.place(path)
+        temporary = self.place(f"{PENDING_FOLDER}/{TEMPORARY}{uuid.uuid4().hex}")
+        try:
+            with new_file(temporary) as stream:
+                yield stream
+        finally:
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                temporary.unlink()
+            with contextlib.suppress(OSError):  # something else is in it
+                temporary.parent.rmdir()
+
+    def _arrive(self, stream: IO[bytes], path: str) -> None:
+        stream.flush()
+        os.fsync(stream.fileno())
+        stream.close()  # Windows moves no open file
+        target = self.place(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        Path(stream.name).replace(target)
+        sync_folder(target.parent)
 
     def copy_out(self, path: str, target: Path) -> None:
         """Copy a file to a local one; FileNotFoundError where there is none."""
         target.parent.mkdir(parents=True, exist_ok=True)
-        self._files.download(self._inside(path), target)
+        shutil.copyfile(self.address(path), target)
 
     def move(self, path: str, target: str) -> None:
         """Move a file of a local folder inside it, in place of any other."""
-        self._files.move(self._inside(path), self._inside(target))
+        with named_failures(self.address(target)):
+            place = self.place(target)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            self.place(path).replace(place)
+            sync_folder(place.parent)
 
     def remove(self, path: str) -> None:
         """Remove a file, if it is there."""
-        self._files.remove(self._inside(path))
+        with named_failures(self.address(path)):
+            self.place(path).unlink(missing_ok=True)
 
     def remove_empty(self, folder: str) -> None:
         """Remove a sub-folder when nothing is left in it; in object stores it has gone with its last file."""
-        self._files.remove_empty(self._inside(folder))
+        with contextlib.suppress(OSError):
+            Path(self.address(folder)).rmdir()
 
     def remove_tree(self, folder: str) -> None:
         """Remove a sub-folder, if it is there, with all that it holds; raises InputError for a link."""
-        for name, size in self._files.entries(self._inside(folder)).items():
+        for name, size in self.entries(folder).items():
             if size is None:
                 self.remove_tree(f"{folder}/{name}")
             else:
@@ -241,24 +352,195 @@ class DataFolder:
     def require_folder(self) -> None:
         """Create the folder, and prove that it can be written to; a bucket must be there.
 
-        Raises StorageError where it cannot, RemoteError where a store refuses or does not answer, and
-        InputError when a file stands in its place or there is no such bucket.
+        Raises InputError when a file stands in its place or there is no such bucket.
         """
-        self._files.make()
+        with named_failures(self.root):
+            if Path(self.root).exists() and self.problem():
+                message = f"{self.problem()}; choose another path (--out or OUT)"
+                raise InputError(message)
+            Path(self.root).mkdir(parents=True, exist_ok=True)
+            with self._temporary(""):
+                pass
 
     def refresh(self, folder: str) -> None:
-        """Have a network file system forget what it knows of a sub-folder."""
-        self._files.refresh(self._inside(folder))
+        """Have a network file system forget what it knows of a sub-folder; stores remember nothing."""
+        # Its time changes.
+        with contextlib.suppress(OSError):
+            os.utime(self.place(folder))
 
-    def locked(
-        self, *, shared: bool = False, patience_s: float = math.inf
-    ) -> contextlib.AbstractContextManager[None]:
+    @contextlib.contextmanager
+    def locked(self, *, shared: bool = False, patience_s: float = math.inf) -> Iterator[None]:
         """Hold a local folder against other runs; stores have no locks.
 
         What a run changes there it changes under the lock, its shards under a ``shared`` one. Raises
         InputError when other runs have held it for so long.
         """
-        return self._files.lock(shared=shared, patience_s=patience_s)
+        # Together with the data set that is to take its place.
+        home = Path(self.root)
+        home = home.parent if home.name == NEXT_FOLDER else home
+        with contextlib.ExitStack() as stack:
+            while True:
+                try:
+                    stack.enter_context(locked(home, shared=shared, patience_s=patience_s))
+                    break
+                except FileNotFoundError:  # a run that failed has removed it, empty as it was
+                    with named_failures(str(home)):
+                        home.mkdir(parents=True, exist_ok=True)
+                except BlockingIOError as error:
+                    left = f", or remove {error.filename!r} if none is at work" if error.filename else ""
+                    message = (
+                        f"another run writes to {str(home)!r}, and has done so for {patience_s:.0f} s; "
+                        f"nothing was changed; next: wait until it has ended, or end it{left}, and run the "
+                        "same command again"
+                    )
+                    raise InputError(message) from error
+            yield
+
+
+class _StoreFolder(DataFolder):
+    """A folder in a store: objects appear whole, nothing is moved or locked, and no bucket is ever made."""
+
+    is_local = False
+
+    @cached_property
+    def _store(self) -> Store:
+        return Store(self.root)
+
+    @property
+    def _system(self) -> Any:
+        return self._store.system
+
+    def _key(self, path: str = "") -> str:
+        """Return how the client calls a file."""
+        return str(self._system._strip_protocol(self.address(path))).rstrip("/")
+
+    def _info(self, path: str, key: str | None = None) -> Mapping[str, Any] | None:
+        wanted = self._key(path) if key is None else key
+        with contextlib.suppress(FileNotFoundError):
+            found: Mapping[str, Any] = self._store.ask(lambda: self._system.info(wanted), "reading", path)
+            return found
+        return None
+
+    def problem(self) -> str:
+        bucket = self._key().partition("/")[0]
+        if self._store.has_buckets and self._info("", bucket) is None:
+            return f"the bucket {bucket!r} of {self.root!r} does not exist"
+        return ""
+
+    def exists(self, path: str = "") -> bool:
+        return self._info(path) is not None
+
+    def facts(self, path: str) -> Mapping[str, Any]:
+        found = self._info(path)
+        if found is None:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.address(path))
+        return found
+
+    def version(self, path: str) -> tuple[object, ...] | None:
+        found, keys = self._info(path), (*VERSION_KEYS, "LastModified")
+        return None if found is None else tuple(str(found.get(key)) for key in keys)
+
+    def size_bytes(self, path: str) -> int:
+        return int(self.facts(path)["size"])
+
+    def entries(self, folder: str = "") -> dict[str, int | None]:
+        key, sizes = self._key(folder), {}
+        with contextlib.suppress(FileNotFoundError):
+            for entry in self._store.ask(lambda: self._system.ls(key, detail=True), "listing", folder):
+                name = entry["name"].strip("/")
+                if name != key.strip(
+                    "/"
+                ):  # a file, and the mark of an empty folder, are listed in themselves
+                    is_folder = entry["type"] == "directory"
+                    sizes[name.rpartition("/")[2]] = None if is_folder else int(entry["size"])
+        return dict(sorted(sizes.items()))
+
+    def open(self, path: str) -> IO[bytes]:
+        # Its `details` are what the store says of it; a file that is replaced meanwhile is not read on.
+        return self._store.open(self._key(path), path)
+
+    def _read(self, path: str) -> bytes:
+        key = self._key(path)
+        return bytes(self._store.ask(lambda: self._system.cat_file(key), "reading", path))
+
+    def write_bytes(self, path: str, content: bytes) -> None:
+        self._require_writable(path)
+        key, options = self._key(path), self._in_one_request(content)
+        self._put(path, lambda: self._system.pipe_file(key, content, **options))
+
+    def create_bytes(self, path: str, content: bytes) -> bool:
+        self._require_writable(path)
+        key, options, tries = self._key(path), self._in_one_request(content), [0]
+
+        def put() -> None:
+            tries[0] += 1
+            self._system.pipe_file(key, content, mode="create", **options)
+
+        try:
+            self._put(path, put)
+        except FileExistsError:
+            # The answer to an earlier try may have been lost after the store had done it.
+            return tries[0] > 1 and self._read(path) == content
+        return True
+
+    def _in_one_request(self, content: bytes) -> dict[str, Any]:
+        """Return what keeps a writer that is killed from leaving pieces that cost money and nobody sees."""
+        return {"chunksize": len(content) + 1} if scheme_of(self.root) == "s3" else {}
+
+    def copy_in(self, path: str, source: Path) -> None:
+        self._require_writable(path)
+        key, options = self._key(path), {"max_concurrency": 2} if scheme_of(self.root) == "s3" else {}
+        self._put(path, lambda: self._system.put_file(str(source), key, **options))
+
+    @contextlib.contextmanager
+    def writing(self, path: str) -> Iterator[IO[bytes]]:
+        with scratch_folder() as scratch:
+            file = scratch / "file"
+            with named_failures(str(file)), file.open("wb") as stream:
+                yield stream
+            self.copy_in(path, file)
+
+    def _put(self, path: str, put: Callable[[], object]) -> None:
+        try:
+            self._store.ask(put, "writing", path)
+        except FileNotFoundError as error:
+            if self._store.has_buckets:
+                raise self._no_bucket() from error
+            parent = self._key(path).rpartition("/")[0]
+            self._store.ask(lambda: self._system.makedirs(parent, exist_ok=True), "writing", path)
+            self._store.ask(put, "writing", path)
+
+    def copy_out(self, path: str, target: Path) -> None:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        self._store.ask(lambda: self._system.get_file(self._key(path), str(target)), "reading", path)
+
+    def remove(self, path: str) -> None:
+        self._require_writable(path)
+        with contextlib.suppress(FileNotFoundError):
+            self._store.ask(lambda: self._system.rm_file(self._key(path)), "removing", path)
+
+    def require_folder(self) -> None:
+        self._require_writable("")
+        found = self._info("")
+        if found is not None and found["type"] == "file":
+            message = f"{self.root!r} is a file, a folder was expected; choose another path (--out or OUT)"
+            raise InputError(message)
+        if found is None and self.problem():
+            raise self._no_bucket()
+
+    def _no_bucket(self) -> InputError:
+        return InputError(
+            f"{self.problem()}; nothing was written, and no bucket was made; next: check its name, or make "
+            "it with the store's own tools"
+        )
+
+    def _require_writable(self, path: str) -> None:
+        if scheme_of(self.root) == "hf":
+            message = (
+                f"{self.address(path)!r} cannot be written to: the Hub takes whole commits; next: write to a "
+                "folder or to s3://BUCKET/FOLDER, then send it with the command `upload`"
+            )
+            raise InputError(message)
 
 
 def file_at(place: str) -> tuple[DataFolder, str]:

@@ -76,24 +76,18 @@ def forecast_build(
     folder = DataFolder(os.fspath(out))
     chosen, state = look_for(folder, plan, workers, overwrite=overwrite)
     replaced = _rows_there(folder) if overwrite else None
-    todo = {task.shard for task in state.todo}
     entries = []
     for split in dict.fromkeys(task.shard.split for task in chosen):
-        tasks = [task for task in chosen if task.shard.split == split]
-        finished = sum(task.size for task in tasks if task.shard not in todo)
-        entries.append(SplitForecast(split, sum(task.size for task in tasks), len(tasks), finished))
-    left = sum(entry.rows - entry.finished for entry in entries)
-    sample = measure()
-    seconds = left * sample.row_s / _processes(workers) + (_START_S if left else 0)
+        sizes = [task.size for task in chosen if task.shard.split == split]
+        todo = sum(task.size for task in state.todo if task.shard.split == split)
+        entries.append(SplitForecast(split, sum(sizes), len(sizes), sum(sizes) - todo))
+    left, sample = sum(task.size for task in state.todo), measure()
+    while not isinstance(workers, int):
+        workers = getattr(workers, "workers", 1)
+    processes = workers or os.cpu_count() or 1  # all cores where a runner leaves that open
+    seconds = left * sample.row_s / processes + (_START_S if left else 0)
     size = round(left * sample.row_bytes)
     return Forecast(tuple(entries), left, size, round(seconds, 1), sample.rows, replaced)
-
-
-def _processes(runner: int | Runner) -> int:
-    """Return how many processes make the rows; all cores where a runner leaves that open."""
-    while not isinstance(runner, int):
-        runner = getattr(runner, "workers", 1)
-    return runner or os.cpu_count() or 1
 
 
 def _rows_there(folder: DataFolder) -> dict[str, int] | None:

@@ -9,17 +9,16 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, NamedTuple
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.identity import differences, identity_digest
-from tactile_toolkit.store.local import NEXT_FOLDER, PENDING_FOLDER
+from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.origin import RECORD_FILE
-from tactile_toolkit.store.parquet import file_sha256
+from tactile_toolkit.store.parquet import file_sha256, sha256_hex
 from tactile_toolkit.store.plan import BuildPlan, ShardTask
 from tactile_toolkit.store.reports import report_shards
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardEntry, ShardName, ShardRecord
@@ -30,6 +29,7 @@ __all__ = [
     "Job",
     "State",
     "begin",
+    "differences",
     "look",
     "manifest_so_far",
     "pending_records",
@@ -41,6 +41,7 @@ __all__ = [
 
 CARDS = ("README.md", "croissant.json")
 _FOLDERS = (DATA_FOLDER, PENDING_FOLDER, NEXT_FOLDER, "reports", "previews")
+_LONGEST_SHOWN = 200
 
 _seen: dict[Job, tuple[object, dict[ShardName, ShardRecord]]] = {}
 """The manifest that was read last, by its version: shards follow each other quickly."""
@@ -48,7 +49,7 @@ _seen: dict[Job, tuple[object, dict[ShardName, ShardRecord]]] = {}
 
 @dataclass(frozen=True)
 class Job:
-    """What is being made in a folder; ``of`` is the digest of all that decides its rows and their bytes.
+    """What is being made in a folder; ``of`` is the identity of its manifest.
 
     Names of shards are the same in every data set of a kind: a slower run would put its rows among those of a
     run that has replaced its set.
@@ -64,23 +65,23 @@ class Job:
         if seen is not None and version is not None and seen[0] == version:
             return seen[1]
         manifest = read_manifest(self.folder)
-        if manifest is None or identity_digest(manifest) != self.of:
+        if manifest is None or manifest.identity != self.of:
             if self.folder.exists():
                 self.folder.refresh("")  # a network file system may have shown what was there a while ago
             manifest = read_manifest(self.folder)
         if manifest is None:
             message = (
                 f"node {socket.gethostname()} writes to a folder that this machine does not see, or the data "
-                f"set was removed or replaced while this run was at work: no {MANIFEST_FILE} is in "
-                f"{self.folder.address()!r} there; nothing was written; next: give a folder that all nodes "
-                "share, or s3://BUCKET/PATH, and run the same command again"
+                f"set was removed or replaced while this run was at work: {self.folder.address()!r} holds no "
+                f"{MANIFEST_FILE} there; nothing was written; next: give a folder that all nodes share, or "
+                "s3://BUCKET/PATH, and run the same command again"
             )
             raise InputError(message)
-        if identity_digest(manifest) != self.of:
+        if manifest.identity != self.of:
             message = (
-                f"the data set in {self.folder.address()!r} was replaced while this run was at work; this "
-                "run has stopped and changed nothing of what is there now; next: look there with the command "
-                "`info`, then run the same command again, or choose another folder (--out or OUT)"
+                f"the data set in {self.folder.address()!r} was replaced while this run was at work; it has "
+                "stopped and changed nothing of what is there now; next: look there with the command `info`, "
+                "then run the same command again, or choose another folder (--out or OUT)"
             )
             raise InputError(message)
         _seen.clear()
@@ -92,41 +93,34 @@ class Job:
 class State:
     """What a folder holds of a plan.
 
-    ``kept`` are the records of finished shards that are intact, ``todo`` the tasks left. ``damaged`` are
-    paths that do not match their records any more and will be made again.
+    ``kept`` are the records of finished shards that are intact, ``todo`` the tasks left.
     """
 
     manifest: Manifest
     kept: tuple[ShardRecord, ...]
     todo: tuple[ShardTask, ...]
-    damaged: tuple[str, ...] = ()
 
 
 def begin(
-    folder: DataFolder, plan: BuildPlan, tasks: Sequence[ShardTask], *, in_parts: bool, check: bool
+    folder: DataFolder, plan: BuildPlan, tasks: Sequence[ShardTask], *, check: bool
 ) -> tuple[Job, State]:
     """Look what a folder lacks of some tasks, and name there what it is to become, unless that is done.
 
     Raises as :func:`look`.
     """
     while True:
-        state = look(folder, plan, tasks, in_parts=in_parts, check=check)
+        state = look(folder, plan, tasks, check=check)
         there = read_manifest(folder)
         if there is None and state.todo:
             folder.create_bytes(MANIFEST_FILE, state.manifest.to_json().encode())
             continue  # read back: another run may have been faster
-        if there is not None and identity_digest(there) != identity_digest(state.manifest):
+        if there is not None and there.identity != state.manifest.identity:
             write_manifest(folder, state.manifest)  # of other versions, and none of its shards is left
-        return Job(folder, identity_digest(state.manifest)), state
+        return Job(folder, state.manifest.identity), state
 
 
 def look(
-    folder: DataFolder,
-    plan: BuildPlan,
-    tasks: Sequence[ShardTask] | None = None,
-    *,
-    in_parts: bool = False,
-    check: bool = False,
+    folder: DataFolder, plan: BuildPlan, tasks: Sequence[ShardTask] | None = None, *, check: bool = False
 ) -> State:
     """Compare a folder with a plan, or with some of its tasks, changing nothing.
 
@@ -141,34 +135,38 @@ def look(
             refuse_unknown_files(folder)
         except InputError:
             if folder.exists(MANIFEST_FILE):  # another run began at this moment
-                return look(folder, plan, tasks, in_parts=in_parts, check=check)
+                return look(folder, plan, tasks, check=check)
             raise
         return State(new, (), chosen)
-    _refuse_difference(folder, manifest, new, in_parts)
+    there, wanted = (
+        {"kind": each.kind, "toolkit_version": each.toolkit_version, **each.spec} for each in (manifest, new)
+    )
+    cure = "choose another folder (--out or OUT)"
+    _refuse_difference(folder, "holds a data set of another specification", there, wanted, cure)
     _refuse_strays(folder, plan)
-    of = identity_digest(manifest)
-    pending = pending_records(folder, of, None if tasks is None else {task.shard for task in chosen})
+    pending = pending_records(folder, manifest.identity, {task.shard for task in chosen})
     holdings = _Holdings(folder, plan, manifest, check)
     listed = {record.shard: record for record in manifest.shards}
-    kept, todo, damaged = [], [], []
+    kept, todo = [], []
     for task in chosen:
         known = [each for each in (pending.get(task.shard), listed.get(task.shard)) if each is not None]
         intact = next(filter(holdings.is_intact, known), None)
-        if intact is not None:
+        if intact is None:
+            todo.append(task)
+        else:
             kept.append(intact.record if isinstance(intact, Pending) else intact)
-            continue
-        todo.append(task)
-        damaged += [task.shard.data_path] if known else []
     if todo and manifest.libraries and manifest.libraries != new.libraries:
-        if in_parts or {*listed, *pending} - {task.shard for task in todo}:
-            _refuse_difference(folder, manifest, new, in_parts, libraries=True)
+        if {*listed, *_pending_shards(folder)} - {task.shard for task in todo}:
+            there, wanted = {"libraries": manifest.libraries}, {"libraries": new.libraries}
+            cure = "install those versions, or choose another folder"
+            what = "was begun with other versions of libraries, which write other bytes"
+            _refuse_difference(folder, what, there, wanted, cure)
         manifest = new
     manifest = replace(manifest, extra_dirs=plan.extra_dirs)
-    return State(manifest, tuple(kept), tuple(todo), tuple(damaged))
+    return State(manifest, tuple(kept), tuple(todo))
 
 
-@dataclass(frozen=True)
-class Pending:
+class Pending(NamedTuple):
     """The record of a finished shard that no manifest holds yet, with the size of its report rows."""
 
     record: ShardRecord
@@ -186,23 +184,26 @@ def write_record(folder: DataFolder, record: ShardRecord, of: str, report_bytes:
     folder.write_bytes(record.shard.record_path, json.dumps(values, indent=1).encode())
 
 
+def _pending_shards(folder: DataFolder) -> list[ShardName]:
+    """Return the shards of which there are records that no manifest need hold."""
+    names = (name.removesuffix(".json") for name in folder.names(PENDING_FOLDER) if name.endswith(".json"))
+    return [shard for shard in (ShardName.parse(f"{name}.parquet") for name in names) if shard is not None]
+
+
 def pending_records(
     folder: DataFolder, of: str, shards: Collection[ShardName] | None = None
 ) -> dict[ShardName, Pending]:
     """Read the records of a job that no manifest holds yet: of all shards, or of these."""
-    paths = []
-    for name in folder.names(PENDING_FOLDER):
-        shard = ShardName.parse(f"{name.removesuffix('.json')}.parquet") if name.endswith(".json") else None
-        if shard is not None and (shards is None or shard in shards):
-            paths.append(shard.record_path)
+    chosen = [shard for shard in _pending_shards(folder) if shards is None or shard in shards]
+    contents = folder.read_many([shard.record_path for shard in chosen])
     found = {}
-    for path, content in zip(paths, folder.read_many(paths), strict=True):
+    for shard, content in zip(chosen, contents, strict=True):
         # One that cannot be read proves nothing: its shard is made again. It may also have gone since it was
         # listed, because the run has just ended.
         with contextlib.suppress(IntegrityError, ValueError):
-            entry = decode(content or b"", _Entry, path)
+            entry = decode(content or b"", _Entry, shard.record_path)
             if entry.of == of:
-                found[entry.record().shard] = Pending(entry.record(), entry.report_bytes)
+                found[shard] = Pending(entry.record(), entry.report_bytes)
     return found
 
 
@@ -275,13 +276,10 @@ def manifest_so_far(folder: DataFolder) -> Manifest | None:
 def _begun_beside(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
     """Return the pending records that a manifest does not hold and whose files are there."""
     listed, sizes = {record.shard for record in manifest.shards}, folder.sizes(DATA_FOLDER)
-    records = [pending.record for pending in pending_records(folder, identity_digest(manifest)).values()]
     return [
         record
-        for record in records
-        if record.shard not in listed
-        and record.shard.split in manifest.split_order
-        and record.is_size_of(sizes)
+        for shard, (record, _) in pending_records(folder, manifest.identity).items()
+        if shard not in listed and shard.split in manifest.split_order and record.is_size_of(sizes)
     ]
 
 
@@ -307,44 +305,57 @@ def refuse_links(folder: DataFolder, extra_dirs: Iterable[str] = ()) -> None:
             folder.place(path)
 
 
-def refuse_unknown_files(folder: DataFolder, ours: Collection[str] = ()) -> None:
-    """Refuse a folder that holds somebody's files: a run must never mix with them or delete them.
-
-    ``ours`` are names that belong to a data set of ours, none where there is none; hidden files do not count.
-    """
-    unknown = [name for name in folder.names() if not name.startswith(".") and name not in ours]
+def refuse_unknown_files(folder: DataFolder) -> None:
+    """Refuse a folder without a data set that holds somebody's files: a run must never mix with them."""
+    unknown = [name for name in folder.names() if not name.startswith(".")]
     if unknown:
-        found = "holds more than a data set" if ours else f"is not empty and holds no {MANIFEST_FILE}"
         message = (
-            f"{folder.address()!r} {found} (found {unknown[0]!r}); nothing was changed; next: choose an "
-            "empty or new folder (--out or OUT)"
+            f"{folder.address()!r} is not empty and holds no {MANIFEST_FILE} (found {unknown[0]!r}); nothing "
+            "was changed; next: choose an empty or new folder (--out or OUT)"
         )
         raise InputError(message)
 
 
-def _refuse_difference(
-    folder: DataFolder, there: Manifest, new: Manifest, in_parts: bool, *, libraries: bool = False
-) -> None:
-    """Refuse to go on with another specification or, of one that is equal, with other libraries."""
-    if libraries:
-        what = "was begun with other versions of libraries, which write other bytes"
-        cure = "install those versions, or choose another folder"
-        differing = differences(there.libraries, new.libraries, "libraries")
-    else:
-        what, cure = "holds a data set of another specification", "choose another folder (--out or OUT)"
-        before, after = (
-            {"kind": each.kind, "toolkit_version": each.toolkit_version, **each.spec} for each in (there, new)
-        )
-        differing = differences(before, after)
+def _refuse_difference(folder: DataFolder, what: str, there: object, wanted: object, cure: str) -> None:
+    differing = "; ".join(differences(there, wanted))
     if differing:
-        # Parts replace no set, and nobody one in an object store.
-        again = ", or start again there with --overwrite"
-        if in_parts or not folder.is_local:
-            again = f", or remove {folder.address()!r} first"
         message = (
-            f"{folder.address()!r} {what}: {'; '.join(differing)}; nothing was changed; next: {cure}{again}"
+            f"{folder.address()!r} {what}: {differing}; nothing was changed; next: {cure}, or start again "
+            "there with --overwrite (without --part and in no object store; there, remove it first)"
         )
         raise SpecMismatchError(message)
+
+
+def differences(there: Any, wanted: Any, path: str = "") -> list[str]:
+    """Say how two JSON values differ, one line for each difference."""
+    pairs: Iterable[tuple[str, Any, Any]]
+    if isinstance(there, Mapping) and isinstance(wanted, Mapping):
+        keys = [*there, *(key for key in wanted if key not in there)]
+        pairs = [(f"{path}.{key}".lstrip("."), there.get(key), wanted.get(key)) for key in keys]
+    elif (names := _names(there)) and names == _names(wanted):  # so that single numbers may differ
+        pairs = [(f"{path}[{index}]", there[index], wanted[index]) for index in range(len(names))]
+    elif there == wanted:
+        return []
+    else:
+        return [f"{path} is {_short(there)} there, {_short(wanted)} was asked for"]
+    return [line for place, one, other in pairs for line in differences(one, other, place)]
+
+
+def _names(values: Any) -> list[Any]:
+    """Return the names of the items of a list; empty where one has none."""
+    if isinstance(values, list) and all(isinstance(each, Mapping) and "name" in each for each in values):
+        return [each["name"] for each in values]
+    return []
+
+
+def _short(value: Any) -> str:
+    text = repr(value)
+    if len(text) <= _LONGEST_SHOWN:
+        return text
+    if isinstance(value, list):  # such as the files of a source
+        digest = sha256_hex(json.dumps(value, sort_keys=True).encode())
+        return f"{len(value):,} entries (fingerprint {digest[:8]})"
+    return f"{text[:_LONGEST_SHOWN]}..."
 
 
 def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:

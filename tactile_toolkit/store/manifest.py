@@ -7,7 +7,10 @@ two writers never share a file (:mod:`tactile_toolkit.store.job`).
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import gc
+import hashlib
+import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -34,6 +37,8 @@ __all__ = [
 MANIFEST_FILE = "manifest.json"
 SCHEMA_VERSION = 1
 """Version of the folder's layout and of the manifest; raised when a reader must change."""
+_OPTIONAL = ("libraries", "statistics", "trees")
+"""What the text of a manifest leaves out where there is none."""
 
 
 @dataclass(frozen=True)
@@ -56,6 +61,12 @@ class Manifest:
     complete: bool = False
     extra_dirs: tuple[str, ...] = ()
     libraries: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def identity(self) -> str:
+        """Digest of all that decides the rows of a data set and their bytes."""
+        values = (self.kind, self.toolkit_version, dict(self.libraries), self.spec)
+        return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -100,26 +111,25 @@ class Manifest:
         ordered = sorted(merged.values(), key=lambda record: (order[record.shard.split], record.shard.index))
         return replace(self, shards=tuple(ordered))
 
-    def to_json(self) -> str:
-        """Return the text of ``manifest.json``; the same content gives the same text."""
-        statistics = self.statistics()
-        values = {
-            "schema_version": self.schema_version,
-            "toolkit_version": self.toolkit_version,
-            **({"libraries": dict(self.libraries)} if self.libraries else {}),
-            "kind": self.kind,
-            "complete": self.complete,
-            "spec": self.spec,
-            "split_order": list(self.split_order),
+    def sums(self) -> dict[str, dict[str, Any]]:
+        """Return what the text of the manifest repeats of the shards, by the name that it has there."""
+        return {
             "splits": self.split_table(),
             "skipped": self.skipped_reasons(),
-            **({"statistics": statistics} if statistics else {}),
+            "statistics": self.statistics(),
+        }
+
+    def to_json(self) -> str:
+        """Return the text of ``manifest.json``; the same content gives the same text."""
+        values = {
+            **vars(self),
+            **self.sums(),
             "files": dict(sorted((self.files or {}).items())),
-            # The word of version 0.1.0, which wrote folders that are read today.
-            **({"trees": list(self.extra_dirs)} if self.extra_dirs else {}),
+            "trees": self.extra_dirs,
             "shards": [record.to_dict() for record in self.shards],
         }
-        return printable_json(values, indent=1) + "\n"
+        names = [name for name in _Document.__struct_encode_fields__ if values[name] or name not in _OPTIONAL]
+        return printable_json({name: values[name] for name in names}, indent=1) + "\n"
 
     @classmethod
     def from_json(cls, content: str | bytes, where: str) -> Manifest:
@@ -135,57 +145,44 @@ class Manifest:
             records = tuple([entry.record() for entry in document.shards])
         except ValueError as error:
             raise damaged(where, "shards.file", str(error)) from error
-        manifest = cls(
-            kind=document.kind,
-            toolkit_version=document.toolkit_version,
-            spec=document.spec,
-            split_order=document.split_order,
-            shards=records,
-            files=document.files,
-            schema_version=document.schema_version,
-            complete=document.complete,
-            extra_dirs=document.trees,
-            libraries=document.libraries,
-        )
+        fields = (each.name for each in dataclasses.fields(cls))
+        manifest = cls(**{name: getattr(document, name) for name in fields} | {"shards": records})
         shards = {record.shard for record in records}
         # Names of shards differ in split and numbers only: the last of each kind stands for all.
         kinds = dict.fromkeys((shard.split, shard.count) for shard in shards)
         paths = (ShardName(split, count - 1, count).data_path for split, count in sorted(kinds))
-        names_inside((*paths, *document.files, *document.trees), repr(where))
+        names_inside((*paths, *document.files, *document.extra_dirs), repr(where))
         if len(shards) < len(records) or {split for split, _ in kinds} - {*manifest.split_order}:
             raise damaged(where, "shards", "one is listed twice, or of no split in 'split_order'")
         try:
-            statistics = manifest.statistics()
+            sums = manifest.sums()
         except (TypeError, AttributeError) as error:
             problem = f"statistics are not numbers, lists of numbers or objects of them ({error})"
             raise damaged(where, "shards", problem) from error
         # What follows from the shards stands there too, so that a number that was changed shows.
-        for name, found, expected in (
-            ("splits", document.splits, manifest.split_table()),
-            ("skipped", document.skipped, manifest.skipped_reasons()),
-            ("statistics", document.statistics, statistics),
-        ):
-            if found != expected:
+        for name, expected in sums.items():
+            if getattr(document, name) != expected:
                 raise damaged(where, name, "its numbers are not those of the shards")
         return manifest
 
 
-class _Document(msgspec.Struct):
+class _Document(msgspec.Struct, kw_only=True, rename={"extra_dirs": "trees"}):
     """The form of :meth:`Manifest.to_json` that is believed."""
 
     schema_version: Annotated[int, msgspec.Meta(ge=1)]
     toolkit_version: str
+    libraries: dict[str, str] = {}
     kind: str
     complete: bool
     spec: dict[str, Any]
     split_order: tuple[str, ...]
-    files: dict[str, Sha256]
-    shards: list[ShardEntry]
-    libraries: dict[str, str] = {}
-    trees: tuple[str, ...] = ()
     splits: dict[str, dict[str, int]] = {}
     skipped: dict[str, int] = {}
     statistics: dict[str, dict[str, Any]] = {}
+    files: dict[str, Sha256]
+    # The word of version 0.1.0, which wrote folders that are read today.
+    extra_dirs: tuple[str, ...] = ()
+    shards: list[ShardEntry]
 
 
 def read_manifest(folder: DataFolder) -> Manifest | None:

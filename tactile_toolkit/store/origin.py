@@ -25,7 +25,6 @@ __all__ = ["RECORD_FILE", "Digest", "DownloadRecord", "HubFile", "read_record", 
 
 RECORD_FILE = ".download.json"
 
-_PIECE_BYTES = 8 << 20
 _DIGEST_PATTERNS = {"sha256": "[0-9a-f]{64}", "git-sha1": "[0-9a-f]{40}"}
 
 
@@ -58,8 +57,7 @@ class Digest:
         if self.kind == "git-sha1":
             # Git hashes a head with the size before the content.
             found.update(b"blob %d\0" % size_bytes)
-        while piece := stream.read(_PIECE_BYTES):
-            found.update(piece)
+        hashlib.file_digest(stream, lambda: found)  # type: ignore[arg-type]
         return Digest(self.kind, found.hexdigest())
 
 
@@ -96,16 +94,16 @@ class _File(msgspec.Struct):
     digest: str | None = None
 
 
-class _Document(msgspec.Struct):
+class _Document(msgspec.Struct, kw_only=True):
     """The form of the file that is believed."""
 
     repository: str
     commit: str
-    files: dict[str, _File]
-    splits: tuple[str, ...]
-    labels: tuple[str, ...]
     revision: str | None = None
     finished: bool = True
+    splits: tuple[str, ...]
+    labels: tuple[str, ...]
+    files: dict[str, _File]
 
 
 def read_record(folder: DataFolder) -> DownloadRecord | None:
@@ -122,33 +120,19 @@ def read_record(folder: DataFolder) -> DownloadRecord | None:
             raise damaged(where, f"files.{path}.digest", str(error)) from error
         files[path] = HubFile(path, entry.bytes, digest)
     names_inside((*files, *document.labels), repr(where))
-    return DownloadRecord(
-        document.repository,
-        document.commit,
-        document.revision,
-        files,
-        document.splits,
-        document.labels,
-        document.finished,
-    )
+    origin = (document.repository, document.commit, document.revision)
+    return DownloadRecord(*origin, files, document.splits, document.labels, document.finished)
 
 
 def write_record(folder: DataFolder, record: DownloadRecord) -> None:
     """Write the record of a folder in one step."""
+    files = {
+        path: _File(file.size_bytes, *((file.digest.kind, file.digest.value) if file.digest else ()))
+        for path, file in sorted(record.files.items())
+    }
     values = {
         "repository": record.repo_id,
-        "commit": record.commit,
-        "revision": record.revision,
-        "finished": record.finished,
-        "splits": list(record.splits),
-        "labels": list(record.labels),
-        "files": {
-            path: {
-                "bytes": file.size_bytes,
-                "kind": file.digest and file.digest.kind,
-                "digest": file.digest and file.digest.value,
-            }
-            for path, file in sorted(record.files.items())
-        },
+        **{name: getattr(record, name) for name in ("commit", "revision", "finished", "splits", "labels")},
+        "files": msgspec.to_builtins(files),
     }
     folder.write_bytes(RECORD_FILE, (json.dumps(values, indent=1) + "\n").encode())

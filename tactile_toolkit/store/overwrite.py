@@ -7,18 +7,16 @@ there, whatever makes or loads the set next carries on with putting it in place.
 from __future__ import annotations
 
 from dataclasses import replace
-from fnmatch import fnmatchcase
+from pathlib import PurePosixPath
 
 import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.store.files import TEMPORARY_PREFIX
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.identity import identity_digest
+from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import CARDS, refuse_links, refuse_unknown_files
-from tactile_toolkit.store.local import NEXT_FOLDER, PENDING_FOLDER
-from tactile_toolkit.store.manifest import MANIFEST_FILE, read_manifest, write_manifest
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import RECORD_FILE
 from tactile_toolkit.store.plan import BuildPlan
@@ -29,6 +27,7 @@ __all__ = ["make_room", "promote", "require_replaceable", "settle"]
 
 _PROMOTION = f"{NEXT_FOLDER}/promotion.json"
 _PATIENCE_S = 60.0
+_OURS = ("reports/*.parquet", "previews/*.png", *CARDS, RECORD_FILE, MANIFEST_FILE)
 
 
 class _Promotion(msgspec.Struct):
@@ -56,7 +55,10 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list
             "(--out or OUT), or remove that one with the store's own tools"
         )
         raise InputError(message)
-    further = _files_beside(folder)
+    manifest = _manifest(folder)
+    # A manifest may be anybody's, of a data set from the Hub: what it names counts where kinds know it.
+    named = () if manifest is None else manifest.extra_dirs
+    further = [pattern for pattern in _extra_files() if pattern.partition("/")[0] in named]
     refuse_links(folder, (*extra_dirs, *(pattern.partition("/")[0] for pattern in further)))
     found = []
     for name in folder.names():
@@ -72,44 +74,42 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list
                 raise InputError(message)
             found.append(path)
     # A damaged manifest of ours has shards beside it; other programs have files of that name, too.
-    if not any(path.startswith((f"{DATA_FOLDER}/", f"{PENDING_FOLDER}/")) for path in found):
-        try:
-            read_manifest(folder)
-        except IntegrityError as error:
-            message = (
-                f"{folder.address(MANIFEST_FILE)!r} may be anybody's: it is not a manifest of this toolkit, "
-                "and no data lies beside it; nothing was changed; next: choose an empty or new folder (--out "
-                "or OUT)"
-            )
-            raise InputError(message) from error
+    if manifest is None and not any(
+        path.startswith((f"{DATA_FOLDER}/", f"{PENDING_FOLDER}/")) for path in found
+    ):
+        message = (
+            f"{folder.address(MANIFEST_FILE)!r} may be anybody's: it is not a manifest of this toolkit, and "
+            "no data lies next to it; nothing was changed; next: choose an empty or new folder (--out or OUT)"
+        )
+        raise InputError(message)
     return found
+
+
+def _manifest(folder: DataFolder) -> Manifest | None:
+    try:
+        return read_manifest(folder)
+    except IntegrityError:
+        return None
+
+
+def _extra_files() -> list[str]:
+    """Return the patterns of files that some kind of data set has next to its rows."""
+    return [pattern for kind in kinds() for pattern in kind.extra_files]
 
 
 def _is_ours(path: str, further: list[str]) -> bool:
     """Return whether a file of a data set of ours can have such a path."""
-    folder, _, name = path.rpartition("/")
-    if path.startswith(f"{PENDING_FOLDER}/") or (folder and name.startswith(TEMPORARY_PREFIX)):
+    place = PurePosixPath(path)
+    if path.startswith(f"{PENDING_FOLDER}/") or (
+        len(place.parts) > 1 and place.name.startswith(TEMPORARY_PREFIX)
+    ):
         return True
-    if folder == DATA_FOLDER:
-        return ShardName.parse(name) is not None
-    patterns = ("reports/*.parquet", "previews/*.png", *CARDS, RECORD_FILE, MANIFEST_FILE, *further)
-    parts = path.split("/")
+    if str(place.parent) == DATA_FOLDER:
+        return ShardName.parse(place.name) is not None
+    # Not from the right end alone, as `match` compares.
     return any(
-        len(parts) == len(wanted) and all(map(fnmatchcase, parts, wanted))
-        for wanted in (pattern.split("/") for pattern in patterns)
+        place.match(pattern) and len(place.parts) == pattern.count("/") + 1 for pattern in (*_OURS, *further)
     )
-
-
-def _files_beside(folder: DataFolder) -> list[str]:
-    """Return the patterns of files that lie beside the rows of the data set in a folder."""
-    try:
-        manifest = read_manifest(folder)
-    except IntegrityError:
-        manifest = None
-    # A manifest may be anybody's, of a data set from the Hub: what it names counts where kinds know it.
-    named = () if manifest is None else manifest.extra_dirs
-    known = [pattern for kind in kinds() for pattern in kind.extra_files] if named else []
-    return [pattern for pattern in known if pattern.partition("/")[0] in named]
 
 
 def make_room(folder: DataFolder, plan: BuildPlan) -> DataFolder:
@@ -118,11 +118,8 @@ def make_room(folder: DataFolder, plan: BuildPlan) -> DataFolder:
     The run that was making the other one, if it is still at work, is asked to begin again.
     """
     after = DataFolder(folder.address(NEXT_FOLDER))
-    try:
-        begun = read_manifest(after)
-    except IntegrityError:
-        begun = None
-    if begun is None or identity_digest(begun) != identity_digest(plan.new_manifest()):
+    begun = _manifest(after)
+    if begun is None or begun.identity != plan.new_manifest().identity:
         folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it nothing there counts
         folder.remove_tree(NEXT_FOLDER)
     after.require_folder()
@@ -156,7 +153,7 @@ def _carry_on(folder: DataFolder) -> None:
     if manifest is not None:  # it is the last file to move
         write_manifest(folder, replace(manifest, complete=False))
         # The list may be anybody's, of a folder that was given to us.
-        every = [pattern for kind in kinds() for pattern in kind.extra_files]
+        every = _extra_files()
         for path in promotion.leave:
             if _is_ours(path, every):
                 folder.remove(path)

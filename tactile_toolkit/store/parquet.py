@@ -128,7 +128,7 @@ def _write(write: Callable[[bytes], object], schema: Any, groups: Iterable[Any],
     ) as writer:
         for table in groups:
             writer.write_table(table, row_group_size=style.rows_per_group)
-        sink.hold()
+        sink.tail = bytearray()
     sink.finish()
     return footers[0]
 
@@ -138,26 +138,23 @@ class _Sink(io.RawIOBase):
 
     def __init__(self, write: Callable[[bytes], object]) -> None:
         super().__init__()
-        self._write, self._tail = write, bytearray()
-        self._holds = False
+        self._write = write
+        self.tail: bytearray | None = None
+        """Keeps back what is written, once it is there: the footer."""
 
     def writable(self) -> bool:
         return True
 
     def write(self, content: Any) -> int:
-        if self._holds:
-            self._tail += content
+        if self.tail is not None:
+            self.tail += content
         else:
             self._write(content)
         return len(content)
 
-    def hold(self) -> None:
-        """Keep back what is written from here on, the footer with it."""
-        self._holds = True
-
     def finish(self) -> None:
         """Write what was kept back."""
-        tail = bytes(self._tail)
+        tail = bytes(self.tail or b"")
         start = len(tail) - _TAIL.size - _TAIL.unpack_from(tail, len(tail) - _TAIL.size)[0]
         checksum = _FOOTER_CHECKSUM.pack(_FOOTER_MARK, zlib.crc32(memoryview(tail)[start : -_TAIL.size]))
         self._write(b"".join((tail[:start], checksum, tail[start:])))
@@ -239,13 +236,13 @@ def has_page_checksums(folder: DataFolder, path: str) -> bool:
         for group in range(footer.num_row_groups)
         for index in range(footer.num_columns)
     ]
+    starts = [
+        min(filter(None, (column.dictionary_page_offset, column.data_page_offset)))
+        for column in columns
+        if column.num_values
+    ]
     with folder.open(path) as stream:
-        for column in columns:
-            if column.num_values:
-                stream.seek(min(filter(None, (column.dictionary_page_offset, column.data_page_offset))))
-                if not _CHECKED_PAGE.match(stream.read(32)):
-                    return False
-    return True
+        return all(stream.seek(start) and _CHECKED_PAGE.match(stream.read(32)) for start in starts)
 
 
 _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
@@ -260,11 +257,8 @@ def sha256_hex(content: bytes) -> str:
 
 def file_sha256(folder: DataFolder, path: str) -> str:
     """Return the SHA-256 of a stored file, read in pieces."""
-    digest = hashlib.sha256()
     with folder.open(path) as stream:
-        while piece := stream.read(1 << 20):
-            digest.update(piece)
-    return digest.hexdigest()
+        return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
 def is_unchanged(folder: DataFolder, path: str, sha256: str, reads: bool) -> bool:
@@ -314,31 +308,23 @@ def _texts(siblings: list[Any], *, beside_blobs: bool) -> Iterator[Any]:
             yield array
 
 
-def _leaves(schema: Any) -> Iterator[tuple[str, Any]]:
+def _leaves(fields: Iterable[Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Yield path and type of Parquet's columns, in their order, as pyarrow names them."""
-    for field in schema:
-        yield from _leaves_of(field.name, field.type)
-
-
-def _leaves_of(path: str, data_type: Any) -> Iterator[tuple[str, Any]]:
     import pyarrow as pa
 
-    if pa.types.is_struct(data_type):
-        for field in data_type:
-            yield from _leaves_of(f"{path}.{field.name}", field.type)
-    elif data_type.num_fields:  # lists, whatever the name of their elements in Arrow
-        yield from _leaves_of(f"{path}.list.element", data_type.value_type)
-    else:
-        yield path, data_type
+    for field in fields:
+        path, inner = f"{prefix}{field.name}", field.type
+        while inner.num_fields and not pa.types.is_struct(inner):
+            path, inner = f"{path}.list.element", inner.value_type  # whatever its name in Arrow
+        if pa.types.is_struct(inner):
+            yield from _leaves(inner, f"{path}.")
+        else:
+            yield path, inner
 
 
 def _is_text(data_type: Any) -> bool:
-    import pyarrow as pa
-
-    return bool(pa.types.is_string(data_type) or pa.types.is_large_string(data_type))
+    return str(data_type) in ("string", "large_string")
 
 
 def _is_binary(data_type: Any) -> bool:
-    import pyarrow as pa
-
-    return bool(pa.types.is_binary(data_type) or pa.types.is_large_binary(data_type))
+    return str(data_type) in ("binary", "large_binary")

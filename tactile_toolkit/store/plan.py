@@ -97,31 +97,27 @@ class BuildPlan:
 
     def __post_init__(self) -> None:
         # What is compared with a manifest has gone through JSON there: tuples became lists.
-        object.__setattr__(self, "spec", json.loads(json.dumps(self.spec)))
+        text = json.dumps(self.spec, ensure_ascii=False)
+        object.__setattr__(self, "spec", json.loads(text))
         try:
-            json.dumps(self.spec, ensure_ascii=False).encode()
+            text.encode()
         except UnicodeEncodeError as error:
-            found = error.object[max(0, error.start - 20) : error.end + 20]
-            message = (
-                f"the specification holds {found!r}, which is not Unicode text; nothing was changed; next: "
-                "give another name"
-            )
+            found = text[max(0, error.start - 20) : error.end + 20]
+            message = f"the specification holds {found!r}, which is not Unicode text; next: give another name"
             raise InputError(message) from error
         splits: dict[str, str] = {}
-        for split in dict.fromkeys(task.shard.split for task in self.tasks):
-            first = splits.setdefault(split.casefold(), split)
-            if first != split:
+        for shard in (task.shard for task in self.tasks):
+            first = splits.setdefault(shard.split.casefold(), shard.split)
+            if first != shard.split:
                 message = (
-                    f"the splits {first!r} and {split!r} differ in case alone, and their files would be the "
-                    "same on many file systems; expected other names; nothing was changed; next: rename one"
+                    f"the splits {first!r} and {shard.split!r} differ in case alone, and their files would "
+                    "be the same on many file systems; nothing was changed; next: rename one"
                 )
                 raise InputError(message)
-        for shard in (task.shard for task in self.tasks):
             if not shard.can_be_read_back:
                 message = (
                     f"shard {shard} cannot be named so that it is found again; expected a split of letters, "
-                    "digits and underscores, and an index below the count; nothing was changed; next: call "
-                    f"the split {shard.split!r} something else"
+                    "digits and underscores, and an index below the count; next: rename it"
                 )
                 raise InputError(message)
 

@@ -1,35 +1,32 @@
-"""Folders in object stores, through fsspec: what other processes write is seen, what goes wrong is named.
+"""Stores, through fsspec: what other processes write is seen, what goes wrong is named.
 
 Nothing is remembered of what a store said: listings of fsspec's clients are kept for good otherwise, and
-another process may write there at any moment. Objects appear whole. No bucket is ever made.
+another process may write there at any moment. What fails becomes one error that says what to do, without keys
+and signatures, which the clients of stores may quote. The clients' own types are known by name alone, so that
+none of those packages has to be there; several wrap what happened to them in an error of Python's without a
+word.
 """
 
 from __future__ import annotations
 
-import contextlib
 import io
 import logging
+import os
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 from typing import IO, Any, TypeVar, cast
 
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.address import scheme_of
-from tactile_toolkit.store.store_failures import failure_of, is_passing, not_installed, shown_cause
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
+from tactile_toolkit.store.address import scheme_of, shown
 
-__all__ = ["VERSION_KEYS", "StoreFiles"]
-
-VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created")
-"""What stores say of a file, under which name each, that changes with its content."""
+__all__ = ["Store"]
 
 _READ_AHEAD_BYTES = 1 << 20
-_PATIENCE_S = 30.0
-"""For so long what fails in passing is tried again, once the store has answered."""
-_FIRST_PATIENCE_S = 10.0
-"""The same before it has: an address that was mistyped never answers."""
+_PATIENCE_S = 20.0
+"""For so long what fails in passing is tried again."""
 _LIMITS = {"connect_timeout": 5, "read_timeout": 20, "retries": {"total_max_attempts": 1}}
 """Of the client of S3, which would try five times what is tried again here, within one time limit."""
 _PACKAGES = {"s3": "s3fs", "gs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
@@ -39,18 +36,18 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class StoreFiles:
-    """A folder at an address such as ``s3://BUCKET/FOLDER``, in the form of ``address.place_of_data``.
-
-    Paths are relative to it. Every method raises RemoteError when the store cannot be reached or refuses, and
-    InputError when its package is not installed.
-    """
+class Store:
+    """The store of an address such as ``s3://BUCKET/FOLDER``, in the form of ``address.place_of_data``."""
 
     address: str
-    _met: list[bool] = field(default_factory=list, init=False, repr=False, compare=False)
+
+    @property
+    def has_buckets(self) -> bool:
+        """Whether files of this kind of store lie in buckets."""
+        return scheme_of(self.address) in _PACKAGES
 
     @cached_property
-    def _system(self) -> Any:
+    def system(self) -> Any:
         """The client, shared in this process by all folders of the same kind of store."""
         import fsspec
 
@@ -58,260 +55,49 @@ class StoreFiles:
         try:
             system = fsspec.filesystem(scheme, **_options(scheme))
         except ImportError as error:
-            raise not_installed(self.address, scheme, _PACKAGES.get(scheme), error) from error
+            if scheme == "s3":
+                raise MissingExtraError(repr(self.address), "s3fs", "s3") from error
+            package = _PACKAGES.get(scheme, "of this kind of store")
+            missing = f"{self.address!r} needs the package {package!r}, which is not installed"
+            message = f"{missing}; next: pip install {package}"
+            raise InputError(message) from error
         except ValueError as error:
-            message = (
-                f"{self.address!r}: no store is known by {scheme + '://'!r}; next: give a folder, "
-                "s3://BUCKET/FOLDER or gs://BUCKET/FOLDER"
-            )
+            message = f"{self.address!r}: no store is known by {scheme + '://'!r}; next: give a folder or s3://BUCKET/FOLDER"
             raise InputError(message) from error
         if scheme == "s3":
             system.retries = 1  # see _LIMITS
-        # What goes wrong is told here; where nobody listens to its log, gcsfs prints it with tracebacks.
+        # What goes wrong is said here; where nobody listens to its log, gcsfs prints it with tracebacks.
         logging.getLogger(type(system).__module__.partition(".")[0]).addHandler(logging.NullHandler())
         return system
 
-    @cached_property
-    def _root(self) -> str:
-        return str(self._system._strip_protocol(self.address)).rstrip("/")
+    def ask(self, action: Callable[[], T], doing: str, path: str) -> T:
+        """Do something with the store; what fails in passing is tried again for a while.
 
-    def _key(self, path: str) -> str:
-        return f"{self._root}/{path}" if path else self._root
-
-    def info(self, path: str = "") -> Mapping[str, Any] | None:
-        """Return what the store says of a file or folder; None when there is no such."""
-
-        def ask() -> Mapping[str, Any]:
-            found: Mapping[str, Any] = self._system.info(self._key(path))
-            return found
-
-        try:
-            return self._asked(ask, "reading", path)
-        except FileNotFoundError:
-            return None
-
-    def exists(self, path: str = "") -> bool:
-        """Return whether there is such a file or folder."""
-        return self.info(path) is not None
-
-    def version(self, path: str) -> tuple[object, ...] | None:
-        """Return what changes whenever a file is replaced; None where there is none."""
-        found = self.info(path)
-        return (
-            None if found is None else tuple(str(found.get(key)) for key in (*VERSION_KEYS, "LastModified"))
-        )
-
-    def entries(self, folder: str = "") -> dict[str, int | None]:
-        """List names directly in a sub-folder, sorted, with sizes in bytes, None for folders."""
-        key = self._key(folder)
-        try:
-            found = self._asked(lambda: self._system.ls(key, detail=True), "listing", folder)
-        except FileNotFoundError:
-            return {}
-        # Stores list a file, and the mark of an empty folder, as if it held itself.
-        inside = [entry for entry in found if entry["name"].strip("/") != key.strip("/")]
-        sizes = {
-            entry["name"].rstrip("/").rpartition("/")[2]: (
-                None if entry["type"] == "directory" else int(entry["size"])
-            )
-            for entry in inside
-        }
-        return dict(sorted(sizes.items()))
-
-    def open(self, path: str) -> IO[bytes]:
-        """Open a file for reading piece by piece; its ``details`` are what the store says of it.
-
-        Raises FileNotFoundError. A file that is replaced meanwhile is not read on.
+        ``doing`` says, for messages, what is done with the file of that path. Raises FileNotFoundError and
+        FileExistsError as they are, all else as RemoteError.
         """
-        key = self._key(path)
-        stream = self._asked(
-            lambda: self._system.open(key, "rb", block_size=_READ_AHEAD_BYTES), "reading", path
-        )
-        if scheme_of(self.address) == "hf":
-            opened: IO[bytes] = stream  # whoever reads from the Hub names its failures
-            return opened
-        return cast(IO[bytes], _Stream(self, path, stream))
-
-    def read(self, path: str) -> bytes:
-        """Read a whole file at once; raises FileNotFoundError."""
-        return bytes(self._asked(lambda: self._system.cat_file(self._key(path)), "reading", path))
-
-    def put(self, path: str, content: bytes | Path) -> None:
-        """Write a whole file in place of any other, or copy a local one in pieces, two held at a time."""
-        key = self._key(path)
-        if isinstance(content, bytes):
-            self._put(path, content, lambda options: self._system.pipe_file(key, content, **options))
-            return
-        options = {"max_concurrency": 2} if scheme_of(self.address) == "s3" else {}
-        self._require_writable(path)
-        try:
-            self._asked(lambda: self._system.put_file(str(content), key, **options), "writing", path)
-        except FileNotFoundError as error:
-            raise self._no_bucket() from error
-
-    def create(self, path: str, content: bytes) -> bool:
-        """Write a whole file unless there is one; return whether this call did.
-
-        Of several writers at once one wins, where the store knows conditional writes (S3 and gs do).
-        """
-        tries = 0
-
-        def put(options: dict[str, Any]) -> None:
-            nonlocal tries
-            tries += 1
-            self._system.pipe_file(self._key(path), content, mode="create", **options)
-
-        try:
-            self._put(path, content, put)
-        except FileExistsError:
-            # The answer to an earlier try may have been lost after the store had done it.
-            return tries > 1 and self.read(path) == content
-        return True
-
-    def move(self, path: str, target: str) -> None:
-        """Refuse, for nothing is moved in a store."""
-        raise NotImplementedError(path, target)
-
-    def download(self, path: str, target: Path) -> None:
-        """Copy a file of the store to a local one, whose folder must be there; raises FileNotFoundError."""
-        self._asked(lambda: self._system.get_file(self._key(path), str(target)), "reading", path)
-
-    def remove(self, path: str) -> None:
-        """Remove a file, if it is there."""
-        self._require_writable(path)
-        with contextlib.suppress(FileNotFoundError):
-            self._asked(lambda: self._system.rm_file(self._key(path)), "removing", path)
-
-    def remove_empty(self, folder: str) -> None:
-        """Do nothing: a sub-folder has gone with its last file."""
-
-    @contextlib.contextmanager
-    def lock(self, *, shared: bool, patience_s: float) -> Iterator[None]:
-        """Do nothing: stores have no locks."""
-        yield
-
-    def refresh(self, folder: str) -> None:
-        """Do nothing: what a store says is never remembered."""
-
-    def make(self) -> None:
-        """Make sure that there is a bucket and no file in the folder's place; raises InputError."""
-        self._require_writable("")
-        found = self.info()
-        if found is not None and found["type"] == "file":
-            message = f"{self.address!r} is a file, a folder was expected; choose another path (--out or OUT)"
-            raise InputError(message)
-        if found is None and not self.has_bucket():
-            raise self._no_bucket()
-
-    def has_bucket(self) -> bool:
-        """Tell whether the bucket is there, as far as these credentials may know."""
-        if not _knows_buckets(scheme_of(self.address)):
-            return True
-        bucket = self._root.partition("/")[0]
-        try:
-            self._asked(lambda: self._system.info(bucket), "looking for", "")
-        except FileNotFoundError:
-            return False
-        return True
-
-    def _no_bucket(self) -> InputError:
-        bucket = self._root.partition("/")[0]
-        message = (
-            f"the bucket {bucket!r} of {self.address!r} does not exist; nothing was written, and no bucket "
-            "was made; next: check its name, or make it with the store's own tools"
-        )
-        return InputError(message)
-
-    def _require_writable(self, path: str) -> None:
-        if scheme_of(self.address) == "hf":
-            message = (
-                f"{_inside(self.address, path)!r} cannot be written to: the Hub takes whole commits; next: "
-                "write to a folder or to s3://BUCKET/FOLDER, then send it with the command `upload`"
-            )
-            raise InputError(message)
-
-    def _put(self, path: str, content: bytes, put: Callable[[dict[str, Any]], object]) -> None:
-        self._require_writable(path)
-        scheme = scheme_of(self.address)
-        # In one request, so that a writer that is killed leaves no pieces that cost money and nobody sees.
-        options = {"chunksize": len(content) + 1} if scheme == "s3" else {}
-        try:
-            self._asked(lambda: put(options), "writing", path)
-        except FileNotFoundError as error:
-            if _knows_buckets(scheme):
-                raise self._no_bucket() from error
-            self._asked(lambda: self._make_folder_of(path), "writing", path)
-            self._asked(lambda: put(options), "writing", path)
-
-    def _make_folder_of(self, path: str) -> None:
-        """Make the folder of a file in stores that have folders, which are not those with buckets."""
-        self._system.makedirs(self._key(path).rpartition("/")[0], exist_ok=True)
-
-    def _asked(self, action: Callable[[], T], doing: str, path: str) -> T:
-        """Do something with the store; what fails in passing is tried again for a while."""
+        address = f"{self.address}/{path}" if path else self.address
         began_s, wait_s = time.monotonic(), 0.5
         while True:
             try:
-                done = action()
+                return action()
             except (FileNotFoundError, FileExistsError):
-                self._met.append(True)
                 raise
             except Exception as error:
-                failure = failure_of(error, doing, _inside(self.address, path))
-                if failure is None:
+                failure = _Failure(error)
+                said = failure.as_error(doing, address)
+                if said is None:
                     raise
-                waited_s = time.monotonic() - began_s + wait_s
-                patience_s = _PATIENCE_S if self._met else _FIRST_PATIENCE_S
-                if not is_passing(error) or waited_s > patience_s:
-                    raise failure from shown_cause(error)
-                time.sleep(wait_s)
-                wait_s *= 2
-            else:
-                if not self._met:
-                    self._met.append(True)
-                return done
+                if not failure.is_passing or time.monotonic() - began_s + wait_s > _PATIENCE_S:
+                    raise said from (None if failure.holds_secrets else error)
+            time.sleep(wait_s)
+            wait_s *= 2
 
-
-class _Stream(io.BufferedIOBase):
-    """A file of a store, read piece by piece."""
-
-    def __init__(self, folder: StoreFiles, path: str, stream: Any) -> None:
-        super().__init__()
-        self._folder, self._path, self._stream = folder, path, stream
-        self.details: Mapping[str, Any] | None = getattr(stream, "details", None)
-
-    def read(self, size: int | None = -1) -> bytes:
-        position = self._stream.tell()
-
-        def ask() -> bytes:
-            self._stream.seek(position)
-            return bytes(self._stream.read(-1 if size is None else size))
-
-        return self._folder._asked(ask, "reading", self._path)
-
-    def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
-        return int(self._stream.seek(offset, whence))
-
-    def tell(self) -> int:
-        return int(self._stream.tell())
-
-    def readable(self) -> bool:
-        return True
-
-    def seekable(self) -> bool:
-        return True
-
-    def close(self) -> None:
-        self._stream.close()
-        super().close()
-
-
-def _inside(address: str, path: str) -> str:
-    return f"{address}/{path}" if path else address
-
-
-def _knows_buckets(scheme: str) -> bool:
-    return scheme in _PACKAGES
+    def open(self, key: str, path: str) -> IO[bytes]:
+        """Open a file for reading piece by piece; FileNotFoundError where there is none."""
+        stream = self.ask(lambda: self.system.open(key, "rb", block_size=_READ_AHEAD_BYTES), "reading", path)
+        # Whoever reads from the Hub names its failures.
+        return cast(IO[bytes], stream if scheme_of(self.address) == "hf" else _Stream(self, path, stream))
 
 
 def _options(scheme: str) -> dict[str, Any]:
@@ -325,3 +111,156 @@ def _options(scheme: str) -> dict[str, Any]:
     # What the user sets in fsspec's own configuration holds; given here, it would be passed over.
     own = conf.get("s3", {}).get("config_kwargs", {})
     return {"use_listings_cache": False, "config_kwargs": {**_LIMITS, **own}}
+
+
+class _Stream(io.BufferedIOBase):
+    """A file of a store, read piece by piece."""
+
+    def __init__(self, store: Store, path: str, stream: Any) -> None:
+        super().__init__()
+        self._store, self._path, self._stream = store, path, stream
+        self.details: Mapping[str, Any] | None = getattr(stream, "details", None)
+        self.seek, self.tell = stream.seek, stream.tell  # type: ignore[method-assign]
+
+    def read(self, size: int | None = -1) -> bytes:
+        position = self._stream.tell()
+
+        def ask() -> bytes:
+            self._stream.seek(position)
+            return bytes(self._stream.read(-1 if size is None else size))
+
+        return self._store.ask(ask, "reading", self._path)
+
+    def readable(self) -> bool:
+        return True
+
+    def seekable(self) -> bool:
+        return True
+
+    def close(self) -> None:
+        self._stream.close()
+        super().close()
+
+
+_CLIENTS = {"botocore", "aiobotocore", "aiohttp", "gcsfs", "google", "huggingface_hub", "httpx", "httpcore"}
+_CLIENTS |= {"requests", "urllib3", "s3fs", "azure", "adlfs", "fsspec", "httpx2", "httpcore2"}
+_PASSING = {"SlowDown", "InternalError", "ServiceUnavailable", "RequestTimeout", "OperationAborted"}
+_PASSING |= {"Throttling", "ThrottlingException", "ConditionalRequestConflict", "RequestLimitExceeded"}
+_PASSING |= {"408", "429", "500", "502", "503", "504"}
+_BROKEN = {"ConnectionClosedError", "IncompleteRead", "IncompleteReadError", "ClientPayloadError"}
+_BROKEN |= {"ResponseStreamingError", "ServerDisconnectedError", "HTTPClientError", "ClientOSError"}
+_CREDENTIALS = (
+    "next: give credentials as the store's own tools take them (for S3: AWS_PROFILE, AWS_ACCESS_KEY_ID and "
+    "AWS_SECRET_ACCESS_KEY, or `aws configure`)"
+)
+# The codes and the types of errors that a sentence is for.
+_SENTENCES: tuple[tuple[str, str], ...] = (
+    ("NoCredentialsError PartialCredentialsError CredentialRetrievalError ProfileNotFound "
+     "TokenRetrievalError SSOTokenLoadError UnauthorizedSSOTokenError DefaultCredentialsError RefreshError",
+     f"{{where}} needs credentials, and none can be used here ({{said}}); {_CREDENTIALS}"),
+    ("ExpiredToken TokenRefreshRequired RequestExpired",
+     "the credentials for {where} have expired ({code}); next: renew them, and run it again"),
+    ("RequestTimeTooSkewed",
+     "{where}: the clock of this machine is wrong, says the store; next: set it right"),
+    ("InvalidAccessKeyId SignatureDoesNotMatch InvalidToken AuthFailure 401",
+     f"{{where}}: the store does not take the credentials ({{code}}); {_CREDENTIALS}"),
+    # The answer of S3 to a question for the head of a file.
+    ("400",
+     "{where}: the store answers '400 Bad Request' and gives no reason, as S3 does for a wrong region or "
+     "expired credentials; next: set AWS_DEFAULT_REGION to the region of the bucket, check AWS_ENDPOINT_URL "
+     "if you set it, and renew the credentials"),
+    # A client that is sent on and on ends in a RecursionError.
+    ("PermanentRedirect AuthorizationHeaderMalformed 301 307 IllegalLocationConstraint RecursionError",
+     "{where} lies in another region ({code}); next: set AWS_DEFAULT_REGION to that of the bucket"),
+    ("403 AccessDenied AccessDeniedException AllAccessDisabled PermissionError",
+     "{doing} {where} is refused ({code}): the store does not know these credentials, or they may not do "
+     f"that; {_CREDENTIALS}, or ask the owner of the bucket"),
+)  # fmt: skip
+_NO_ANSWER = (
+    "the store of {where} gives no answer ({said}); finished files stay; next: check the network and the "
+    "address of the store (for S3: AWS_ENDPOINT_URL), and run the same command again"
+)
+_OTHER = "{doing} {where} failed: {code}: {said}; finished files stay; next: run the same command again"
+_SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
+_ACCESS_KEY = re.compile(r"\b(?:AKIA|ASIA)[A-Z0-9]{12,}\b|\bhf_[A-Za-z0-9]{6,}")
+_ADDRESS = re.compile(r"\w+://[^\s'\"<>]+")
+
+
+class _Failure:
+    """What a client raised, with all that led to it."""
+
+    def __init__(self, error: Exception) -> None:
+        self.chain = list(_chain(error))
+        self.names = {type(link).__name__ for link in self.chain}
+        self.code = next((code for code in map(_code_of, self.chain) if code is not None), None)
+        self.is_silence = self.code is None and any(map(_is_silence, self.chain))
+        self.is_passing = self.code in _PASSING or self.is_silence
+
+    def as_error(self, doing: str, address: str) -> ToolkitError | None:
+        """Return what is to be raised; None for an error that has nothing to do with a store."""
+        if any(isinstance(link, ToolkitError) for link in self.chain):
+            return None
+        link = next((each for each in reversed(self.chain) if _is_of_client(each)), self.chain[0])
+        said = (_hidden(str(link)).strip().splitlines() or [""])[0][:300] or type(link).__name__
+        code = self.code or type(self.chain[0]).__name__
+        words = {"where": repr(address), "doing": doing, "code": code, "said": said}
+        if "FileExpired" in self.names:
+            message = f"{address!r} was replaced while it was read; next: run the same command again"
+            return IntegrityError(message)
+        if {self.code, *self.names} & {"InvalidBucketName", "NoSuchBucketName", "ParamValidationError"}:
+            return InputError(f"{address!r} holds no name that a bucket or file can have; next: check it")
+        for causes, sentence in _SENTENCES:
+            if {self.code, *self.names} & set(causes.split()):
+                return RemoteError(sentence.format(**words))
+        if self.is_silence:
+            return RemoteError(_NO_ANSWER.format(**words))
+        is_of_store = self.code is not None or any(map(_is_of_client, self.chain))
+        if is_of_store or isinstance(self.chain[0], OSError):
+            return RemoteError(_OTHER.format(**words))
+        return None
+
+    @property
+    def holds_secrets(self) -> bool:
+        """Whether a text of it is not to be shown."""
+        return any(_hidden(str(link)) != str(link) for link in self.chain)
+
+
+def _chain(error: BaseException | None) -> Iterator[BaseException]:
+    seen: list[BaseException] = []
+    while error is not None and error not in seen:
+        yield error
+        seen.append(error)
+        error = error.__cause__ or error.__context__
+
+
+def _code_of(link: BaseException) -> str | None:
+    """Return the word or number that a store gives for what went wrong."""
+    response = getattr(link, "response", None)
+    if isinstance(response, Mapping):
+        return str(response.get("Error", {}).get("Code", ""))
+    status = getattr(response, "status_code", None)
+    if status is None and _is_of_client(link):
+        status = getattr(link, "code", None) or getattr(link, "status", None)
+    return str(status) if isinstance(status, int) else None
+
+
+def _is_silence(link: BaseException) -> bool:
+    """Return whether a store gave no answer, or broke off in the middle of one."""
+    name = type(link).__name__
+    is_broken = name in _BROKEN or (_is_of_client(link) and re.search("Connect|Timeout", name))
+    return bool(is_broken) or isinstance(link, (ConnectionError, TimeoutError))
+
+
+def _is_of_client(link: BaseException) -> bool:
+    # The parser of aiohttp numbers what it cannot read (an answer that ends too early) like a status of HTTP.
+    if type(link).__module__ == "aiohttp.http_exceptions":
+        return False
+    return any(kind.__module__.partition(".")[0] in _CLIENTS for kind in type(link).__mro__)
+
+
+def _hidden(text: str) -> str:
+    """Return a text without keys, tokens and signatures."""
+    for name in _SECRET_VARIABLES:
+        if os.environ.get(name):
+            text = text.replace(os.environ[name], "***")
+    return _ADDRESS.sub(lambda match: shown(match[0]), _ACCESS_KEY.sub("***", text))

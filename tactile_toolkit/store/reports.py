@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import io
-from collections import Counter, defaultdict
-from collections.abc import Collection, Iterator, Sequence
+from collections import Counter
+from collections.abc import Collection, Generator, Iterator, Sequence
 from pathlib import PurePosixPath
 from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.local import PENDING_FOLDER
+from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import (
     REPORT_STYLE,
@@ -87,34 +86,42 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
     known = (manifest.files or {}).get(path)
     if known and not pending and folder.exists(path) and file_sha256(folder, path) == known:
         return known
-    # What is read is let go before the new file takes its place.
     try:
-        with folder.writing(path) as stream, contextlib.ExitStack() as stack:
-            merged = _MergedRows(folder, path, stack)
-            return stream_parquet(stream, _tables(folder, records, pending, merged), REPORT_STYLE)
+        # What is read is let go before the new file takes its place.
+        with folder.writing(path) as stream, contextlib.closing(_stored_rows(folder, path)) as stored:
+            return stream_parquet(stream, _tables(folder, records, pending, stored), REPORT_STYLE)
     except IntegrityError as error:
         message = f"{error}; nothing was changed; next: run the same command again with --check"
         raise IntegrityError(message) from error
 
 
 def _tables(
-    folder: DataFolder, records: Sequence[ShardRecord], pending: Collection[ShardName], merged: _MergedRows
+    folder: DataFolder,
+    records: Sequence[ShardRecord],
+    pending: Collection[ShardName],
+    stored: Iterator[tuple[str, Any]],
 ) -> Iterator[Any]:
-    """Yield the report rows of each of these shards, in their order."""
+    """Yield the report rows of each of these shards, in their order, which is that of the stored ones."""
     for start in range(0, len(records), _READ_AHEAD):
         some = records[start : start + _READ_AHEAD]
         paths = [record.shard.report_path for record in some if record.shard in pending]
         contents = dict(zip(paths, folder.read_many(paths), strict=True))
         for record in some:
             # It goes where another run of the same ends at this moment; then that one has merged it.
-            table = _table(contents.get(record.shard.report_path), record)
+            table = _pending_rows(contents.get(record.shard.report_path), record)
+            if table is None and record.rows:
+                table = next((rows for name, rows in stored if name == str(record.shard)), None)
+                found = 0 if table is None else len(table)
+                if found != record.rows:
+                    message = (
+                        f"the report holds {found:,} rows of shard {record.shard}, expected {record.rows:,}"
+                    )
+                    raise IntegrityError(message)
             if table is not None:
                 yield table
-            elif record.rows:
-                yield merged.of(record)
 
 
-def _table(content: bytes | None, record: ShardRecord) -> Any:
+def _pending_rows(content: bytes | None, record: ShardRecord) -> Any:
     """Return the rows of a pending report; None without one, and for one that is damaged."""
     if content is not None and sha256_hex(content) == record.report_sha256:
         with contextlib.suppress(IntegrityError), named_damage(PENDING_FOLDER):
@@ -122,38 +129,20 @@ def _table(content: bytes | None, record: ShardRecord) -> Any:
     return None
 
 
-class _MergedRows:
-    """Rows of shards in the report of a run that has ended; the row group that was read last is kept."""
+def _stored_rows(folder: DataFolder, path: str) -> Generator[tuple[str, Any], None, None]:
+    """Yield the shards of a report that a run has merged, each with its rows, which stand together."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
 
-    def __init__(self, folder: DataFolder, path: str, stack: contextlib.ExitStack) -> None:
-        self._folder, self._path, self._stack = folder, path, stack
-        self._parquet: Any = None
-        self._groups: defaultdict[str, list[int]] = defaultdict(list)
-        self._last: tuple[int, Any] = (-1, None)
-
-    def of(self, record: ShardRecord) -> Any:
-        """Return the rows of a shard. Raises IntegrityError where they are not all there."""
-        import pyarrow as pa
-        import pyarrow.compute as pc
-
-        if self._parquet is None:
-            for group, piece in enumerate(report_pieces(self._folder, self._path, ["shard"])):
-                for shard in piece["shard"].unique().to_pylist():
-                    self._groups[shard].append(group)
-            self._parquet = self._stack.enter_context(_opened(self._folder, self._path))
-        name = str(record.shard)
-        with named_damage(self._folder.address(self._path)):
-            pieces = [self._group(group) for group in self._groups[name]]
-        rows = [piece.filter(pc.equal(piece["shard"], name)) for piece in pieces]
-        if sum(map(len, rows)) != record.rows:
-            message = (
-                f"{self._folder.address(self._path)!r} holds {sum(map(len, rows)):,} rows of shard {name}, "
-                f"expected {record.rows:,}"
-            )
-            raise IntegrityError(message)
-        return pa.concat_tables(rows)
-
-    def _group(self, group: int) -> Any:
-        if self._last[0] != group:
-            self._last = (group, self._parquet.read_row_group(group, use_threads=False))
-        return self._last[1]
+    last = ""
+    held: list[Any] = []
+    for piece in report_pieces(folder, path):
+        runs, start = pc.run_end_encode(piece["shard"].combine_chunks()), 0
+        for name, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
+            if name != last and held:
+                yield last, pa.concat_tables(held)
+                held = []
+            held.append(piece.slice(start, end - start))
+            last, start = name, end
+    if held:
+        yield last, pa.concat_tables(held)

@@ -13,7 +13,7 @@ import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.printable import printable
-from tactile_toolkit.store.local import PENDING_FOLDER
+from tactile_toolkit.store.folder import PENDING_FOLDER
 from tactile_toolkit.store.typed_json import LARGEST, Count, Sha256
 from tactile_toolkit.wording import did_you_mean
 
@@ -154,49 +154,34 @@ class ShardRecord(NamedTuple):
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values; ``file`` is the shard's path in the folder."""
-        optional = {"statistics": self.statistics, "unpacked_bytes": self.unpacked_bytes}
-        return {
-            "file": self.shard.data_path,
-            "split": self.shard.split,
-            "rows": self.rows,
-            "bytes": self.bytes,
-            "sha256": self.sha256,
-            "report_sha256": self.report_sha256,
-            "skipped": [msgspec.structs.asdict(item) for item in self.skipped],
-            **{name: value for name, value in optional.items() if value is not None},
-        }
+        values: tuple[Any, ...] = self[1:]
+        entry = ShardEntry(self.shard.data_path, self.shard.split, *values)
+        entries = msgspec.to_builtins(entry).items()
+        return {name: value for name, value in entries if value is not None or name == "report_sha256"}
 
 
 class ShardEntry(msgspec.Struct, frozen=True):
-    """The form of :meth:`ShardRecord.to_dict` that is believed."""
+    """The form of :meth:`ShardRecord.to_dict` that is believed: its fields, in their order."""
 
     file: str
     split: str
     rows: Annotated[int, msgspec.Meta(ge=0, le=MOST_ROWS)]
     bytes: Count
     sha256: Sha256
-    skipped: tuple[Skipped, ...]
     report_sha256: Sha256 | None = None
+    skipped: tuple[Skipped, ...] = ()
     statistics: dict[str, Any] | None = None
     unpacked_bytes: Count | None = None
 
     def record(self) -> ShardRecord:
         """Return the record; ValueError where the file is not named as that shard is."""
-        folder, _, name = self.file.rpartition("/")
+        file, split, *values = msgspec.structs.astuple(self)[: len(ShardEntry.__struct_fields__)]
+        folder, _, name = file.rpartition("/")
         shard = ShardName.parse(name)
-        if shard is None or folder != DATA_FOLDER or shard.index >= shard.count or shard.split != self.split:
-            message = f"found {self.file[:80]!r}, expected a shard's name and split"
+        if shard is None or folder != DATA_FOLDER or shard.index >= shard.count or shard.split != split:
+            message = f"found {file[:80]!r}, expected a shard's name and split"
             raise ValueError(message)
-        return ShardRecord(
-            shard,
-            self.rows,
-            self.bytes,
-            self.sha256,
-            self.report_sha256,
-            self.skipped,
-            self.statistics,
-            self.unpacked_bytes,
-        )
+        return ShardRecord(shard, *values)
 
 
 @dataclass(frozen=True, slots=True)

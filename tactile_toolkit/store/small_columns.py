@@ -7,7 +7,6 @@ cannot be read, the shards themselves are asked.
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -102,7 +101,7 @@ def _small_table(folder: DataFolder, file: SmallFile) -> Any:
         path = record.shard.data_path
         with named_damage(folder.address(path)):
             parquet = open_parquet(folder, path)
-            return _flat(parquet.read(columns=_plain_columns(parquet.schema_arrow), use_threads=False))
+            return _flat(parquet.read(columns=_plain_columns(parquet.schema), use_threads=False))
 
     workers = min(os.cpu_count() or 1, _READERS) if folder.is_local else _READERS
     tables = list(in_threads(read, file.records, workers))
@@ -128,25 +127,12 @@ def _flat(table: Any) -> Any:
     return table
 
 
-def _plain_columns(fields: Sequence[Any], prefix: str = "") -> list[str]:
+def _plain_columns(schema: Any) -> list[str]:
     """Return the paths of columns of one value for each row: no lists, no pictures or clips."""
-    import pyarrow as pa
-
-    paths = []
-    for field in fields:
-        data_type, path = field.type, f"{prefix}{field.name}"
-        if pa.types.is_struct(data_type):
-            paths += _plain_columns(list(data_type), f"{path}.")
-        elif not (data_type.num_fields or _is_large(data_type)):
-            paths.append(path)
-    return paths
-
-
-def _is_large(data_type: Any) -> bool:
-    import pyarrow as pa
-
-    return bool(
-        isinstance(data_type, pa.BaseExtensionType)
-        or pa.types.is_binary(data_type)
-        or pa.types.is_large_binary(data_type)
-    )
+    columns = (schema.column(index) for index in range(len(schema.names)))
+    return [
+        column.path
+        for column in columns
+        if column.max_repetition_level == 0
+        and (column.physical_type != "BYTE_ARRAY" or column.logical_type.type == "STRING")
+    ]

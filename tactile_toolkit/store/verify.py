@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
 import io
 import os
 from collections import Counter
@@ -16,7 +16,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
-from tactile_toolkit.store.origin import RECORD_FILE, DownloadRecord, HubFile, read_record
+from tactile_toolkit.store.origin import RECORD_FILE, Digest, DownloadRecord, HubFile, read_record
 from tactile_toolkit.store.parquet import named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
 
@@ -98,7 +98,7 @@ def verify(
     files = {path: each for path, each in (manifest.files or {}).items() if not _is_left_out(folder, path)}
     for path, checksum in files.items():
         on_file(path)
-        findings += _check_file(folder, path, checksum)
+        findings += _check_file(folder, path, Digest("sha256", checksum))[0]
     if check_card is not None and not findings:  # what is damaged is named, and cannot be compared with
         findings += check_card(folder)
     rows = sum(shard.rows for shard in manifest.shards)
@@ -117,13 +117,16 @@ def _verify_copy(
     findings: list[Finding] = []
     rows = 0
 
-    def files() -> Iterator[tuple[str, HubFile]]:
-        for path, file in record.files.items():
-            on_file(path)
-            yield path, file
+    def files() -> Iterator[HubFile]:
+        for file in record.files.values():
+            on_file(file.path)
+            yield file
 
-    for problem, held in in_threads(partial(_check_copied, folder), files(), workers):
-        findings += problem
+    def check(file: HubFile) -> tuple[list[Finding], int]:
+        return _check_file(folder, file.path, file.digest, file.size_bytes)
+
+    for problems, held in in_threads(check, files(), workers):
+        findings += problems
         rows += held
     findings += [
         Finding(f"{DATA_FOLDER}/{name}", f"is not listed in {RECORD_FILE}; next: remove it")
@@ -135,24 +138,16 @@ def _verify_copy(
     return Verification(len(record.files), rows, size, tuple(findings), reference)
 
 
-def _check_copied(folder: DataFolder, entry: tuple[str, HubFile]) -> tuple[list[Finding], int]:
-    """Check one file against what the Hub said of it; return what is wrong, and the rows that it holds."""
-    path, file = entry
-    problem = problem_of_place(folder, path)
-    if problem:
-        return [Finding(path, problem)], 0
-    size = folder.size_bytes(path)
-    with _content(folder, path) as stream:
-        found = file.digest.of_stream(stream, size) if file.digest is not None else None
-        if file.digest is not None and found != file.digest:
-            return [Finding(path, f"{found}, expected {file.digest.value}")], 0
-        if size != file.size_bytes:  # all that is known of one without a digest
-            return [Finding(path, f"has {size:,} bytes, expected {file.size_bytes:,}")], 0
-        if not path.endswith(".parquet"):
-            return [], 0
+def _check_file(
+    folder: DataFolder, path: str, digest: Digest | None, size: int | None = None
+) -> tuple[list[Finding], int]:
+    """Check one file against what is known of it; return what is wrong, and the rows that it holds."""
+    try:
         # Ids are the publisher's own: nothing says that they differ between splits.
-        with named_damage(folder.address(path)):
-            return [], open_checked(stream).metadata.num_rows
+        with _intact(folder, path, digest, size) as stream, named_damage(folder.address(path)):
+            return [], open_checked(stream).metadata.num_rows if path.endswith(".parquet") else 0
+    except IntegrityError as error:
+        return [Finding(path, str(error))], 0
 
 
 def problem_of_place(folder: DataFolder, path: str) -> str:
@@ -193,40 +188,39 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     return findings
 
 
-def _content(folder: DataFolder, path: str) -> IO[bytes]:
-    """Open a file; one of a store is brought here whole, because it is gone through twice."""
-    return folder.open(path) if folder.is_local else io.BytesIO(folder.read_bytes(path))
-
-
-def _check_file(folder: DataFolder, path: str, checksum: str) -> list[Finding]:
+@contextlib.contextmanager
+def _intact(
+    folder: DataFolder, path: str, digest: Digest | None, size: int | None = None
+) -> Iterator[IO[bytes]]:
+    """Open a file that has this digest, or this size; IntegrityError says what is wrong with any other."""
     problem = problem_of_place(folder, path)
-    if problem:
-        return [Finding(path, problem)]
-    with _content(folder, path) as stream:
-        return _compared(path, stream, checksum)
-
-
-def _compared(path: str, stream: IO[bytes], checksum: str) -> list[Finding]:
-    found = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
-    return [] if found == checksum else [Finding(path, f"sha256 is {found}, expected {checksum}")]
+    if not problem:
+        # One of a store is brought here whole, because it is gone through twice.
+        with folder.open(path) if folder.is_local else io.BytesIO(folder.read_bytes(path)) as stream:
+            found_size = stream.seek(0, io.SEEK_END)
+            stream.seek(0)
+            found = None if digest is None else digest.of_stream(stream, found_size)
+            if digest is not None and found is not None and found != digest:
+                problem = f"{found.kind} is {found.value}, expected {digest.value}"
+            elif size not in (None, found_size):
+                problem = f"has {found_size:,} bytes, expected {size:,}"
+            else:
+                yield stream
+                return
+    raise IntegrityError(problem)
 
 
 def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[list[Finding], Any]:
     """Check one shard; return what is wrong with it, and its ids as an Arrow array (None: unreadable)."""
     import pyarrow as pa
 
-    path = record.shard.data_path
-    problem = problem_of_place(folder, path)
-    if problem:
-        return [Finding(path, problem)], None
+    path, ids, findings = record.shard.data_path, None, []
+    address = folder.address(path)
     try:
-        with _content(folder, path) as stream, named_damage(folder.address(path)):
-            findings = _compared(path, stream, record.sha256)
-            if findings:
-                return findings, None
-            parquet = open_checked(folder.address(path) if folder.is_local else stream)
+        with _intact(folder, path, Digest("sha256", record.sha256)) as stream, named_damage(address):
+            parquet = open_checked(address if folder.is_local else stream)
             rows, stored = parquet.metadata.num_rows, parquet.schema_arrow
-            place, ids = stored.get_field_index("id"), None
+            place = stored.get_field_index("id")
             if place < 0 or pa.types.is_nested(stored.field(place).type):
                 findings.append(Finding(path, "holds no column 'id' of one value for each row"))
             else:

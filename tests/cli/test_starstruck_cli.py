@@ -12,7 +12,6 @@ from cli import starstruck
 from cli.output import Sink
 from cli.starstruck import app
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.identity import identity_digest
 from tactile_toolkit.store.job import write_record
 from tactile_toolkit.store.manifest import read_manifest
 from tests.processes import start_held
@@ -182,7 +181,7 @@ def test_finished_split_is_told_beside_what_an_unfinished_one_keeps(tmp_path):
     manifest = json.loads((out / "manifest.json").read_text())
     folder = DataFolder(str(out))
     there = read_manifest(folder)
-    write_record(folder, there.shards[0], identity_digest(there))
+    write_record(folder, there.shards[0], there.identity)
     (out / "data" / "train-00001-of-00002.parquet").unlink()
     (out / "data" / "test-00000-of-00001.parquet").unlink()
     sums = {"splits": {}, "skipped": {}, "statistics": {}}

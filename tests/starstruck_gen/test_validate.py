@@ -18,7 +18,6 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.identity import identity_digest
 from tactile_toolkit.store.job import write_record
 from tactile_toolkit.store.manifest import read_manifest, write_manifest
 
@@ -109,7 +108,7 @@ def interrupted(tmp_path):
     manifest = read_manifest(folder)
     assert manifest is not None
     first, _, test = manifest.shards
-    write_record(folder, first, identity_digest(manifest))
+    write_record(folder, first, manifest.identity)
     (out / "data" / "train-00001-of-00002.parquet").unlink()
     write_manifest(folder, replace(manifest, shards=(test,), complete=False))
     return out

@@ -62,7 +62,7 @@ def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address
 @pytest.mark.parametrize(
     "act",
     [
-        DataFolder.require_folder,
+        lambda folder: folder.require_folder(),
         lambda folder: folder.write_bytes("data/a", b"1"),
         lambda folder: folder.create_bytes("data/a", b"1"),
         lambda folder: folder.copy_in("data/a", Path(__file__)),

@@ -25,7 +25,6 @@ from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store import build as module
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.local import LocalFiles
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.shards import ShardName
 from tactile_toolkit.store.verify import verify
@@ -120,7 +119,16 @@ COMMANDS = {
     "second split": Command(run, second_split, second_split, both_splits, (second_split, run)),
     "failure": Command(nothing, failing, run, run, (run,)),
 }
-CHANGES = ("put", "create", "move", "remove", "remove_empty", "make", "lock", "writing")
+CHANGES = (
+    "write_bytes",
+    "create_bytes",
+    "move",
+    "remove",
+    "remove_empty",
+    "require_folder",
+    "locked",
+    "writing",
+)
 FAULTS = ("refused", "Ctrl-C", "ended", "another run")
 MOMENTS = ("before", "in", "after")
 
@@ -132,10 +140,10 @@ class Disturbed:
         self.point, self.moment, self.fault, self.other = point, moment, fault, other
         self.calls, self.done, self.ended = 0, False, False
         for name in CHANGES:
-            monkeypatch.setattr(LocalFiles, name, self._watched(name, getattr(LocalFiles, name)))
+            monkeypatch.setattr(DataFolder, name, self._watched(name, getattr(DataFolder, name)))
 
     def _watched(self, name, call):
-        if name in ("lock", "writing"):
+        if name in ("locked", "writing"):
             return lambda files, *args, **kw: self._context(name, call, files, *args, **kw)
 
         def watched(files, *args):
@@ -162,7 +170,7 @@ class Disturbed:
         self.calls += 1
         is_here = self.calls == self.point and not self.done
         if is_here and self.moment != "after":
-            if self.moment == "in" and name == "put":
+            if self.moment == "in" and name == "write_bytes":
                 left = Path(files.root, ".pending", f"tmp-{self.point}")
                 left.parent.mkdir(exist_ok=True, parents=True)
                 left.write_bytes(args[1][: len(args[1]) // 2] if isinstance(args[1], bytes) else b"half")

@@ -12,9 +12,8 @@ from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run.parts import Check, Finish, Part, part_of
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import MissingPartsError, array_text, build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import TEMPORARY, DataFolder
 from tactile_toolkit.store.job import manifest_so_far
-from tactile_toolkit.store.local import TEMPORARY
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.verify import verify
@@ -165,17 +164,6 @@ def test_of_two_first_parts_at_the_same_moment_the_later_is_held_to_the_other(tm
     with pytest.raises(SpecMismatchError, match="seed is 2 there, 1 was asked for"):
         make(tmp_path / "set", Part(1, 4))
     assert folder_bytes(tmp_path / "set") == {"manifest.json": first.to_json().encode()}
-
-
-def test_parts_of_another_specification_are_told_what_parts_can_do(tmp_path, whole):
-    """Not of --overwrite, which they refuse."""
-    other = toy_plan(spec={"seed": 2, "size": [1, 2]})
-    for runner in (Part(0, 2), Finish()):
-        with pytest.raises(SpecMismatchError, match=r"seed is 1 there, 2.*, or remove '.*whole' first$"):
-            make(tmp_path / "whole", runner, other)
-    with pytest.raises(SpecMismatchError, match=r"start again there with --overwrite$"):
-        make(tmp_path / "whole", plan=other)
-    assert folder_bytes(tmp_path / "whole") == whole
 
 
 def test_a_folder_that_was_not_made_in_parts_is_finished_too(tmp_path, whole):
@@ -359,7 +347,7 @@ def test_a_part_is_named_or_taken_from_the_scheduler(text, environment, expected
         ("-1/4", "expected K/N"),
         ("1/4/2", "expected K/N"),
         ("5/4", "there is no part 5 of 4; expected 0 to 3"),
-        ("0/0", "cannot be made in no parts; expected a number of parts of at least 1"),
+        ("0/0", "there is no part 0 of 0; expected at least 1 part"),
         ("auto", "neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number"),
     ],
 )
@@ -391,7 +379,7 @@ from pathlib import Path
 from tactile_toolkit.run.parts import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import TEMPORARY, DataFolder
 from tactile_toolkit.store.build import MissingPartsError
 from tests.tactile_toolkit.store.test_parts import few_shards
 from tests.tactile_toolkit.toy import folder_bytes

@@ -267,7 +267,8 @@ def test_a_data_set_in_a_store_is_not_replaced():
     ):
         build(folder, other_plan(), InlineRunner(), overwrite=True)
     with pytest.raises(
-        SpecMismatchError, match=r"choose another folder \(--out or OUT\), or remove '.*' first$"
+        SpecMismatchError,
+        match=r"choose another folder \(--out or OUT\), or start again there with --overwrite",
     ):
         build(folder, other_plan(), InlineRunner())
     assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == finished

@@ -9,7 +9,6 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.identity import identity_digest
 from tactile_toolkit.store.job import write_record
 from tactile_toolkit.store.manifest import read_manifest, write_manifest
 from tests.tactile_toolkit.toy import toy_plan
@@ -27,7 +26,7 @@ def _interrupted(folder, kept):
     manifest = read_manifest(folder)
     for record in manifest.shards:
         if not kept(record):
-            write_record(folder, record, identity_digest(manifest))
+            write_record(folder, record, manifest.identity)
     records = tuple(record for record in manifest.shards if kept(record))
     write_manifest(folder, replace(manifest, shards=records, complete=False))
 
