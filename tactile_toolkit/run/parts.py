@@ -111,10 +111,8 @@ def part_of(text: str, workers: int | Runner = 1, environment: Mapping[str, str]
         index, length = _place_in_array(environment)
         count = length if count is None else count
     if count is None:
-        message = (
-            "--part auto: nothing says how many parts there are: neither a whole Slurm array from 0 or 1 on "
-            "nor JOB_COMPLETION_COUNT does; nothing was made; next: say --part auto/N"
-        )
+        found = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
+        message = f"--part auto: nothing says how many parts there are, {found}; next: say --part auto/N"
         raise InputError(message)
     return Part(index, count, workers)
 
@@ -130,8 +128,7 @@ def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
     if index is None:
         message = (
             "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the "
-            "environment; nothing was made; next: run it in an array job of Slurm or an indexed job of "
-            "Kubernetes, or say --part K/N"
+            "environment; next: run it in an array of Slurm or an indexed job of Kubernetes, or say K/N"
         )
         raise InputError(message)
     return index, _number(environment, "JOB_COMPLETION_COUNT")

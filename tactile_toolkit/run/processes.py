@@ -32,8 +32,6 @@ __all__ = ["InlineRunner", "ProcessRunner", "Runner", "carry_out", "died", "outc
 T = TypeVar("T")
 R = TypeVar("R")
 
-_NO_MORE = b""
-
 
 class Runner(Protocol):
     """Maps a function over tasks.
@@ -120,11 +118,8 @@ class ProcessRunner:
                             raise died(task, attempt, "worker process", "with fewer --workers") from None
                         waiting.appendleft((task, attempt + 1))
         finally:
-            for pipe, process in workers.items():
-                if pipe in held:
-                    process.kill()
-                with contextlib.suppress(OSError):
-                    pipe.send_bytes(_NO_MORE)
+            for process in workers.values():
+                process.kill()
             for process in workers.values():
                 process.join()
 
@@ -165,14 +160,14 @@ def _main_hidden() -> Iterator[None]:
 
 
 def _work(pipe: Any, function: bytes) -> None:
-    """Carry out tasks until there are no more."""
+    """Carry out tasks until the parent ends this process."""
     # Ctrl-C goes to the whole process group: the parent alone decides what happens to the work.
     ignore_interrupts()
     inbox: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_listen, args=(pipe, inbox), daemon=True).start()
     with contextlib.suppress(OSError):  # a parent that has died takes no answer
-        while (task := inbox.get()) != _NO_MORE:
-            pipe.send_bytes(carry_out(function, task))
+        while True:
+            pipe.send_bytes(carry_out(function, inbox.get()))
 
 
 def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:

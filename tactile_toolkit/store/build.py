@@ -175,16 +175,16 @@ class _Run:
 
     def make_all(self, runner: Runner, overwrite: bool) -> Manifest:
         folder, plan = self.folder, self.plan
+        target, had_manifest = folder, True
         with named_failures(folder.address()):
-            before = _Before(folder, plan, folder.exists())
+            existed = folder.exists()
         folder.require_folder()
         try:
             settle(folder, _PATIENCE_S)
             with folder.locked(patience_s=_PATIENCE_S):
                 if overwrite and require_replaceable(folder, plan.extra_dirs):
-                    before = _Before(make_room(folder, plan), plan, existed=False)
-                target = before.folder
-                before.had_manifest = target.exists(MANIFEST_FILE)
+                    target, existed = make_room(folder, plan), False
+                had_manifest = target.exists(MANIFEST_FILE)
                 job, state = begin(target, plan, plan.tasks, check=self.check)
             # By names and sizes alone; manifests are written last.
             is_finished = not state.todo and state.manifest.complete and not folder.names(PENDING_FOLDER)
@@ -201,7 +201,9 @@ class _Run:
         except BaseException:
             # What ended the run is what is reported, even where the disk does not let us tidy up.
             with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=_PATIENCE_S):
-                before.undo()
+                _undo(target, plan, had_manifest)
+                if not existed:
+                    target.remove_empty("")
             raise
 
     def make_part(self, part: Part) -> Manifest:
@@ -284,38 +286,29 @@ class _Run:
         return finished
 
 
-@dataclass
-class _Before:
-    """What a run found: where it works, whether that was there, and with a manifest."""
+def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
+    """Undo a run that failed and of which no row is there.
 
-    folder: DataFolder
-    plan: BuildPlan
-    existed: bool
-    had_manifest: bool = True
-
-    def undo(self) -> None:
-        """Undo a run that failed and of which no row is there.
-
-        A run that cannot be finished (scenes that do not fit, an unreadable source) would otherwise leave a
-        folder that holds nothing and refuses every other specification.
-        """
-        folder, manifest = self.folder, read_manifest(self.folder)
-        if manifest is not None and manifest.identity == self.plan.new_manifest().identity:
-            made = pending_records(folder, manifest.identity)
-            for record in manifest.shards:
-                made.pop(record.shard, None)
-            if not any(pending.record.rows for pending in made.values()):
-                # A shard from which all was left out is made again in no time.
-                for shard in made:
-                    for path in (shard.record_path, shard.report_path, shard.data_path):
-                        folder.remove(path)
-                folder.remove_empty(DATA_FOLDER)
-                if not self.had_manifest and not folder.names(DATA_FOLDER):
-                    folder.remove(MANIFEST_FILE)
-                    folder.remove_tree(PENDING_FOLDER)
-                folder.remove_empty(PENDING_FOLDER)
-        if not self.existed:
-            folder.remove_empty("")
+    A run that cannot be finished (scenes that do not fit, an unreadable source) would otherwise leave a
+    folder that holds nothing and refuses every other specification.
+    """
+    manifest = read_manifest(folder)
+    if manifest is None or manifest.identity != plan.new_manifest().identity:
+        return
+    made = pending_records(folder, manifest.identity)
+    for record in manifest.shards:
+        made.pop(record.shard, None)
+    if any(pending.record.rows for pending in made.values()):
+        return
+    # A shard from which all was left out is made again in no time.
+    for shard in made:
+        for path in (shard.record_path, shard.report_path, shard.data_path):
+            folder.remove(path)
+    folder.remove_empty(DATA_FOLDER)
+    if not had_manifest and not folder.names(DATA_FOLDER):
+        folder.remove(MANIFEST_FILE)
+        folder.remove_tree(PENDING_FOLDER)
+    folder.remove_empty(PENDING_FOLDER)
 
 
 def _require_records(folder: DataFolder, tasks: Sequence[ShardTask], records: Sequence[ShardRecord]) -> None:
