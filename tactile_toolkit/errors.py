@@ -18,6 +18,8 @@ Every message names the file, row or option, what was found, what was expected, 
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 
 from tactile_toolkit.printable import printable
 
@@ -32,6 +34,7 @@ __all__ = [
     "RemoteError",
     "HubError",
     "install_line",
+    "needs_extra",
 ]
 
 
@@ -73,6 +76,15 @@ class MissingExtraError(InputError):
         super().__init__(feature, package, extra)
         missing = f"{feature} needs the package {package!r}, which is not installed"
         self.message = f"{missing}; next: {install_line(extra)}"
+
+
+@contextmanager
+def needs_extra(feature: str, package: str, extra: str) -> Iterator[None]:
+    """Turn an ImportError into the :class:`MissingExtraError` of a feature."""
+    try:
+        yield
+    except ImportError as error:
+        raise MissingExtraError(feature, package, extra) from error
 
 
 def install_line(extra: str) -> str:
@@ -118,6 +130,12 @@ class IntegrityError(ToolkitError):
     """Stored data does not match its checksum, schema or row count."""
 
     exit_code = 3
+
+    @classmethod
+    def in_file(cls, path: str, found: str) -> IntegrityError:
+        """Return the error for a file of a data set; ``found`` goes on right behind the path, in quotes."""
+        again = "run `verify` on the data set, then generate, convert or download it again"
+        return cls(f"{path!r}{found}; next: {again}")
 
 
 class RemoteError(ToolkitError):

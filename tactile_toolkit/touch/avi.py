@@ -60,11 +60,6 @@ class Avi:
     file is cut short or exceeds :data:`MAX_CLIP_FRAMES` or :data:`MAX_CLIP_BYTES`.
     """
 
-    __slots__ = (
-        *("_entries_start", "_frames_end", "_frames_start", "_in_order", "_names"),
-        *("data", "entry_count", "fps"),
-    )
-
     def __init__(self, data: memoryview) -> None:
         if len(data) > MAX_CLIP_BYTES:
             message = f"a clip of {len(data):,} bytes; the limit is {MAX_CLIP_BYTES:,}"
@@ -125,51 +120,44 @@ class Avi:
     def index(self) -> AviIndex:
         """Read the whole index.
 
-        NoIndexError: it lists no frame, or does not point at frames. ValueError: it points outside of the
-        file, does not follow the stream frame by frame, has frames overlap, or exceeds
-        :data:`MAX_CLIP_FRAMES`.
+        NoIndexError: it does not point at frames. ValueError: it points outside of the file, does not follow
+        the stream frame by frame, has frames overlap, or exceeds :data:`MAX_CLIP_FRAMES`.
         """
-        words = np.frombuffer(self.data, "<u4", self.entry_count * 4, self._entries_start).reshape(-1, 4)
-        compressed, plain = (int.from_bytes(name, "little") for name in self._names)
-        if not (words[:, 0] == compressed).all():
-            words = words[(words[:, 0] == compressed) | (words[:, 0] == plain)]
-        if len(words) > MAX_CLIP_FRAMES:
-            message = f"a clip of {len(words):,} frames; the limit is {MAX_CLIP_FRAMES:,}"
+        entries = np.frombuffer(self.data, "<u4", 4 * self.entry_count, self._entries_start).reshape(-1, 4)
+        names = [int.from_bytes(name, "little") for name in self._names]
+        entries = entries[np.isin(entries[:, 0], names)].astype(np.int64)
+        if len(entries) > MAX_CLIP_FRAMES:
+            message = f"a clip of {len(entries):,} frames; the limit is {MAX_CLIP_FRAMES:,}"
             raise ValueError(message)
-        entries, slots = words.astype(np.int64), None
-        if not entries[:, 3].all():
-            slots = np.flatnonzero(entries[:, 3])
-            entries = entries[slots]
-        if len(entries) == 0:
-            message = "an AVI whose index lists no frame"
-            raise NoIndexError(message)
-        first = int(entries[0, 2])
-        start = self._start(int(entries[0, 0]).to_bytes(4, "little"), first)
+        slots = np.flatnonzero(entries[:, 3])
+        is_repeating = len(slots) < len(entries)
+        entries = entries[slots]
+        first = int(entries[0, 2]) if len(entries) else 0
+        start = self._start(int(entries[0, 0]).to_bytes(4, "little"), first) if len(entries) else None
         if start is None:
             message = "an AVI whose index does not point at frames"
             raise NoIndexError(message)
         starts, sizes = entries[:, 2] + (start - first), entries[:, 3]
         ends = starts + sizes
-
-        def refuse(wrong: NDArray[np.bool_], problem: str) -> None:
-            if wrong.any():
-                number = int(wrong.argmax())
-                counts = {"count": len(starts), "size": sizes[number]}
-                raise ValueError("an AVI whose " + problem.format(number, number + 1, **counts))
-
-        refuse(
-            (starts < self._frames_start) | (ends > self._frames_end),
-            "frame {0} of {count} lies outside of it",
+        # A small file whose frames overlap would decode to any amount of pixels.
+        least = np.append(self._frames_start, ends[:-1])
+        self._require(
+            (starts >= least) & (ends <= self._frames_end),
+            "index has frame {number} of {count} outside of it or over another; expected that of the stream",
         )
-        order = "index has frame {1} of {count} before frame {0}; expected the order of the stream"
-        refuse(starts[1:] < starts[:-1], order)
-        # A small file would decode to any amount of pixels.
-        refuse(starts[1:] < ends[:-1], "index has frames {0} and {1} of {count} overlap")
-        bytes_of_heads = (starts - _CHUNK.size)[:, None] + np.arange(_CHUNK.size)
-        heads = np.frombuffer(self.data, np.uint8)[bytes_of_heads].view("<u4")
-        nowhere = "index names frame {0} of {count} where the stream has no frame of {size:,} bytes"
-        refuse((heads != entries[:, [0, 3]]).any(axis=1), nowhere)
-        return AviIndex(self.fps, starts, sizes, slots)
+        heads = np.frombuffer(self.data, np.uint8)[(starts - _CHUNK.size)[:, None] + np.arange(_CHUNK.size)]
+        self._require(
+            (heads.view("<u4") == entries[:, [0, 3]]).all(axis=1),
+            "index names frame {number} of {count} where the stream has no frame of that size",
+        )
+        return AviIndex(self.fps, starts, sizes, slots if is_repeating else None)
+
+    @staticmethod
+    def _require(holds: NDArray[np.bool_], problem: str) -> None:
+        if not holds.all():
+            found = problem.format(number=int(holds.argmin()), count=len(holds))
+            message = f"an AVI whose {found}"
+            raise ValueError(message)
 
 
 def read_index(data: memoryview) -> AviIndex:

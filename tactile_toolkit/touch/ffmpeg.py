@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import io
-from collections import deque
 from collections.abc import Iterator, Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from tactile_toolkit.errors import MissingExtraError
+from tactile_toolkit.errors import needs_extra
 from tactile_toolkit.touch.avi import MAX_CLIP_FRAMES
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS, Pixels, decode_image, room_for
 
@@ -34,11 +34,8 @@ def require_video(data: memoryview) -> str:
 
 
 def _av() -> Any:
-    try:
+    with needs_extra("a clip that is not an indexed AVI of JPEG frames", "av", "video"):
         import av
-    except ImportError as error:
-        feature = "a clip that is not an indexed AVI of JPEG frames"
-        raise MissingExtraError(feature, "av", "video") from error
     return av
 
 
@@ -50,21 +47,14 @@ def _open_video(data: memoryview) -> Any:
     options = {"format_whitelist": name, "protocol_whitelist": "none"}
     try:
         container = av.open(io.BytesIO(data), format=name, options=options)
-        stream = next(iter(container.streams.video), None)
-    except av.FFmpegError as error:
-        message = f"{len(data):,} bytes that cannot be read as {name}; expected a whole clip ({error})"
+        stream = container.streams.video[0]
+        pixels = stream.width * stream.height
+    except (av.FFmpegError, IndexError, AttributeError) as error:  # no video; a codec that is not known
+        message = f"{len(data):,} bytes in which FFmpeg finds no clip to decode; expected one in {name}"
         raise ValueError(message) from error
-    problem = ""
-    if stream is None:
-        problem = "a file without a video; expected an AVI with MJPEG frames"
-    elif stream.codec_context is None:  # then it has no size either
-        problem = "a clip of a codec that FFmpeg does not know; expected an AVI with MJPEG frames"
-    elif stream.width * stream.height > MAX_IMAGE_PIXELS:
-        size = f"{stream.width} x {stream.height}"
-        problem = f"a clip of {size} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
-    if problem:
-        container.close()
-        raise ValueError(problem)
+    if pixels > MAX_IMAGE_PIXELS:
+        message = f"a clip of {pixels:,} pixels a frame; the limit is {MAX_IMAGE_PIXELS:,} pixels"
+        raise ValueError(message)
     return container
 
 
@@ -75,20 +65,19 @@ def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels
     damaged, or the clip cannot be read or exceeds the limits.
     """
     chosen = sorted(set(wanted))
-    missing = deque(chosen)
+    found = 0
     with _open_video(data) as container:
         stream = container.streams.video[0]
         pixels = room_for(len(chosen), (stream.height, stream.width))
-        for number, frame in _frames(container, set(chosen)) if chosen else ():
+        frames = _frames(container, set(chosen))
+        for number, frame in islice(frames, len(chosen)):
             if frame.shape != pixels.shape[1:]:
                 message = f"frame {number} of another size than the clip states"
                 raise ValueError(message)
-            pixels[len(chosen) - len(missing)] = frame
-            missing.popleft()
-            if not missing:
-                break
-    if missing:
-        message = f"a clip that ends before frame {missing[0]}; expected {count} frames"
+            pixels[found] = frame
+            found += 1
+    if found < len(chosen):
+        message = f"a clip that ends before frame {chosen[found]}; expected {count} frames"
         raise ValueError(message)
     return pixels[np.searchsorted(chosen, wanted)]
 

@@ -74,12 +74,12 @@ PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in KNOWN_COLUMNS.items() 
 
 
 def is_per_touch(name: str, data_type: pa.DataType) -> bool:
-    """Tell whether a column may hold an entry per touch: known ones, and lists of vectors in ``info``."""
+    """Return whether a column may hold an entry per touch: known ones, and lists of vectors in ``info``."""
     return name in PER_TOUCH_COLUMNS or (name.startswith("info.") and list_depth(data_type)[0] >= 2)
 
 
 def kind_of(schema: pa.Schema | None, where: str) -> Kind:
-    """Tell whether a data set holds clips (``seq``) or images (``single``); InputError if neither or both."""
+    """Return whether a set holds clips (``seq``) or images (``single``); InputError if neither or both."""
     names = column_names(schema) if schema is not None else ()
     kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]
     if len(kinds) != 1:

@@ -51,7 +51,7 @@ def repeated(frame: bytes, count: int) -> bytes:
 @pytest.mark.parametrize(
     ("data", "frames", "words"),
     [
-        (repeated(LARGE, 2000), 2000, "an AVI whose index has frames 0 and 1 of 2000 overlap"),
+        (repeated(LARGE, 2000), 2000, "an AVI whose index has frame 1 of 2000 outside of it or over another"),
         (
             write_avi([LARGE] * 200, 4096, 4096, 25.0),
             200,
@@ -124,7 +124,7 @@ def test_an_index_out_of_the_order_of_the_stream_is_named(order: tuple[int, ...]
     entries = [whole[place + 16 * each : place + 16 * each + 16] for each in order]
     data = memoryview(whole[:place] + b"".join(entries))
     with pytest.raises(
-        ValueError, match=r"index has frame \d of 4 before frame \d; expected the order of the"
+        ValueError, match=r"index has frame \d of 4 outside of it or over another; expected that of"
     ):
         read_index(data)
     assert [Avi(data).frame(entry) for entry in range(4)] == [None] * 4
@@ -163,10 +163,10 @@ def test_an_unknown_codec_is_named(seq_rows: list[dict], tmp_path: Path) -> None
     clip = realtouch.load(tmp_path)[1].sensor_video[1]
     for ask in (lambda: clip[0], clip.frames, lambda: clip.size, lambda: clip.fps, lambda: clip[5:5]):
         with pytest.raises(
-            IntegrityError, match="touch 1, field 'sensor_video': a clip of a codec that FFmpeg"
+            IntegrityError, match=r"touch 1, field 'sensor_video': [\d,]+ bytes in which FFmpeg finds no clip"
         ):
             ask()
-    with pytest.raises(ValueError, match="codec"):
+    with pytest.raises(ValueError, match="finds no clip"):
         ffmpeg_count(memoryview(data))
     kept = realtouch.load(tmp_path, on_error="skip")
     assert [(damage.row, damage.touch) for damage in kept.skipped] == [(1, 1)]
