@@ -20,7 +20,7 @@ from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset, SolidRecord
-from tactile_toolkit.read.dataset import RecordDataset, Row
+from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 
 __all__ = [
@@ -51,18 +51,14 @@ class CachedRecords(RecordDataset[R]):
         self.memory = memory
         return self
 
-    def _make(self, row: Row) -> R:
+    def _stored(self, row: int) -> R:
         if self.memory is None:
-            return super()._make(row)
-        make = super()._make
+            return super()._stored(row)
+        stored = self._row(row)
+        key = (type(self), stored.path, stored.number)
         # The kind of record is in the key, as all data sets of a provider share one memory.
-        kept: R = self.memory.get_or_make((type(self), row.path, row.number), lambda: make(row))
+        kept: R = self.memory.get_or_make(key, lambda: self.record_class(stored))
         return kept
-
-    def _view(self, tables: Any, rows: Any) -> Self:
-        view = super()._view(tables, rows)
-        view.memory = self.memory
-        return view
 
 
 class WrenchRecord(SolidRecord):

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cached_property
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.per_touch import known_positions
-from realtouch.columns.poses import known_contact_z_m, touch_contact_z_m
+from realtouch.columns.poses import touch_contact_z_m
 from realtouch.damage import Damage, unreadable_rows
-from realtouch.integrity.agreement import stated_class_names, stored_touch_counts
+from realtouch.integrity.agreement import stated_class_names
 from realtouch.integrity.check_round import check_round
-from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
+from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touches import Rounds, Touches
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.touch.contact import PRESS_DEPTH_M, ContactHeight
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, PLATE_COLUMN, POSE_COLUMN, Kind
+from tactile_toolkit.touch.schema import CLASS_NAMES, Kind
 from tactile_toolkit.wording import counted
 
 __all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream", "dataset_of"]
@@ -66,17 +62,7 @@ class TouchDataset(Rounds[R]):
         view = Touches(self)
         return view.without(self._lost_touches) if self._lost_touches else view
 
-    @cached_property
-    def touch_counts(self) -> NDArray[np.int64]:
-        """T of each round, shape (len,), int64; reads at most the column of intended positions."""
-        return self._stored_counts[self.row_numbers]
-
-    @cached_property
-    def _stored_counts(self) -> NDArray[np.int64]:
-        parts = [table.per_shard("touches", _touch_counts) for table in self._tables]
-        return np.concatenate(parts or [np.zeros(0, np.int64)])
-
-    @cached_property
+    @property
     def _lost_touches(self) -> frozenset[tuple[int, int]]:
         """Stored row and number in the round of each touch that was left out."""
         lost = set()
@@ -84,15 +70,6 @@ class TouchDataset(Rounds[R]):
             if row is not None and damage.touch is not None:
                 lost.add((row, damage.touch))
         return frozenset(lost)
-
-    @property
-    def row_numbers(self) -> NDArray[np.int64]:
-        """Number of each round in the stored tables, shape (len,), int64."""
-        return np.asarray(self._rows, np.int64)
-
-    def has_column(self, name: str) -> bool:
-        """Tell whether the data set has a column, by dotted name."""
-        return all(name in table.shards[0].types for table in self._tables)
 
     def contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Read the height of the gel at the deepest press of every stored touch.
@@ -113,106 +90,15 @@ class TouchDataset(Rounds[R]):
             The height of a touch of this view cannot be read; names file, row and touch.
         """
         z_m, starts = self.known_contact_z_m()
-        unknown = np.isnan(z_m)
+        unknown, lost = np.isnan(z_m), self._lost_touches
         for position, row in enumerate(self.row_numbers.tolist() if unknown.any() else ()):
             for touch in np.flatnonzero(unknown[starts[row] : starts[row + 1]]).tolist():
-                if (row, touch) not in self._lost_touches:
+                if (row, touch) not in lost:
                     touch_contact_z_m(self[position]._row, self.kind, touch)  # says what is wrong
         return z_m, starts
 
-    def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return what :meth:`contact_z_m` does; NaN wherever a height cannot be read."""
-        columns = ["pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
-
-        def compute(group: RowGroup) -> NDArray[np.float64]:
-            rows = [known_contact_z_m(Row(group, index), self.kind) for index in range(len(group.table))]
-            return np.concatenate(rows or [np.zeros(0)])
-
-        try:
-            parts = [table.derive("contact z", columns, compute) for table in self._tables]
-        except InputError:
-            if not self.has_column(columns[-1]):
-                raise
-            # Without stated lengths only clips tell padding from frames; without positions, pictures tell T.
-            columns.append(MEDIA_COLUMN[self.kind])
-            parts = [table.derive("contact z", columns, compute) for table in self._tables]
-        z_m = np.concatenate(parts or [np.zeros(0)])
-        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
-        if len(z_m) != starts[-1]:
-            message = (
-                f"{len(z_m):,} poses of touches for {starts[-1]:,} touches; expected one each; next: run "
-                "`realtouch verify`, which names the rounds"
-            )
-            raise IntegrityError(message)
-        return z_m, starts
-
-    def known_positions_m(self) -> NDArray[np.float64]:
-        """Read where each touch of these rounds was meant to be, NaN where that cannot be read.
-
-        Shape (touches of all rounds of the view, in order, 2), metres, cell frame; reads that column only.
-        """
-
-        def compute(group: RowGroup) -> NDArray[np.float64]:
-            rows = [known_positions(Row(group, index)) for index in range(len(group.table))]
-            return np.concatenate(rows or [np.zeros((0, 2))])
-
-        parts = [table.derive("positions", ["pos_in_cell"], compute) for table in self._tables]
-        positions_m = np.concatenate(parts or [np.zeros((0, 2))])
-        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
-        wanted = [np.arange(starts[row], starts[row + 1]) for row in self.row_numbers.tolist()]
-        of_view: NDArray[np.float64] = positions_m[np.concatenate(wanted or [np.zeros(0, np.int64)])]
-        return of_view
-
-    def plates_z_m(self) -> NDArray[np.float64]:
-        """Return the height of the plate of every stored row, shape (stored rows,), metres, cell frame.
-
-        NaN where it is neither known nor stored, as in the published sets: the deepest touch shows it there.
-        """
-        plates: list[NDArray[np.float64]] = []
-        for shard in (shard for table in self._tables for shard in table.shards):
-            rule = ContactHeight.of(shard.types)
-            if rule.plate == "stored":
-                stored = ShardedTable((shard,)).column(PLATE_COLUMN)
-                plates.append(np.asarray(stored, np.float64))
-            else:
-                plates.append(np.full(len(shard), PRESS_DEPTH_M if rule.plate == "known" else np.nan))
-        return np.concatenate(plates or [np.zeros(0)])
-
-    def contact_rules(self) -> list[ContactHeight]:
-        """Return the rule by which touches of each round count as contact; joined sets may have several."""
-        shards = (shard for table in self._tables for shard in table.shards)
-        of_rows = [rule for shard in shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
-        return [of_rows[row] for row in self.row_numbers.tolist()]
-
-    def rounds_without_media(self) -> Iterator[tuple[int, R]]:
-        """Yield stored row number and round, row by row, without opening images or clips until asked for."""
-        number = 0
-        # Through the stored rows in their order: each block is read once, whatever the order of the view.
-        wanted = set(self.row_numbers.tolist())
-        media = MEDIA_COLUMN[self.kind]
-        for shard in (shard for table in self._tables for shard in table.shards):
-            columns = [name for name in shard.schema.names if name != media]
-            for index in range(shard.metadata.num_row_groups):
-                for block, group in enumerate(shard.blocks(index, columns)):
-                    rows = GroupWithoutMedia(
-                        group.table, group.path, group.first_row, shard=shard, index=index, block=block
-                    )
-                    for row in range(len(group.table)):
-                        if number + row in wanted:
-                            yield number + row, self._make(RowWithoutMedia(rows, row))
-                    number += len(group.table)
-
-    def _each(self) -> Iterator[tuple[int, R]]:
-        places: dict[int, list[int]] = {}
-        for place, row in enumerate(self.row_numbers.tolist()):
-            places.setdefault(row, []).append(place)
-        # A view may hold a round several times, at several places.
-        for row, record in self.rounds_without_media():
-            for place in places[row]:
-                yield place, record
-
     def __eq__(self, other: object) -> bool:
-        """Tell whether both hold equal rounds in the same order, and left out the same touches of them."""
+        """Return whether both hold equal rounds in the same order, and left out the same touches of them."""
         equal = super().__eq__(other)
         if not isinstance(other, TouchDataset) or equal is NotImplemented:
             return NotImplemented
@@ -228,13 +114,10 @@ class TouchDataset(Rounds[R]):
         return {(place, touch) for place, row in rows for touch in lost.get(row, ())}
 
     def _joined(self, other: Self) -> Self:
-        joined = super()._joined(other)
-        offset = int(self._starts[-1])
+        joined, offset = super()._joined(other), int(self._starts[-1])
         moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
-        return type(self)(joined._tables, joined._rows, self._label_names, (*self._skipped, *moved))
-
-    def _view(self, tables: Sequence[ShardedTable], rows: range | NDArray[np.int64]) -> Self:
-        return type(self)(tables, rows, self._label_names, self._skipped)
+        joined._skipped = (*self._skipped, *moved)
+        return joined
 
 
 class TouchSingleDataset(TouchDataset[TouchSingleRound]):
@@ -249,10 +132,6 @@ class TouchSeqDataset(TouchDataset[TouchSeqRound]):
 
     record_class: ClassVar[type[Any]] = TouchSeqRound
     kind = "seq"
-
-
-def _touch_counts(shard: Shard) -> list[NDArray[np.int64]]:
-    return [stored_touch_counts(shard, index) for index in range(shard.metadata.num_row_groups)]
 
 
 def dataset_of(

@@ -17,7 +17,7 @@ from realtouch.rounds import TouchSingleRound
 from realtouch.touch import Touch
 from realtouch.touches import Touches
 from tactile_toolkit.cache import MemoryCache
-from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.read.torch import TrainingBatches
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, room_for
 
@@ -25,11 +25,8 @@ if TYPE_CHECKING:
     import torch
     from scipy.spatial.transform import RigidTransform
 else:
-    try:
+    with needs_extra("realtouch.torch", "torch", "torch"):
         import torch
-    except ImportError as error:
-        feature = "realtouch.torch"
-        raise MissingExtraError(feature, "torch", "torch") from error
 
 __all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
 
@@ -232,9 +229,6 @@ def _require_target(target: Target) -> Target:
 
 
 def _tv_tensors() -> Any:
-    try:
+    with needs_extra("realtouch.torch", "torchvision", "torch"):
         from torchvision import tv_tensors
-    except ImportError as error:
-        feature = "realtouch.torch"
-        raise MissingExtraError(feature, "torchvision", "torch") from error
     return tv_tensors

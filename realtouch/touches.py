@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from abc import abstractmethod
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from itertools import groupby
 from operator import itemgetter
 from typing import Any, Generic, Self, TypeVar
@@ -12,23 +11,25 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.per_touch import entries_of, touch_total
-from realtouch.columns.poses import touch_contact_z_m
+from realtouch.columns.per_touch import entries_of, known_positions, touch_total
+from realtouch.columns.poses import known_contact_z_m, touch_contact_z_m
 from realtouch.contact import contact_heights_m
 from realtouch.damage import missing_column
+from realtouch.integrity.agreement import stored_touch_counts
 from realtouch.media.images import SensorImages
-from realtouch.rounds import TouchRound, TouchSingleRound
+from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.order import StoredParts
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.sequence import LazySequence, nearest, positions
-from tactile_toolkit.touch.contact import ContactHeight
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, nearest, positions
+from tactile_toolkit.touch.contact import PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.rows import flat_row
-from tactile_toolkit.touch.schema import Kind, is_per_touch
-from tactile_toolkit.wording import counted, is_whole, plain_number
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, PLATE_COLUMN, POSE_COLUMN, Kind, is_per_touch
+from tactile_toolkit.wording import counted, is_whole, plain_number, whole_number
 
 __all__ = ["Touches", "with_empties"]
 
@@ -40,43 +41,128 @@ R = TypeVar("R", bound=TouchRound)
 
 
 class Rounds(RecordDataset[R]):
-    """Rounds, with what a view of their touches asks of them; see :class:`realtouch.TouchDataset`."""
+    """Rounds, and what is known of all their touches without pictures: a part of `TouchDataset`."""
 
     kind: Kind
 
     @property
-    @abstractmethod
     def touch_counts(self) -> NDArray[np.int64]:
-        """T of each round."""
+        """T of each round, shape (len,), int64; reads at most the column of intended positions."""
+        return self._stored_counts[self.row_numbers]
 
     @property
-    @abstractmethod
+    def _stored_counts(self) -> NDArray[np.int64]:
+        def counts(shard: Shard) -> list[NDArray[np.int64]]:
+            return [stored_touch_counts(shard, index) for index in range(shard.metadata.num_row_groups)]
+
+        parts = [table.per_shard("touches", counts) for table in self._tables]
+        return np.concatenate(parts or [np.zeros(0, np.int64)])
+
+    @property
+    def _shards(self) -> list[Shard]:
+        return [shard for table in self._tables for shard in table.shards]
+
+    @property
     def row_numbers(self) -> NDArray[np.int64]:
-        """Number of each round in the stored tables."""
+        """Number of each round in the stored tables, shape (len,), int64."""
+        return np.asarray(self._rows, np.int64)
 
-    @abstractmethod
     def has_column(self, name: str) -> bool:
-        """Tell whether there is a column."""
+        """Return whether the data set has a column, by dotted name."""
+        return all(name in table.shards[0].types for table in self._tables)
 
-    @abstractmethod
     def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Heights of all stored touches, NaN where unknown, and where those of each stored row begin."""
+        """Return what :meth:`contact_z_m` does; NaN wherever a height cannot be read."""
+        columns = ["pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
 
-    @abstractmethod
-    def plates_z_m(self) -> NDArray[np.float64]:
-        """Height of the plate of every stored row, NaN where unknown."""
+        def known_z_m(row: Row) -> NDArray[np.float64]:
+            return known_contact_z_m(row, self.kind)
 
-    @abstractmethod
-    def contact_rules(self) -> list[ContactHeight]:
-        """Rule by which touches of each round count as contact."""
+        try:
+            z_m = self._per_touch("contact z", columns, known_z_m)
+        except InputError:
+            if not self.has_column(columns[-1]):
+                raise
+            # Without stated lengths only clips tell padding from frames; without positions, pictures tell T.
+            z_m = self._per_touch("contact z", [*columns, MEDIA_COLUMN[self.kind]], known_z_m)
+        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
+        if len(z_m) != starts[-1]:
+            message = (
+                f"{len(z_m):,} poses of touches for {starts[-1]:,} touches; expected one each; next: run "
+                "`realtouch verify`, which names the rounds"
+            )
+            raise IntegrityError(message)
+        return z_m, starts
 
-    @abstractmethod
     def known_positions_m(self) -> NDArray[np.float64]:
-        """Intended position of every touch of these rounds, shape (touches, 2), NaN where unknown."""
+        """Read where each touch of these rounds was meant to be, NaN where that cannot be read.
 
-    @abstractmethod
+        Shape (touches of all rounds of the view, in order, 2), metres, cell frame; reads that column only.
+        """
+        positions_m = self._per_touch("positions", ["pos_in_cell"], known_positions).reshape(-1, 2)
+        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
+        wanted = [np.arange(starts[row], starts[row + 1]) for row in self.row_numbers.tolist()]
+        of_view: NDArray[np.float64] = positions_m[np.concatenate(wanted or [np.zeros(0, np.int64)])]
+        return of_view
+
+    def _per_touch(
+        self, key: str, columns: Sequence[str], known: Callable[[Row], NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        """Join what is known of the touches of each stored row, of a few columns."""
+
+        def of_group(group: RowGroup) -> NDArray[np.float64]:
+            rows = [known(Row(group, index)) for index in range(len(group.table))]
+            return np.concatenate(rows or [np.zeros(0)])
+
+        parts = [table.derive(key, columns, of_group) for table in self._tables]
+        return np.concatenate(parts or [np.zeros(0)])
+
+    def plates_z_m(self) -> NDArray[np.float64]:
+        """Return the height of the plate of every stored row, shape (stored rows,), metres, cell frame.
+
+        NaN where it is neither known nor stored, as in the published sets: the deepest touch shows it there.
+        """
+        plates: list[NDArray[np.float64]] = []
+        for shard in self._shards:
+            rule = ContactHeight.of(shard.types)
+            if rule.plate == "stored":
+                stored = ShardedTable((shard,)).column(PLATE_COLUMN)
+                plates.append(np.asarray(stored, np.float64))
+            else:
+                plates.append(np.full(len(shard), PRESS_DEPTH_M if rule.plate == "known" else np.nan))
+        return np.concatenate(plates or [np.zeros(0)])
+
+    def contact_rules(self) -> list[ContactHeight]:
+        """Return the rule by which touches of each round count as contact; joined sets may have several."""
+        of_rows = [rule for shard in self._shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
+        return [of_rows[row] for row in self.row_numbers.tolist()]
+
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
-        """Yield stored row number and round, without opening images or clips until asked for."""
+        """Yield stored row number and round, row by row, without opening images or clips until asked for."""
+        number = 0
+        # Through the stored rows in their order: each block is read once, whatever the order of the view.
+        wanted = set(self.row_numbers.tolist())
+        media = MEDIA_COLUMN[self.kind]
+        for shard in self._shards:
+            columns = [name for name in shard.schema.names if name != media]
+            for index in range(shard.metadata.num_row_groups):
+                for block, group in enumerate(shard.blocks(index, columns)):
+                    rows = GroupWithoutMedia(
+                        group.table, group.path, group.first_row, shard=shard, index=index, block=block
+                    )
+                    for row in range(len(group.table)):
+                        if number + row in wanted:
+                            yield number + row, self.record_class(RowWithoutMedia(rows, row))
+                    number += len(group.table)
+
+    def _each(self) -> Iterator[tuple[int, R]]:
+        places: dict[int, list[int]] = {}
+        for place, row in enumerate(self.row_numbers.tolist()):
+            places.setdefault(row, []).append(place)
+        # A view may hold a round several times, at several places.
+        for row, record in self.rounds_without_media():
+            for place in places[row]:
+                yield place, record
 
 
 class Touches(LazySequence[Touch], Generic[R]):
@@ -94,22 +180,20 @@ class Touches(LazySequence[Touch], Generic[R]):
         Which touches, counted through all rounds of the data set; all by default.
     """
 
+    things = "touches"
+
     def __init__(self, dataset: Rounds[R], chosen: NDArray[np.int64] | None = None) -> None:
         self.dataset = dataset
         counts = dataset.touch_counts
         self._starts = np.concatenate([[0], np.cumsum(counts)])
-        self._chosen = chosen
-        self._length = int(self._starts[-1]) if chosen is None else len(chosen)
+        self._rows = range(int(self._starts[-1])) if chosen is None else chosen
         # Rounds of one length, the common case, are found by a division.
         self._per_round = int(counts[0]) if len(counts) and (counts == counts[0]).all() else 0
 
-    def __len__(self) -> int:
-        return self._length
-
     def __iter__(self) -> Iterator[Touch]:
         last, current = -1, None
-        for index in range(len(self)):
-            position, touch = self.locate(index)
+        for flat in self._rows:
+            position, touch = self._located(int(flat))
             # Neighbours share a round, whose columns are then resolved once.
             if position != last or current is None:
                 last, current = position, self.dataset[position]
@@ -123,12 +207,9 @@ class Touches(LazySequence[Touch], Generic[R]):
         IndexError
             There is no such touch.
         """
-        length = self._length
-        # In place: `checked_index` would cost a tenth of all that `touches[i]` does.
-        if not -length <= index < length:
-            message = f"index {index} is out of range for {length} touches"
-            raise IndexError(message)
-        flat = index % length if self._chosen is None else int(self._chosen[index])
+        return self._located(int(self._rows[checked_index(index, len(self), "index", self.things)]))
+
+    def _located(self, flat: int) -> tuple[int, int]:
         if self._per_round:
             return divmod(flat, self._per_round)
         place = int(np.searchsorted(self._starts, flat, side="right")) - 1
@@ -137,18 +218,17 @@ class Touches(LazySequence[Touch], Generic[R]):
     @property
     def round_positions(self) -> NDArray[np.int64]:
         """Number of the round of each touch in the data set, shape (len,), int64."""
-        return np.searchsorted(self._starts, self._flat, side="right") - 1
+        return np.searchsorted(self._starts, self._row_numbers, side="right") - 1
 
     @property
     def touch_indices(self) -> NDArray[np.int64]:
         """Number of each touch in its round, shape (len,), int64."""
-        indices: NDArray[np.int64] = self._flat - self._starts[self.round_positions]
+        indices: NDArray[np.int64] = self._row_numbers - self._starts[self.round_positions]
         return indices
 
-    @property
-    def labels(self) -> NDArray[np.int64]:
-        """Label of each touch, shape (len,), int64; reads the label column only."""
-        return self.dataset.labels[self.round_positions]
+    def int_column(self, name: str) -> NDArray[np.int64]:
+        """Read one column of whole numbers of the rounds, shape (len,), int64."""
+        return self.dataset.int_column(name)[self.round_positions]
 
     @property
     def label_names(self) -> tuple[str, ...]:
@@ -178,7 +258,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         if name == _INDEX:
             return self.touch_indices
         if name in _POSITION:
-            values: NDArray[Any] = self.dataset.known_positions_m()[self._flat, _POSITION.index(name)]
+            values: NDArray[Any] = self.dataset.known_positions_m()[self._row_numbers, _POSITION.index(name)]
             return values
         return self.dataset.column(name)[self.round_positions]
 
@@ -201,7 +281,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         from datasets import Dataset, DatasetInfo, Features
 
         places = self.round_positions
-        # Of no touches, the first round tells the columns.
+        # Of no touches, the first round has the columns.
         rounds = np.unique(places).tolist() or list(range(min(1, len(self.dataset))))
         if not rounds:
             return Dataset.from_dict({})
@@ -217,11 +297,11 @@ class Touches(LazySequence[Touch], Generic[R]):
         for name, feature in Features.from_arrow_schema(rows[0].group.table.schema).flatten().items():
             features[name] = feature.feature if name in names else feature
         # Its own fingerprint would be that of all bytes.
-        told = repr([self.dataset.identity, rounds, places.tobytes(), self._flat.tobytes()])
+        content = repr([self.dataset.identity, rounds, places.tobytes(), self._row_numbers.tobytes()])
         whole = Dataset(
             pa.concat_tables(parts),
             info=DatasetInfo(features=features),
-            fingerprint=hashlib.sha256(told.encode()).hexdigest()[:16],
+            fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16],
         )
         starts = np.cumsum([0, *map(len, parts)])
         return whole.select(starts[np.searchsorted(rounds, places)] + self.touch_indices)
@@ -240,7 +320,7 @@ class Touches(LazySequence[Touch], Generic[R]):
     @property
     def object_ids(self) -> NDArray[np.int64]:
         """Object of each touch, shape (len,), int64; reads that column only."""
-        return self.dataset.int_column("object_id")[self.round_positions]
+        return self.int_column("object_id")
 
     def heights_m(self, recalibrate_z: bool = True) -> NDArray[np.float64]:
         """Return how high above the plate the gel stopped in each touch, shape (len,), metres.
@@ -265,7 +345,7 @@ class Touches(LazySequence[Touch], Generic[R]):
             known = ~np.isnan(touched_m)
             above_plate = recalibrate_z or rules[position].plate == "known"
             of_round[known] = contact_heights_m(touched_m[known], above_plate, plates_m[row])
-        chosen = heights[self._flat]
+        chosen = heights[self._row_numbers]
         unknown = np.isnan(chosen)
         if unknown.any():
             position, touch = self.locate(int(np.argmax(unknown)))
@@ -307,9 +387,12 @@ class Touches(LazySequence[Touch], Generic[R]):
         InputError
             Something else than whole numbers is given.
         """
-        numbers = {int(each) for each in _listed(wanted, (int, np.integer), "object ids as whole numbers")}
-        known = {int(each) for each in np.unique(self.object_ids)}
-        return self[np.isin(self.object_ids, sorted(numbers & known))]
+        numbers = list(map(plain_number, flattened(wanted)))
+        if not is_whole(*numbers):
+            message = f"{wanted!r} was given; expected object ids as whole numbers"
+            raise InputError(message)
+        ids = self.object_ids
+        return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
 
     def sample(
         self,
@@ -343,7 +426,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         if empties is None:
             return super().sample(len(self) if n is None else n, seed)
         mask = self.in_contact() if contact is None else contact
-        chosen = self._some(with_empties(self, mask, empties, seed))
+        chosen = self._select(with_empties(self, mask, empties, seed))
         return chosen if n is None else super(Touches, chosen).sample(n, seed)
 
     def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
@@ -399,33 +482,28 @@ class Touches(LazySequence[Touch], Generic[R]):
             raise missing_column(record._row, "sensor_image")
         return record.sensor_image
 
-    @property
-    def _flat(self) -> NDArray[np.int64]:
-        return np.arange(len(self)) if self._chosen is None else self._chosen
-
-    def _item(self, position: int) -> Touch:
-        place, touch = self.locate(position)
+    def _stored(self, row: int) -> Touch:
+        place, touch = self._located(row)
         return Touch(self.dataset[place], touch)
-
-    def _some(self, chosen: slice | NDArray[np.int64]) -> Self:
-        wanted = positions(chosen, len(self)) if isinstance(chosen, slice) else chosen
-        return type(self)(self.dataset, wanted if self._chosen is None else self._chosen[wanted])
 
     def _joined(self, other: Self) -> Self:
         if self.dataset is other.dataset:
-            return type(self)(self.dataset, np.concatenate([self._flat, other._flat]))
-        moved = other._flat + self._starts[-1]
-        return type(self)(self.dataset + other.dataset, np.concatenate([self._flat, moved]))
+            return self._view(np.concatenate([self._row_numbers, other._row_numbers]))
+        moved = other._row_numbers + self._starts[-1]
+        return type(self)(self.dataset + other.dataset, np.concatenate([self._row_numbers, moved]))
 
-    def _like(self, item: Any) -> Iterable[int]:
-        if not isinstance(item, Touch):
+    @property
+    def identity(self) -> str:
+        """What distinguishes these touches from all others, also from later ones of the same files."""
+        rounds = hashlib.sha256(self.dataset._row_numbers.tobytes()).hexdigest()
+        return f"{self.dataset.identity} {rounds}"
+
+    def _candidates(self, item: Any) -> Iterable[int]:
+        rounds = list(self.dataset._candidates(item.round)) if isinstance(item, Touch) else []
+        if not rounds:
             return ()
-        rounds = list(self.dataset._like(item.round))
         places = np.isin(self.round_positions, rounds) & (self.touch_indices == item.touch_index)
         return np.flatnonzero(places).tolist()
-
-    def _same_rows(self, other: Self) -> bool:
-        return self.dataset._same_rows(other.dataset) and np.array_equal(self._flat, other._flat)
 
     def _each(self) -> Iterator[tuple[int, Touch]]:
         touches = self.touch_indices.tolist()
@@ -438,7 +516,7 @@ class Touches(LazySequence[Touch], Generic[R]):
 
     def _stored_parts(self) -> StoredParts:
         rounds = self.dataset._stored_parts()
-        if rounds.order is None and self._chosen is None:
+        if rounds.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
             return StoredParts.of(self._starts[rounds.starts])
         turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
         if rounds.order is not None:
@@ -448,12 +526,11 @@ class Touches(LazySequence[Touch], Generic[R]):
         return StoredParts.of(np.searchsorted(turns[order], rounds.starts), order)
 
     def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
-        flat = chosen if self._chosen is None else self._chosen[chosen]
-        return self.dataset._row_groups(np.unique(np.searchsorted(self._starts, flat, side="right") - 1))
+        return self.dataset._row_groups(np.unique(self.round_positions[chosen]))
 
-    def _words(self) -> list[str]:
-        of_rounds, *further = self.dataset._words()
-        return [f"{counted(len(self), 'touches')} of {of_rounds}", *further]
+    def _description(self) -> list[str]:
+        of_rounds, *further = self.dataset._description()
+        return [f"{counted(len(self), self.things)} of {of_rounds}", *further]
 
 
 def with_empties(
@@ -463,19 +540,14 @@ def with_empties(
 
     Raises InputError for a share, a seed or a mask that is none.
     """
-    wanted, number, mask = plain_number(share, float), plain_number(seed), np.asarray(contact)
-    for problem, found, expected in (
-        (not isinstance(wanted, float) or not 0 <= wanted < 1, f"empties is {share!r}", "0 to below 1"),
-        (not is_whole(number) or number < 0, f"the seed is {seed!r}", "a whole number from 0"),
-        (
-            mask.dtype != bool or mask.shape != (len(touches),),
-            f"contact is {mask.dtype} of shape {mask.shape}",
-            f"bool of shape ({len(touches)},)",
-        ),
-    ):
-        if problem:
-            message = f"{found}; expected {expected}"
-            raise InputError(message)
+    wanted, number, mask = plain_number(share, float), whole_number(seed, "the seed"), np.asarray(contact)
+    if not isinstance(wanted, float) or not 0 <= wanted < 1:
+        message = f"empties is {share!r}; expected 0 to below 1"
+        raise InputError(message)
+    if mask.dtype != bool or mask.shape != (len(touches),):
+        found = f"contact is {mask.dtype} of shape {mask.shape}"
+        message = f"{found}; expected bool of shape ({len(touches)},)"
+        raise InputError(message)
     (empty,) = np.nonzero(~mask)
     count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
     if not count:
@@ -503,20 +575,3 @@ def _row_of_each_touch(row: Row, per_touch: Collection[str]) -> Any:
         else:
             columns[name] = array.take(pa.array(np.zeros(count, np.int64)))
     return pa.table({**columns, _INDEX: np.arange(count)})
-
-
-def _listed(wanted: Iterable[Any], types: tuple[type, ...], expected: str) -> list[Any]:
-    """Lay values and sequences of them in one list; InputError where one has another type."""
-    values: list[Any] = []
-    for item in wanted:
-        if isinstance(item, np.ndarray):
-            values += item.reshape(-1).tolist()
-        elif isinstance(item, Iterable) and not isinstance(item, (str, bytes)):
-            values += item
-        else:
-            values.append(item)
-    for value in values:
-        if not isinstance(value, types) or isinstance(value, bool):
-            message = f"{value!r} ({type(value).__name__}) was given; expected {expected}"
-            raise InputError(message)
-    return values

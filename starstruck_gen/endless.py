@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +18,6 @@ from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_id, scene_seed
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.read.columns import RaggedColumn, RowGroup, column_names
-from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.wording import is_whole, plain_number
 
@@ -209,8 +207,3 @@ class SceneDataset(SceneMeshDataset):
         if name in _KNOWN or name not in self._plain_columns:
             return super().column(name)
         return np.array([record._row.value(name) for record in self], np.int64)
-
-    def _view(self, tables: Sequence[ShardedTable], rows: range | NDArray[np.int64]) -> Self:
-        view = type(self).__new__(type(self))
-        RecordDataset.__init__(view, tables, rows, self._label_names)
-        return view

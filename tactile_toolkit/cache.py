@@ -92,13 +92,18 @@ class DiskCache:
     def mark_used(self, path: Path) -> None:
         """Note that a file was used now; one that is gone, or in a read-only folder, is passed over."""
         with contextlib.suppress(OSError):
-            # The other time stays that of the content: it tells whether that was changed.
+            # The other time stays that of the content: it shows whether that was changed.
             os.utime(path, ns=(time.time_ns(), path.stat().st_mtime_ns))
 
     def drop(self, path: Path) -> None:
         """Remove a file, such as a damaged one, where that is possible."""
         with contextlib.suppress(OSError):
             path.unlink(missing_ok=True)
+
+    @property
+    def is_given_up(self) -> bool:
+        """Whether this process could not write into the folder."""
+        return self.path("") in _unwritable
 
     def write(self, name: str, size_bytes: int, fill: Callable[[IO[bytes]], object]) -> bool:
         """Write a file of about that size, making room first; return whether it is there now.
@@ -189,7 +194,7 @@ V = TypeVar("V")
 _MEMORY_CACHES: WeakSet[MemoryCache[Any, Any]] = WeakSet()
 
 
-def _begin_anew() -> None:
+def _clear_after_fork() -> None:
     """Empty all memory caches of a forked process."""
     # A lock that another thread held at the fork never opens again; open files would share their position.
     for cache in list(_MEMORY_CACHES):
@@ -197,7 +202,7 @@ def _begin_anew() -> None:
 
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
-    os.register_at_fork(after_in_child=_begin_anew)
+    os.register_at_fork(after_in_child=_clear_after_fork)
 
 
 class MemoryCache(Generic[K, V]):
@@ -214,19 +219,17 @@ class MemoryCache(Generic[K, V]):
         _MEMORY_CACHES.add(self)
 
     def _begin(self) -> None:
-        self._lock = RLock()
+        self.lock = RLock()
         self._kept: OrderedDict[K, tuple[V, int]] = OrderedDict()
         self._size = 0
 
     @property
     def size(self) -> int:
         """Sum of the sizes of what is kept."""
-        with self._lock:
-            return self._size
+        return self._size
 
     def __len__(self) -> int:
-        with self._lock:
-            return len(self._kept)
+        return len(self._kept)
 
     def get(self, key: K) -> V | None:
         """Return what is kept under a key, or None."""
@@ -243,29 +246,38 @@ class MemoryCache(Generic[K, V]):
 
     def put(self, key: K, value: V) -> None:
         """Keep a value, and let go of those used longest ago while there are too many."""
-        with self._lock:
-            self._drop(key)
+        with self.lock:
+            self.pop(key)
             size = 1 if self._size_of is None else self._size_of(value)
             self._kept[key] = value, size
             self._size += size
             while self._size > self.limit and len(self._kept) > min(self.limit, 1):
-                self._drop(next(iter(self._kept)))
+                self.pop(next(iter(self._kept)))
 
     def get_or_make(self, key: K, make: Callable[[], V]) -> V:
         """Return what is kept under a key, or make it and keep it; of values made at once the first stays."""
         found = self.get(key)
-        if found is not None:
-            return found
-        made = make()  # outside the lock: threads wait for nothing but their own
-        with self._lock:
-            found = self.get(key)
-            if found is None:
-                self.put(key, made)
-            return made if found is None else found
+        if found is None:
+            made = make()  # outside the lock: threads wait for nothing but their own
+            with self.lock:
+                found = self.get(key)
+                if found is None:
+                    self.put(key, made)
+                    found = made
+        return found
 
-    def _drop(self, key: K) -> None:
-        if key in self._kept:
-            self._size -= self._kept.pop(key)[1]
+    def clear(self) -> None:
+        """Let go of all values."""
+        with self.lock:
+            self._kept.clear()
+            self._size = 0
+
+    def pop(self, key: K) -> V | None:
+        """Let go of a value and return it; None where none is kept."""
+        with self.lock:
+            value, size = self._kept.pop(key, (None, 0))
+            self._size -= size
+            return value
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (type(self), (self.limit, self._size_of))

@@ -6,6 +6,8 @@ import numbers
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from tactile_toolkit.errors import InputError
+
 __all__ = [
     "class_name",
     "counted",
@@ -16,6 +18,7 @@ __all__ = [
     "plain",
     "plain_number",
     "plain_pairs",
+    "whole_number",
 ]
 
 _LONGEST_COUNT = 18
@@ -81,7 +84,7 @@ def plain_pairs(values: Any) -> Any:
 
 
 def is_whole(*values: object) -> bool:
-    """Tell whether all values are whole numbers; True and False are not."""
+    """Return whether all values are whole numbers; True and False are not."""
     return all(isinstance(value, int) and not isinstance(value, bool) for value in values)
 
 
@@ -93,3 +96,13 @@ def is_count(text: str) -> bool:
 def listed(text: str) -> list[str]:
     """Read words separated by commas."""
     return [part.strip() for part in text.split(",") if part.strip()]
+
+
+def whole_number(value: object, name: str, least: int = 0, most: int | None = None) -> int:
+    """Return an integer within bounds; InputError, which names it, for anything else."""
+    number = plain_number(value)
+    if not (is_whole(number) and least <= number and (most is None or number <= most)):
+        bounds = f"from {least}" if most is None else f"from {least} to {most:,}"
+        message = f"{name} is {value!r}; expected a whole number {bounds}"
+        raise InputError(message)
+    return int(number)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh.records import SolidRecord
 from tactile_toolkit.mesh.samples import Box, heights_in, surface_points, voxels_in
 from tactile_toolkit.read.dataset import RecordDataset
@@ -16,11 +16,8 @@ from tactile_toolkit.wording import is_whole, plain_number
 if TYPE_CHECKING:
     import torch
 else:
-    try:
+    with needs_extra("a torch data set of solids", "torch", "torch"):
         import torch
-    except ImportError as error:
-        feature = "a torch data set of solids"
-        raise MissingExtraError(feature, "torch", "torch") from error
 
 __all__ = ["FORMS", "TARGETS", "MeshBatch", "MeshItem", "SolidTensors", "collate_meshes"]
 

@@ -1,7 +1,7 @@
-"""Files of unpacked blocks: written once, mapped into memory, checked before any of it is believed.
+"""Blocks of rows that lie unpacked in the cache: one file each, checked, then mapped into memory.
 
-One Arrow stream for each block, then where each lies and its checksum, then the checksum of that. A disk may
-change what it holds, and a file of another program may bear the name of one of ours: neither may be served.
+A file holds an Arrow stream and the checksum of that. A disk may change what it holds, and a file of another
+program may bear the name of one of ours: neither is served.
 """
 
 from __future__ import annotations
@@ -9,36 +9,60 @@ from __future__ import annotations
 import io
 import os
 import struct
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
-from tactile_toolkit.cache import MemoryCache
+from tactile_toolkit.bounds import cache_limit_bytes
+from tactile_toolkit.cache import DiskCache, MemoryCache, cache_folder
+from tactile_toolkit.read.columns import RowGroup
+from tactile_toolkit.run.system import locked
+from tactile_toolkit.store.files import of_the_process
 
-__all__ = ["MappedBlock", "identity_of", "map_block", "write_blocks"]
+__all__ = ["BLOCKS", "Key", "can_keep", "is_kept", "keep", "locked_file", "map_block", "mapped", "stat_key"]
 
-_MARK = b"TTBLOCK1"
-_BLOCK = struct.Struct("<QQQ")  # start, size in bytes, checksum
-_END = struct.Struct("<QQ8s")  # number of blocks, checksum of what lies where, mark
-_ALIGNMENT = 64  # what Arrow recommends for its buffers
+Key = tuple[str, int, int]
+"""Digest of what identifies the file, row group, and number of the block in it."""
 
-# Blocks that this process has checked, by file and number, with what the file was then.
-_checked: MemoryCache[tuple[str, int], tuple[int, ...]] = MemoryCache(1 << 16)
+_END = struct.Struct("<Q8s")  # checksum, mark
+_MARK = b"TTBLOCK2"
 
-# Schemas by their stored bytes: blocks share them, for to parse one takes longer than to map a block.
-_schemas: MemoryCache[bytes, Any] = MemoryCache(64)
+_HELD_BYTES = 4 << 30
+_LEAST_BYTES = 1 << 20
+_IN_MEMORY = 8
+
+
+def _held_bytes(group: RowGroup) -> int:
+    return max(_LEAST_BYTES, group.mapped_bytes or _IN_MEMORY * int(group.table.nbytes))
+
+
+BLOCKS: MemoryCache[Key, RowGroup] = MemoryCache(_HELD_BYTES, _held_bytes)
+"""The blocks that this process has open: 4 GiB of maps, which the system drops from memory where it needs
+room, or 4,096 of them, as a process may have 65,530 maps; or 512 MiB where the cache cannot be written."""
+
+_UNPACKED = DiskCache(
+    "blocks",
+    32 << 30,
+    durable=False,  # its blocks have checksums: what a power cut leaves is noticed, and unpacked again
+    warning="row groups cannot be kept unpacked, {problem}; what was used last stays in the memory of this "
+    "process, all else is decoded again",
+)
+
+# Blocks that this process has checked, with what the file was then.
+_checked: MemoryCache[str, tuple[int, ...]] = MemoryCache(1 << 16)
 
 
 class _Checksummed(io.RawIOBase):
     """A stream that is written to, with the checksum of what was."""
 
-    def __init__(self, write: Callable[[Any], int]) -> None:
+    def __init__(self, write: Callable[[Any], int], seed: int) -> None:
         import xxhash
 
         super().__init__()
         self._write = write
         # Against accidents, not against forgers: 10.9 GB/s here, where CRC-32 makes 3.1 and SHA-256 1.4.
-        self.digest = xxhash.xxh3_64()
+        self.digest = xxhash.xxh3_64(seed=seed)
 
     def writable(self) -> bool:
         return True
@@ -48,96 +72,114 @@ class _Checksummed(io.RawIOBase):
         return self._write(data)
 
 
-class MappedBlock(NamedTuple):
-    """A block as a table, and how many bytes of its file it is."""
-
-    table: Any
-    size_bytes: int
-
-
-def write_blocks(stream: IO[bytes], file_name: str, schema: Any, tables: Iterable[Any]) -> None:
-    """Write tables of one schema, each of one chunk per column, as the blocks of a file of that name."""
-    import pyarrow as pa
-
-    entries = b""
-    for table in tables:
-        start, block = stream.tell(), _Checksummed(stream.write)
-        with pa.ipc.new_stream(block, schema) as writer:
-            writer.write_table(table)
-        size = stream.tell() - start
-        entries += _BLOCK.pack(start, size, block.digest.intdigest())
-        stream.write(bytes(-size % _ALIGNMENT))
-    stream.write(entries)
-    stream.write(_END.pack(len(entries) // _BLOCK.size, _list_checksum(file_name, entries), _MARK))
-
-
-def _list_checksum(file_name: str, entries: bytes) -> int:
+def _seed(file_name: str) -> int:
+    """Return a number for a name: the checksum of a file that was renamed is another."""
     import xxhash
 
-    return xxhash.xxh3_64_intdigest(file_name.encode() + b"\0" + entries)
+    return int(xxhash.xxh3_64_intdigest(file_name.encode()))
 
 
-def map_block(path: Path, number: int) -> MappedBlock:
-    """Map a block into memory as a table, without a copy; its checksum is compared once in each process.
+def _file(key: Key) -> Path:
+    return _UNPACKED.path("{}-{:05d}-{:05d}.arrow".format(*key))
 
-    Nothing is mapped of a file that was cut: what lies behind its end would end the process. No file of
-    blocks is ever written again or cut by the toolkit, only made under another name and removed, which leaves
-    maps valid. A file that another program cuts while it is mapped is not noticed.
 
-    Raises OSError; ValueError when the file is not intact, is of another program or another name, or has
-    fewer blocks.
+def is_kept(key: Key) -> bool:
+    """Return whether a block lies in the cache, and note that it is used."""
+    file = _file(key)
+    if not file.exists():
+        return False
+    _UNPACKED.mark_used(file)
+    return True
+
+
+def can_keep() -> bool:
+    """Return whether blocks can be written into the cache, as far as is known."""
+    return not _UNPACKED.is_given_up
+
+
+def keep(key: Key, table: Any) -> bool:
+    """Write a block into the cache; return whether it is there now."""
+    file = _file(key)
+
+    def fill(stream: IO[bytes]) -> None:
+        write_block(stream, file.name, table)
+
+    # Each time: a notebook may set the variable at any time.
+    _UNPACKED.limit_bytes = cache_limit_bytes()
+    return file.exists() or _UNPACKED.write(file.name, int(table.nbytes), fill)
+
+
+def write_block(stream: IO[bytes], file_name: str, table: Any) -> None:
+    """Write a table, of one chunk per column, as the content of a file of that name."""
+    import pyarrow as pa
+
+    block = _Checksummed(stream.write, _seed(file_name))
+    with pa.ipc.new_stream(block, table.schema) as writer:
+        writer.write_table(table)
+    stream.write(_END.pack(block.digest.intdigest(), _MARK))
+
+
+def mapped(key: Key) -> tuple[Any, int] | None:
+    """Map a block of the cache as :func:`map_block`; None when it is not there, or damaged: then it goes."""
+    file = _file(key)
+    try:
+        found = map_block(file)
+    except FileNotFoundError:
+        return None
+    except (ValueError, OSError) as error:
+        if of_the_process(error) is None:
+            _UNPACKED.drop(file)
+        return None
+    _UNPACKED.mark_used(file)
+    return found
+
+
+def map_block(path: Path) -> tuple[Any, int]:
+    """Map a block into memory, without a copy; its checksum is compared once in each process.
+
+    Returns the table and how many bytes are mapped. Nothing is mapped of a file that was cut: what lies
+    behind its end would end the process. The toolkit makes such files under another name and removes them,
+    which leaves maps valid, and never changes one. A file that another program cuts while it is mapped is
+    not noticed.
+
+    Raises OSError; ValueError when the file is not intact, or is of another program or another name.
     """
     import pyarrow as pa
     import xxhash
 
     with path.open("rb", buffering=0) as stream:
         # Asked first: what takes the place of the file from here on is not what was checked.
-        identity = identity_of(facts := os.fstat(stream.fileno()))
-        end = facts.st_size - _END.size
-        stream.seek(max(end, 0))
-        tail = stream.read()
-        count, checksum, mark = _END.unpack(tail) if len(tail) == _END.size else (0, 0, b"")
-        entries_start = end - count * _BLOCK.size
-        if mark != _MARK or entries_start < 0:
-            message = f"{facts.st_size:,} bytes that are not a file of blocks"
-            raise ValueError(message)
-        stream.seek(entries_start)
-        entries = stream.read(end - entries_start)
-    if _list_checksum(path.name, entries) != checksum or number >= count:
-        message = f"the list of {count} blocks is damaged or of another file, or lacks block {number}"
-        raise ValueError(message)
-    start, size, checksum = _BLOCK.unpack_from(entries, number * _BLOCK.size)
+        facts = os.fstat(stream.fileno())
+        size = facts.st_size - _END.size
+        stream.seek(max(size, 0))
+        end = stream.read()
+    checksum, mark = _END.unpack(end) if len(end) == _END.size else (0, b"")
     # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
-    mapped = pa.memory_map(str(path)).read_buffer()
-    content = memoryview(mapped)
-    if len(content) != facts.st_size:
-        message = f"{len(content):,} bytes where {facts.st_size:,} were a moment ago"
+    stored = pa.memory_map(str(path)).read_buffer() if mark == _MARK else None
+    if stored is None or len(stored) != facts.st_size:
+        message = f"{facts.st_size:,} bytes that are not a block"
         raise ValueError(message)
-    checked = (str(path), number)
-    if _checked.get(checked) != identity:
-        if xxhash.xxh3_64_intdigest(content[start : start + size]) != checksum:
-            message = f"block {number} does not match its checksum"
+    content = stored.slice(0, size)
+    if _checked.get(str(path)) != stat_key(facts):
+        if xxhash.xxh3_64_intdigest(content, seed=_seed(path.name)) != checksum:
+            message = "the block does not match its checksum"
             raise ValueError(message)
-        _checked.put(checked, identity)
-    return MappedBlock(_table(mapped.slice(start, size)), size)
+        _checked.put(str(path), stat_key(facts))
+    return pa.Table.from_batches([pa.ipc.open_stream(content).read_next_batch()]), size
 
 
-def _table(block: Any) -> Any:
-    """Read the stream of a block: the message of its schema, then that of its rows."""
-    import pyarrow as pa
-
-    reader = pa.BufferReader(block)
-    head = pa.ipc.read_message(reader)
-    stored = head.metadata.to_pybytes()
-    schema = _schemas.get_or_make(stored, lambda: pa.ipc.read_schema(head))
-    rows = pa.ipc.read_message(reader)
-    if rows.type == "record batch":
-        batch = pa.ipc.read_record_batch(rows, schema)
-    else:  # dictionaries, as pandas stores categories
-        batch = pa.ipc.open_stream(block).read_next_batch()
-    return pa.Table.from_batches([batch])
-
-
-def identity_of(facts: os.stat_result) -> tuple[int, ...]:
-    """Return what tells a file from one that took its place, or from itself with other content."""
+def stat_key(facts: os.stat_result) -> tuple[int, int, int, int]:
+    """Return what distinguishes a file from one that took its place, or from itself with other content."""
     return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
+
+
+@contextmanager
+def locked_file(digest: str) -> Iterator[None]:
+    """Hold the lock of the row groups of a file, for all processes; without locks no process waits."""
+    folder = cache_folder() / "locks"
+    with ExitStack() as stack:
+        with suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            # 256 files for all: one each would stay in the cache for good.
+            stack.enter_context(locked(folder / digest[:2]))
+        yield

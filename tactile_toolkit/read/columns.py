@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import operator
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,7 +31,7 @@ __all__ = [
 ]
 
 
-_DTYPES = {"float": "f4", "double": "f8", "int32": "i4", "int64": "i8", "uint32": "u4", "uint64": "u8"}
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,44 +60,33 @@ def ragged_column(array: Any) -> RaggedColumn:
     """
     import pyarrow as pa
 
-    _refuse_nulls(array)
-    offsets = _numbers(array.offsets)
-    first, last = (int(offsets[0]), int(offsets[-1])) if len(offsets) else (0, 0)
-    # A slice keeps the values of all rows, and offsets that begin in the middle of them.
-    inner = array.values.slice(first, last - first)
-    _refuse_nulls(inner)
+    # A slice keeps the values of all rows; flattened, it has its own.
+    inner = array.flatten()
+    flat = inner.flatten()
+    nulls = array.null_count + inner.null_count + flat.null_count
+    if nulls:
+        message = f"{nulls} null values where every row needs one"
+        raise ValueError(message)
     if pa.types.is_fixed_size_list(inner.type):
         width = inner.type.list_size
-        flat = inner.values.slice(inner.offset * width, len(inner) * width)
     else:
-        flat = inner.flatten()
-        widths = np.diff(_numbers(inner.offsets))
-        # Without a row nothing tells the width; that of corners and triangles does no harm.
-        width = int(widths[0]) if len(widths) else 3
-        if len(widths) and (widths != width).any():
-            message = f"inner lists of {width} and {int(widths[widths != width][0])} values in one column"
+        widths = np.unique(np.diff(_numbers(inner.offsets)))
+        if len(widths) > 1:
+            message = f"inner lists of {widths[0]} and {widths[1]} values in one column"
             raise ValueError(message)
-    _refuse_nulls(flat)
-    values = _numbers(flat)
-    return RaggedColumn(values.reshape(-1, width), offsets - first if first else offsets)
+        # Without a row the width is unknown; that of corners and triangles does no harm.
+        width = int(widths[0]) if len(widths) else 3
+    offsets = _numbers(array.offsets)
+    if len(offsets) and offsets[0]:
+        offsets = offsets - offsets[0]
+    values = _numbers(flat).reshape(-1, width)
+    values.setflags(write=False)
+    return RaggedColumn(values, offsets)
 
 
 def _numbers(array: Any) -> NDArray[Any]:
-    """View numbers without nulls as numpy; Arrow's own way imports pandas, which takes half a second."""
-    dtype = _DTYPES.get(str(array.type))
-    data = array.buffers()[1]
-    if dtype is None or data is None:
-        values: NDArray[Any] = array.to_numpy(zero_copy_only=True)
-        return values
-    values = np.frombuffer(data, dtype, len(array), array.offset * np.dtype(dtype).itemsize)
-    values.setflags(write=False)
-    return values
-
-
-def _refuse_nulls(array: Any) -> None:
-    if array.null_count:
-        message = f"{array.null_count} null values where every row needs one"
-        raise ValueError(message)
+    """View numbers without nulls as numpy; Arrow's ``to_numpy`` imports pandas, which takes half a second."""
+    return np.from_dlpack(array)
 
 
 def vectors_type(value_type: Any, width: int = 3) -> Any:
@@ -129,7 +117,7 @@ def list_array(rows: Sequence[NDArray[Any]], value_type: Any) -> Any:
 class BytesColumn:
     """Byte strings one after another in Arrow's memory: string i is ``data[offsets[i]:offsets[i + 1]]``.
 
-    ``present`` tells which of them are stored at all; None when all are.
+    ``present`` states which of them are stored at all; None when all are.
     """
 
     data: memoryview
@@ -236,26 +224,24 @@ def column_names(schema: Any) -> tuple[str, ...]:
 
 
 def same_values(one: Any, other: Any) -> bool:
-    """Tell whether two Arrow arrays hold the same values of the same type; a NaN is the same as that NaN."""
+    """Return whether two Arrow arrays hold the same values of the same type; a NaN equals that same NaN."""
     import pyarrow as pa
 
     if one.type != other.type or len(one) != len(other):
         return False
     if one.equals(other):
         return True
-    if one.null_count != other.null_count or not one.is_valid().equals(other.is_valid()):
+    if not one.is_valid().equals(other.is_valid()):
         return False
     if pa.types.is_floating(one.type):
         # To Arrow a NaN equals nothing; bits equal themselves.
-        bits = {16: pa.int16(), 32: pa.int32(), 64: pa.int64()}[one.type.bit_width]
+        bits = f"int{one.type.bit_width}"
         return bool(one.view(bits).equals(other.view(bits)))
     if pa.types.is_struct(one.type):
         return all(map(same_values, one.flatten(), other.flatten()))
-    if list_depth(one.type)[0]:
-        return bool(
-            one.value_lengths().equals(other.value_lengths()) and same_values(one.flatten(), other.flatten())
-        )
-    return False
+    if not list_depth(one.type)[0]:
+        return False
+    return one.value_lengths().equals(other.value_lengths()) and same_values(one.flatten(), other.flatten())
 
 
 def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
@@ -266,57 +252,42 @@ def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
     """
     group = RowGroup(table)
     found: dict[int, str] = {}
-    for name in names:
-        if name not in group.names:
-            continue
-        for part, rows in _nulls(group.arrow(name), name):
-            for row in np.flatnonzero(rows).tolist():
+    for name in filter(group.names.__contains__, names):
+        array = group.arrow(name)
+        for row in range(len(array)) if _first_null(array, name) else ():
+            part = _first_null(array.slice(row, 1), name)
+            if part:
                 found.setdefault(row, part)
     return found
 
 
-def _nulls(array: Any, name: str) -> list[tuple[str, NDArray[np.bool_]]]:
-    """Return fields with the rows in which they are null; fields without any are left out."""
+def _first_null(array: Any, name: str) -> str:
+    """Return the first field in or below a column in which a value is null; "" where none is."""
     import pyarrow as pa
-    import pyarrow.compute as pc
 
-    found = [(name, array.is_null().to_numpy(zero_copy_only=False))] if array.null_count else []
+    if array.null_count:
+        return name
     if pa.types.is_struct(array.type):
-        for index, child in enumerate(array.flatten()):
-            found += _nulls(child, f"{name}.{array.type.field(index).name}")
-    elif list_depth(array.type)[0]:
-        inner = _nulls(array.flatten(), name)
-        parents = pc.list_parent_indices(array).to_numpy(zero_copy_only=False) if inner else np.zeros(0, int)
-        for part, entries in inner:
-            rows = np.zeros(len(array), dtype=bool)
-            rows[parents[entries]] = True
-            found.append((part, rows))
-    return found
+        fields = zip(array.type, array.flatten(), strict=True)
+        return next(filter(None, (_first_null(child, f"{name}.{field.name}") for field, child in fields)), "")
+    return _first_null(array.flatten(), name) if list_depth(array.type)[0] else ""
 
 
 def plain_schema(schema: Any) -> Any:
     """Return a schema whose extension types, at any depth, are those that they are stored as."""
     import pyarrow as pa
 
-    fields = list(schema)
-    plain = _plain_fields(fields)
-    return schema if plain is fields else pa.schema(plain, schema.metadata)
+    return pa.schema(_plain_fields(schema), schema.metadata)
 
 
 def plain_table(table: Any) -> Any:
     """Return a table whose columns have the types of :func:`plain_schema`; no value is copied."""
-    stored = table.schema
-    schema = plain_schema(stored)
-    return table if schema is stored else table.cast(schema)
+    schema = plain_schema(table.schema)
+    return table if schema == table.schema else table.cast(schema)
 
 
-def _plain_fields(fields: list[Any]) -> list[Any]:
-    """Return fields with plain types; the list itself where all are plain already, as nearly always."""
-    types = [each.type for each in fields]
-    plain = [_plain_type(each) for each in types]
-    if all(map(operator.is_, types, plain)):
-        return fields
-    return [each.with_type(data_type) for each, data_type in zip(fields, plain, strict=True)]
+def _plain_fields(fields: Iterable[Any]) -> list[Any]:
+    return [each.with_type(_plain_type(each.type)) for each in fields]
 
 
 def _plain_type(data_type: Any) -> Any:
@@ -324,19 +295,13 @@ def _plain_type(data_type: Any) -> Any:
 
     if isinstance(data_type, pa.BaseExtensionType):
         return _plain_type(data_type.storage_type)
-    if not data_type.num_fields:
-        return data_type
-    inner = [data_type.field(index) for index in range(data_type.num_fields)]
-    plain = _plain_fields(inner)
-    if plain is inner:
-        return data_type
     if pa.types.is_struct(data_type):
-        return pa.struct(plain)
+        return pa.struct(_plain_fields(data_type))
     if pa.types.is_fixed_size_list(data_type):
-        return pa.list_(plain[0], data_type.list_size)
+        return pa.list_(*_plain_fields([data_type.value_field]), data_type.list_size)
     if pa.types.is_large_list(data_type):
-        return pa.large_list(plain[0])
-    return pa.list_(plain[0]) if pa.types.is_list(data_type) else data_type
+        return pa.large_list(*_plain_fields([data_type.value_field]))
+    return pa.list_(*_plain_fields([data_type.value_field])) if pa.types.is_list(data_type) else data_type
 
 
 @dataclass(frozen=True, eq=False)
@@ -352,29 +317,27 @@ class RowGroup:
     path: str = ""
     first_row: int = 0
     mapped_bytes: int = 0
-    _ragged: dict[str, RaggedColumn] = field(default_factory=dict, repr=False)
-    _flat: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    _nested: dict[str, NestedColumn] = field(default_factory=dict, repr=False)
-    _views: dict[str, Any] = field(default_factory=dict, repr=False)
+    _views: dict[Any, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Columns by dotted name."""
         return column_names(self.table.schema)
 
-    def once(self, key: str, build: Callable[[], Any]) -> Any:
+    def once(self, key: Any, build: Callable[[], T]) -> T:
         """Build a view of the rows on its first use and keep it with them."""
         view = self._views.get(key)
-        return self._views.setdefault(key, build()) if view is None else view
+        # Of two threads that build a view at once, both get that of the first.
+        found: T = self._views.setdefault(key, build()) if view is None else view
+        return found
 
     def ragged(self, name: str) -> RaggedColumn:
         """Return a column of arrays of shape (n_i, width), by dotted name; IntegrityError for a null."""
-        # setdefault, here and below: of two threads that build a view at once, both get that of the first.
-        column = self._ragged.get(name)
-        if column is not None:
-            return column
+        view: RaggedColumn | None = self._views.get(("ragged", name))
+        if view is not None:
+            return view
         try:
-            return self._ragged.setdefault(name, ragged_column(self.arrow(name)))
+            return self.once(("ragged", name), lambda: ragged_column(self.arrow(name)))
         except ValueError as error:
             row = min(null_fields(self.table, [name]), default=None)
             raise self.damaged(name, row, f"{error}" if row is None else "no value is stored") from error
@@ -382,22 +345,21 @@ class RowGroup:
     def damaged(self, name: str, row: int | None, problem: str) -> IntegrityError:
         """Return the error for a field of a row of these, or of any of them, that cannot be used."""
         where = "" if row is None else f", row {self.first_row + row}"
-        return IntegrityError(
-            f"{self.path!r}{where}, field {name!r}: {problem}; expected a value in every row; next: run "
-            "`verify` on the data set, then generate or download it again"
-        )
+        found = f"{where}, field {name!r}: {problem}; expected a value in every row"
+        return IntegrityError.in_file(self.path, found)
 
     def nested(self, name: str) -> NestedColumn:
         """Return a column of nested lists, by dotted name."""
-        column = self._nested.get(name)
-        return self._nested.setdefault(name, _nested_column(self.arrow(name))) if column is None else column
+        return self.once(("nested", name), lambda: _nested_column(self.arrow(name)))
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return a column of plain values as a numpy array."""
-        column = self._flat.get(name)
-        if column is None:
-            column = self._flat.setdefault(name, self.arrow(name).to_numpy(zero_copy_only=False))
-        return column
+        key = "flat", name
+        view = self._views.get(key)
+        if view is None:
+            view = self.once(key, lambda: self.arrow(name).to_numpy(zero_copy_only=False))
+        found: NDArray[Any] = view
+        return found
 
     def arrow(self, name: str) -> Any:
         """Return a column as an Arrow array, by dotted name, whether stored flat or as a struct's field.
@@ -406,23 +368,18 @@ class RowGroup:
         """
         import pyarrow as pa
 
-        outer, *inner = _split_name(name, self.table.column_names)
-        column = self.table.column(outer)
+        stored, fields = name, list[str]()
+        while stored not in self.table.column_names:  # a stored name may hold dots itself
+            stored, _, last = stored.rpartition(".")
+            fields.insert(0, last)
+            if not stored:
+                raise KeyError(name)
+        column = self.table.column(stored)
         array = column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
-        for part in inner:
+        for part in fields:
             index = array.type.get_field_index(part) if pa.types.is_struct(array.type) else -1
             if index < 0:
                 raise KeyError(name)
             # Not field(): that passes over the nulls of the struct itself.
             array = array.flatten()[index]
         return array
-
-
-def _split_name(name: str, columns: Sequence[str]) -> list[str]:
-    """Split ``a.b.c`` into the stored column, which may hold dots itself, and the fields inside it."""
-    parts = name.split(".")
-    for count in range(len(parts), 0, -1):
-        outer = ".".join(parts[:count])
-        if outer in columns:
-            return [outer, *parts[count:]]
-    raise KeyError(name)

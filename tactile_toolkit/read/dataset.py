@@ -23,43 +23,14 @@ _LARGEST = np.iinfo(np.int64).max
 _MADE_TOGETHER = 4096  # rows that lie in no shard, because each is made when it is asked for
 
 
-def _int_column(tables: Sequence[ShardedTable], name: str, rows: Any) -> NDArray[np.int64]:
-    """Read chosen rows (slice or ints, through all tables) of one column of integers; KeyError without it.
-
-    Raises IntegrityError when a value of these rows is missing or does not fit into 64 bits.
-    """
-    # With each value, kept with the table: whether it is unusable. What other rows hold does not matter.
-    parts = [table.per_array(f"ints of {name}", name, _ints) for table in tables]
-    pairs = np.concatenate([part.reshape(-1, 2) for part in parts] or [np.zeros((0, 2), np.int64)])
-    chosen = pairs[rows]
-    if not chosen[:, 1].any():
-        return np.ascontiguousarray(chosen[:, 0], np.int64)
-    row = int(np.arange(len(pairs))[rows][np.argmax(chosen[:, 1])])
-    for shard in (shard for table in tables for shard in table.shards):
-        if row < len(shard):
-            break
-        row -= len(shard)
-    value = shard.column(name)[row].as_py()
-    found = "no value is stored" if value is None else f"the value is {value}"
-    message = (
-        f"{shard.path!r}, row {row}, field {name!r}: {found}; expected a whole number below 2**63; "
-        "next: run `verify` on the data set, then generate or download it again"
-    )
-    raise IntegrityError(message)
-
-
 def _ints(array: Any) -> NDArray[np.int64]:
     """Return each value of an Arrow array, and whether it is unusable; shape (rows, 2)."""
     unusable = array.is_null().to_numpy(zero_copy_only=False)
     # Filled first: numpy has no null, and would make all of the column floats, which round large ids.
     values = array.fill_null(0).to_numpy(zero_copy_only=False)
-    if values.dtype.kind == "u":
-        unusable = unusable | (values > _LARGEST)
-    elif values.dtype.kind == "f":
-        # Not ">=": a NaN is neither.
-        unusable = unusable | ~(np.abs(values) < float(_LARGEST))
-        values = np.where(unusable, 0, values)
-    return np.column_stack([values.astype(np.int64), unusable])
+    is_float = values.dtype.kind == "f"  # "~": of a NaN, no comparison is true
+    unusable = unusable | (~(np.abs(values) < float(_LARGEST)) if is_float else values > _LARGEST)
+    return np.column_stack([np.where(unusable, 0, values).astype(np.int64), unusable])
 
 
 T = TypeVar("T")
@@ -96,7 +67,7 @@ class Row:
         return value
 
     def has(self, name: str) -> bool:
-        """Tell whether the data set has a column."""
+        """Return whether the data set has a column."""
         return name in self.group.names
 
     @property
@@ -110,7 +81,7 @@ class Row:
         return self.group.first_row + self.index
 
     def equals(self, other: Row) -> bool:
-        """Tell whether two rows have the same columns and values, wherever they are stored."""
+        """Return whether two rows have the same columns and values, wherever they are stored."""
         if self.group is other.group and self.index == other.index:
             return True
         names = self.group.names
@@ -160,7 +131,7 @@ class Record:
         return (type(self), (self._row,))
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether the other is a record of the same kind with the same stored values."""
+        """Return whether the other is a record of the same kind with the same stored values."""
         if not isinstance(other, Record) or type(other) is not type(self):
             return NotImplemented
         return self._row.equals(other._row)
@@ -204,8 +175,6 @@ class RecordDataset(LazySequence[T]):
     """
 
     record_class: ClassVar[Any] = Record
-    things: ClassVar[str] = "rows"
-    """What the rows are called."""
 
     def __init__(
         self,
@@ -224,17 +193,6 @@ class RecordDataset(LazySequence[T]):
         return self._label_names
 
     @property
-    def labels(self) -> NDArray[np.int64]:
-        """Label of each row, shape (len,), int64; reads the label column only.
-
-        Raises
-        ------
-        IntegrityError
-            As :meth:`int_column`.
-        """
-        return self.int_column("label")
-
-    @property
     def ids(self) -> NDArray[Any]:
         """Id of each row, shape (len,); reads the id column only."""
         return self.column("id")
@@ -245,18 +203,24 @@ class RecordDataset(LazySequence[T]):
         return tuple(self._types)
 
     @property
+    def _types(self) -> dict[str, Any]:
+        """Arrow type of each column that all parts store alike, by dotted name; structs are left out."""
+        import pyarrow as pa
+
+        schemas = [table.schema for table in self._tables if table.schema is not None]
+        found, *others = [column_types(schema) for schema in schemas] or [{}]
+        return {
+            name: each
+            for name, each in found.items()
+            if not pa.types.is_struct(each) and all(other.get(name) == each for other in others)
+        }
+
+    @property
     def _plain_columns(self) -> tuple[str, ...]:
         import pyarrow as pa
 
-        return tuple(
-            [
-                name
-                for name, each in self._types.items()
-                if not (
-                    pa.types.is_nested(each) or pa.types.is_binary(each) or pa.types.is_large_binary(each)
-                )
-            ]
-        )
+        large = (pa.types.is_nested, pa.types.is_binary, pa.types.is_large_binary)
+        return tuple(name for name, each in self._types.items() if not any(test(each) for test in large))
 
     def to_hf(self) -> Any:
         """Return the rows as a data set of the library `datasets`, with their features.
@@ -278,35 +242,30 @@ class RecordDataset(LazySequence[T]):
         import pyarrow as pa
         from datasets import Dataset
 
-        starts: dict[tuple[int, str, int], int] = {}
+        starts: dict[tuple[str, int], int] = {}
         parts: list[Any] = []
         total = 0
-        numbers = np.asarray(self._rows, np.int64)
-        owners = np.searchsorted(self._starts, numbers, side="right") - 1
-        places = np.empty(len(numbers), np.int64)
-        for position, (owner, row) in enumerate(zip(owners.tolist(), numbers.tolist(), strict=True)):
-            group, index = self._tables[owner].locate(row - int(self._starts[owner]))
-            key = (owner, group.path, group.first_row)
+        places = np.empty(len(self), np.int64)
+        for position, number in enumerate(self._rows):
+            row = self._row(int(number))
+            key = (row.path, row.group.first_row)
             if key not in starts:
                 starts[key] = total
-                parts.append(group.table)
-                total += len(group.table)
-            places[position] = starts[key] + index
-        schemas = [part.schema for part in parts]
-        schemas = schemas or [table.schema for table in self._tables if table.schema is not None][:1]
-        parts = parts or [schema.empty_table() for schema in schemas]
+                parts.append(row.group.table)
+                total += len(row.group.table)
+            places[position] = starts[key] + row.index
+        parts = (
+            parts or [table.schema.empty_table() for table in self._tables if table.schema is not None][:1]
+        )
         if not parts:
             return Dataset.from_dict({})
-        names = [
-            each.name
-            for each in schemas[0]
-            if all(each.name in other.names and other.field(each.name).type == each.type for other in schemas)
-        ]
+        shared = set.intersection(*({(each.name, each.type) for each in part.schema} for part in parts))
+        names = [each.name for each in parts[0].schema if (each.name, each.type) in shared]
         table = pa.concat_tables([part.select(names) for part in parts])
         # Its own fingerprint would be that of all bytes.
         content = repr([names, list(starts), self.identity])
-        whole = Dataset(table, fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16])
-        return whole if np.array_equal(places, np.arange(total)) else whole.select(places)
+        stored = Dataset(table, fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16])
+        return stored if np.array_equal(places, np.arange(total)) else stored.select(places)
 
     def column(self, name: str) -> NDArray[Any]:
         """Read one plain column, shape (len,), without touching any other.
@@ -316,13 +275,7 @@ class RecordDataset(LazySequence[T]):
         InputError
             When the data set has no such column.
         """
-        try:
-            parts = [table.column(name) for table in self._tables]
-        except (KeyError, IndexError) as error:
-            message = f"no column {name!r} in this data set"
-            raise InputError(message) from error
-        joined = parts[0] if len(parts) == 1 else np.concatenate(parts) if parts else np.zeros(0)
-        return joined[self._selection]
+        return self._chosen(name, lambda table: table.column(name))
 
     def int_column(self, name: str) -> NDArray[np.int64]:
         """Read one column of whole numbers, shape (len,), int64, without touching any other.
@@ -334,117 +287,97 @@ class RecordDataset(LazySequence[T]):
         IntegrityError
             A value is missing or does not fit into 64 bits; names file and row.
         """
+        # What rows that are not chosen hold does not matter.
+        pairs = self._chosen(name, lambda table: table.per_array(f"ints of {name}", name, _ints))
+        values, unusable = pairs.reshape(-1, 2).T
+        if unusable.any():
+            row = self._row(int(self._rows[int(np.argmax(unusable))]))
+            value = row.group.arrow(name)[row.index].as_py()
+            found = "no value is stored" if value is None else f"the value is {value}"
+            expected = "expected a whole number below 2**63"
+            raise IntegrityError.in_file(row.path, f", row {row.number}, field {name!r}: {found}; {expected}")
+        return np.ascontiguousarray(values, np.int64)
+
+    def _chosen(self, name: str, read: Callable[[ShardedTable], NDArray[Any]]) -> NDArray[Any]:
+        """Return what is read of a column of all tables, of the rows of this view."""
         try:
-            return _int_column(self._tables, name, self._selection)
-        except KeyError as error:
+            parts = [read(table) for table in self._tables]
+        except (KeyError, IndexError) as error:
             message = f"no column {name!r} in this data set"
             raise InputError(message) from error
+        rows = self._rows
+        if isinstance(rows, range):
+            # One that runs down to row 0 stops at -1, which to a slice is the last row.
+            return _joined(parts)[rows.start : rows.stop if rows.stop >= 0 else None : rows.step]
+        return _joined(parts)[rows]
 
     @property
     def identity(self) -> str:
-        """What tells the stored rows that this is a view of from all others, also from later ones there."""
+        """What distinguishes the stored rows that this is a view of from all others, later ones there too."""
         return "+".join(table.identity for table in self._tables)
 
-    @property
-    def _selection(self) -> slice | NDArray[np.int64]:
-        rows = self._rows
-        if isinstance(rows, np.ndarray):
-            return rows
-        # A range that runs down to row 0 stops at -1, which to a slice is the last row.
-        return slice(rows.start, rows.stop if rows.stop >= 0 else None, rows.step)
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def _item(self, position: int) -> T:
-        length = len(self._rows)
-        if not -length <= position < length:
-            message = f"index {position} is out of range for {length} rows"
-            raise IndexError(message)
-        row = int(self._rows[position])
+    def _row(self, number: int) -> Row:
+        """Return a row by its number among those that are stored."""
         if len(self._tables) == 1:
-            return self._make(Row(*self._tables[0].locate(row)))
-        part = int(np.searchsorted(self._starts, row, side="right")) - 1
-        return self._make(Row(*self._tables[part].locate(row - int(self._starts[part]))))
+            return Row(*self._tables[0].locate(number))
+        part = int(np.searchsorted(self._starts, number, side="right")) - 1
+        return Row(*self._tables[part].locate(number - int(self._starts[part])))
 
-    def _make(self, row: Row) -> T:
-        record: T = type(self).record_class(row)
+    def _stored(self, row: int) -> T:
+        record: T = self.record_class(self._row(row))
         return record
-
-    def _view(self, tables: Sequence[ShardedTable], rows: range | NDArray[np.int64]) -> Self:
-        return type(self)(tables, rows, self._label_names)
-
-    def _some(self, chosen: slice | NDArray[np.int64]) -> Self:
-        if isinstance(chosen, slice):
-            return self._view(self._tables, self._rows[chosen])
-        return self._view(self._tables, np.asarray(self._rows, np.int64)[chosen])
 
     def _joined(self, other: Self) -> Self:
         offset = int(self._starts[-1])
-        rows = np.concatenate([np.asarray(self._rows, np.int64), np.asarray(other._rows, np.int64) + offset])
-        return self._view((*self._tables, *other._tables), rows)
+        joined = self._view(np.concatenate([self._row_numbers, other._row_numbers + offset]))
+        joined._tables = (*self._tables, *other._tables)
+        joined._starts = np.concatenate([self._starts, other._starts[1:] + offset])
+        return joined
 
-    def _like(self, item: Any) -> Iterable[int]:
-        if type(item) is not type(self).record_class:
+    def _candidates(self, item: Any) -> Iterable[int]:
+        if type(item) is not self.record_class:
             return ()
         if "id" not in self._plain_columns or not item._row.has("id"):
             return range(len(self))
         places: list[int] = np.flatnonzero(self.ids == item._row.value("id")).tolist()
         return places
 
-    def _same_rows(self, other: Self) -> bool:
-        return self is other or (self.identity == other.identity and np.array_equal(self._rows, other._rows))
-
     @property
     def _shard_starts(self) -> NDArray[np.int64]:
         """Where each shard begins in the joined numbering, and the end."""
-        starts = [np.zeros(1, np.int64)]
-        for first, table in zip(self._starts.tolist(), self._tables, strict=False):
-            made = np.minimum(
-                np.arange(_MADE_TOGETHER, len(table) + _MADE_TOGETHER, _MADE_TOGETHER), len(table)
-            )
-            ends = np.cumsum([len(shard) for shard in table.shards]) if table.shards else made
-            starts.append(first + np.asarray(ends, np.int64))
-        return np.concatenate(starts)
+        starts = [0]
+        for table in self._tables:
+            made = [min(_MADE_TOGETHER, len(table) - row) for row in range(0, len(table), _MADE_TOGETHER)]
+            starts += map(len, table.shards) if table.shards else made
+        return np.cumsum(starts)
 
     def _stored_parts(self) -> StoredParts:
         rows, starts = self._rows, self._shard_starts
         if isinstance(rows, range) and rows.step == 1:
             return StoredParts.of(np.clip(starts, rows.start, rows.stop) - rows.start)
-        numbers = np.asarray(rows, np.int64)
-        order = np.argsort(numbers, kind="stable")
-        return StoredParts.of(np.searchsorted(numbers[order], starts), order)
+        order = np.argsort(self._row_numbers, kind="stable")
+        return StoredParts.of(np.searchsorted(self._row_numbers[order], starts), order)
 
     def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
         rows = self._rows
-        numbers = np.unique(
-            rows.start + rows.step * chosen if isinstance(rows, range) else np.asarray(rows, np.int64)[chosen]
-        )
+        numbers = np.unique(rows.start + rows.step * chosen if isinstance(rows, range) else rows[chosen])
         found: list[tuple[Shard, int]] = []
         for first, table in zip(self._starts.tolist(), self._tables, strict=False):
             found += table.row_groups(numbers[(numbers >= first) & (numbers < first + len(table))] - first)
         return found
 
-    def _words(self) -> list[str]:
-        return with_origins(counted(len(self), type(self).things), self._tables)
+    def _description(self) -> list[str]:
+        return with_origins(counted(len(self), self.things), self._tables)
 
     @property
     def splits(self) -> tuple[str, ...]:
         """Splits that the rows are of, as the names of their files tell them."""
         return tuple(dict.fromkeys(split for table in self._tables for _, split in table.origins if split))
 
-    @property
-    def _types(self) -> dict[str, Any]:
-        """Arrow type of each column that all parts store alike, by dotted name; structs are left out."""
-        import pyarrow as pa
 
-        schemas = [table.schema for table in self._tables if table.schema is not None]
-        found, *others = [column_types(schema) for schema in schemas] or [{}]
-        return {
-            name: each
-            for name, each in found.items()
-            if not pa.types.is_struct(each) and all(other.get(name) == each for other in others)
-        }
+def _joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Return arrays as one; one alone as it is, without a copy."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts or [np.zeros(0)])
 
 
 def with_origins(things: str, tables: Iterable[ShardedTable]) -> list[str]:

@@ -6,12 +6,26 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import msgspec
+
 from tactile_toolkit.errors import IntegrityError
 
 __all__ = ["dtype_name", "feature_metadata", "label_feature", "stored_class_names", "stored_features"]
 
 # Arrow's words for what numpy and `datasets` call otherwise.
 _DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
+
+
+class _Label(msgspec.Struct):
+    names: list[str] | None = None
+
+
+class _Info(msgspec.Struct):
+    features: dict[str, Any] | None = None
+
+
+class _Metadata(msgspec.Struct):
+    info: _Info | None = None
 
 
 def dtype_name(data_type: Any) -> str:
@@ -34,19 +48,11 @@ def stored_features(schema: Any, where: str) -> dict[str, Any]:
 
     Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
     """
-    text = (schema.metadata or {}).get(b"huggingface")
-    if text is None:
-        return {}
+    text = (schema.metadata or {}).get(b"huggingface", b"{}")
     try:
-        found = json.loads(text)
-        for part in ("info", "features"):
-            found = None if found is None else found.get(part)
-        label = {} if found is None else found.get("label") or {}
-        names = label.get("names")
-        if names is not None and not (isinstance(names, list) and set(map(type, names)) <= {str}):
-            raise TypeError
-        "".join(names or ()).encode()  # half a surrogate pair is not text
-    except (ValueError, AttributeError, TypeError, RecursionError) as error:
+        found = (msgspec.json.decode(text, type=_Metadata).info or _Info()).features or {}
+        msgspec.convert(found.get("label"), _Label | None)
+    except (msgspec.MsgspecError, RecursionError) as error:
         beginning = text[:80].decode(errors="replace")
         message = (
             f"{where!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
@@ -54,7 +60,7 @@ def stored_features(schema: Any, where: str) -> dict[str, Any]:
             "set again"
         )
         raise IntegrityError(message) from error
-    return found or {}
+    return found
 
 
 def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:

@@ -9,9 +9,8 @@ on is one number: how many items all ranks together have been given.
 from __future__ import annotations
 
 import hashlib
-from collections import OrderedDict
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,7 +80,7 @@ class EpochOrder:
         sizes = np.diff(order.parts.starts)[self._shards]
         first = np.arange(0, len(sizes) + 1, order.window)
         self._starts = np.concatenate([[0], np.cumsum(sizes)])[np.append(first, len(sizes))]
-        self._kept: OrderedDict[int, NDArray[np.int64]] = OrderedDict()
+        self._window = lru_cache(_KEPT_WINDOWS)(self._shuffled_window)
 
     def window_of(self, number: int) -> int:
         """Return the window in which an item lies."""
@@ -102,14 +101,8 @@ class EpochOrder:
             found[here] = self._window(window)[numbers[here] - self._starts[window]]
         return found
 
-    def _window(self, window: int) -> NDArray[np.int64]:
-        kept = self._kept.get(window)
-        if kept is None:
-            kept = self._shuffled(self.stored(window), 1 + window)
-            self._kept[window] = kept
-            if len(self._kept) > _KEPT_WINDOWS:
-                self._kept.popitem(last=False)
-        return kept
+    def _shuffled_window(self, window: int) -> NDArray[np.int64]:
+        return self._shuffled(self.stored(window), 1 + window)
 
     def _shuffled(self, values: NDArray[np.int64], stream: int) -> NDArray[np.int64]:
         """Shuffle by the stream of PCG64, which numpy promises to keep, unlike its own shuffles."""

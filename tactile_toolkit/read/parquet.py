@@ -1,8 +1,8 @@
 """Random access to Parquet: row groups unpacked once into memory-mapped Arrow files.
 
 Parquet must decode a whole row group to give one row. Each row group is therefore decoded on its first use
-into an Arrow file in the cache folder and mapped into memory; from then on a row costs microseconds, in this
-process and in every other one on the machine. Nothing is unpacked that nobody asked for. Large row groups are
+into Arrow files in the cache folder and mapped into memory; from then on a row costs microseconds, in this
+process and in every other one on the machine. Nothing is unpacked that is not asked for. Large row groups are
 unpacked in blocks of some rows, so that memory stays bounded and no Arrow array outgrows its 32-bit offsets.
 """
 
@@ -12,28 +12,26 @@ import contextlib
 import hashlib
 import os
 import re
-import stat
 from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache
+from functools import cached_property
 from itertools import accumulate, chain, groupby
-from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
-from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
+from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read.blocks import MappedBlock, identity_of, map_block, write_blocks
+from tactile_toolkit.read import blocks as unpacked
+from tactile_toolkit.read.blocks import BLOCKS, stat_key
 from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table
 from tactile_toolkit.read.features import stored_class_names
-from tactile_toolkit.run.system import locked
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import of_the_process, readable
+from tactile_toolkit.store.files import readable
 from tactile_toolkit.store.folder import VERSION_KEYS, file_at
 from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
@@ -48,62 +46,10 @@ _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # takes about 20 times.
 _MOST_EXPANSION = 500
 
-
-class MemoryBlocks(MemoryCache[tuple[str, int], RowGroup]):
-    """Blocks by name of their row group and number, where no cache folder can be written."""
-
-    def _begin(self) -> None:
-        super()._begin()
-        self._under_way: tuple[str, int, Iterator[RowGroup]] | None = None
-
-    def block(self, name: str, number: int, decode: Callable[[], Iterator[RowGroup]]) -> RowGroup:
-        """Return a block, decoding no more of its row group than it takes; ``decode`` starts at the first.
-
-        Raises IndexError when the row group has fewer blocks.
-        """
-        with self._lock:  # held while decoding: two threads would decode the same blocks
-            kept = self.get((name, number))
-            if kept is not None:
-                return kept
-            under_way, self._under_way = self._under_way, None
-            if under_way is not None and under_way[0] == name and under_way[1] <= number:
-                _, reached, groups = under_way  # goes on where decoding stopped, as a full pass does
-            else:
-                reached, groups = 0, decode()
-            for group in groups:
-                self.put((name, reached), group)
-                reached += 1
-                if reached > number:
-                    self._under_way = (name, reached, groups)
-                    return group
-        message = f"block {number} of {name!r}; the row group has {reached}"
-        raise IndexError(message)
-
-
-MEMORY = MemoryBlocks(512 << 20, lambda group: int(group.table.nbytes))
-"""The blocks of this process: eight blocks of the usual size, 64 MB each."""
-
-_UNPACKED = DiskCache(
-    "blocks",
-    32 << 30,
-    durable=False,  # its blocks have checksums: what a power cut leaves is seen, and unpacked again
-    warning="row groups cannot be kept unpacked, {problem}; what was used last stays in the memory of this "
-    "process, all else is decoded again",
-)
-
-
-# The blocks that a table has mapped are let go above so many bytes, or 4,096 of them: a process may have
-# 65,530 maps, each takes some 7 kB, and what it holds open takes room on the disk after its file has left the
-# cache. To map a block again is quick, however many there are.
-_MAPPED_BYTES = 4 << 30
-_LEAST_MAPPED_BYTES = 1 << 20
-
 _FEW_SHARDS = 8
 _REMOTE_READERS = 16
 
 T = TypeVar("T")
-
-_FOOTERS_KEPT = 128  # of a large shard, one takes some hundred kB
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,13 +57,9 @@ class _Footer:
     """The footer of a Parquet file, and what follows from it."""
 
     metadata: Any
-    stored_schema: Any
+    # That of the metadata would hold them, and they it: megabytes that wait for the garbage collector.
+    schema: Any
     path: str
-
-    @cached_property
-    def schema(self) -> Any:
-        # That of the metadata would hold them, and they it: megabytes that wait for the garbage collector.
-        return plain_schema(self.stored_schema)
 
     @cached_property
     def types(self) -> dict[str, Any]:
@@ -128,17 +70,22 @@ class _Footer:
         return stored_class_names(self.schema, self.path)
 
 
-_FOOTERS: MemoryCache[Any, _Footer] = MemoryCache(_FOOTERS_KEPT)
+# Of a large shard, a footer takes some hundred kB.
+_FOOTERS: MemoryCache[tuple[str, int | None], _Footer] = MemoryCache(128)
+
+# The row group that is being decoded where the cache cannot be written: blocks so far, and those that follow.
+_DECODING: MemoryCache[tuple[str, int], tuple[int, Iterator[RowGroup]]] = MemoryCache(1)
 
 
 @dataclass(frozen=True)
 class Shard:
     """One Parquet file of a data set, local or at any fsspec address.
 
-    ``rows`` is its number of rows where that is known beforehand, which saves opening the file to count.
-    ``small`` is the file in which its small columns lie beside those of its neighbours, and what that file
-    must say that it was made of. ``failures``, pickled with it, makes the context in which the bytes of a
-    remote file are read: there, whoever knows the store names what goes wrong with it.
+    ``rows`` and ``size_bytes`` are what its manifest states, where there is one: rows are counted without
+    opening the file then, and another file is refused. ``small`` is the file in which its small columns lie
+    next to those of its neighbours, and what that file must state that it was made of. ``failures``, pickled
+    with it, makes the context in which the bytes of a remote file are read: there, whoever knows the store
+    names what goes wrong with it.
     """
 
     path: str
@@ -147,32 +94,19 @@ class Shard:
         default=contextlib.nullcontext, repr=False, compare=False
     )
     small: tuple[Shard, str] | None = field(default=None, repr=False, compare=False)
+    size_bytes: int | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def _footer(self) -> _Footer:
+        return _FOOTERS.get((self.digest, self.rows)) or self._open()[1]
 
     @property
     def metadata(self) -> Any:
         """The Parquet footer: row groups, columns, schema; read again when it was not asked for in a while.
 
-        Raises IntegrityError where the file has none, or another number of rows than was said beforehand.
+        Raises IntegrityError where the file has none, or is not of the size that the manifest states.
         """
         return self._footer.metadata
-
-    @property
-    def _footer(self) -> _Footer:
-        # The rows too: another manifest may expect another number of the same file.
-        key = (self.path, self.rows, self.identity)
-        return _FOOTERS.get(key) or self._keep_footer(key, self._parquet())
-
-    def _keep_footer(self, key: Any, parquet: Any) -> _Footer:
-        metadata = parquet.metadata
-        if self.rows not in (None, metadata.num_rows):
-            message = (
-                f"{self.path!r}: {metadata.num_rows} rows; expected {self.rows} by the manifest; next: run "
-                "`verify` on the data set, then generate, convert or download it again"
-            )
-            raise IntegrityError(message)
-        footer = _Footer(metadata, parquet.schema_arrow, self.path)
-        _FOOTERS.put(key, footer)
-        return footer
 
     @property
     def schema(self) -> Any:
@@ -196,15 +130,27 @@ class Shard:
         counts = (metadata.row_group(index).num_rows for index in range(metadata.num_row_groups))
         return array("q", [0, *accumulate(counts)])
 
+    @cached_property
+    def block_rows(self) -> array[int]:
+        """How many rows of each row group are unpacked together; follows from the file alone."""
+        metadata = self.metadata
+        groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+        fitting = [_BLOCK_BYTES * group.num_rows // max(group.total_byte_size, 1) for group in groups]
+        rows = (max(1, min(group.num_rows, rows)) for group, rows in zip(groups, fitting, strict=True))
+        return array("q", rows)
+
+    @cached_property
+    def layout(self) -> tuple[str, array[int], array[int]]:
+        """Name of the content, group starts and block rows: where a row is, in one quick look."""
+        return self.digest, self.group_starts, self.block_rows
+
     def __len__(self) -> int:
         return int(self.metadata.num_rows) if self.rows is None else self.rows
 
     def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Any:
         """Decode row groups, all columns or those named (a struct's fields by dotted name)."""
-        parquet = self._parquet()
-        # What it says of itself is looked at once, although it may have left the footers that are kept.
-        metadata = self._keep_footer((self.path, self.rows, self.identity), parquet).metadata
-        wanted = range(metadata.num_row_groups) if groups is None else groups
+        parquet, footer = self._open()
+        wanted = range(footer.metadata.num_row_groups) if groups is None else groups
         for index in wanted if columns is None else ():  # a plain column is no larger than its rows
             self._require_bounded(index)
         with self._named_damage():
@@ -216,63 +162,61 @@ class Shard:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
         return RowGroup(self.read(columns=[name]), self.path).arrow(name)
 
-    @cached_property
-    def block_rows(self) -> array[int]:
-        """How many rows of each row group are unpacked together; follows from the file alone."""
-        metadata = self.metadata
-        groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
-        fitting = [_BLOCK_BYTES * group.num_rows // max(group.total_byte_size, 1) for group in groups]
-        rows = (max(1, min(group.num_rows, rows)) for group, rows in zip(groups, fitting, strict=True))
-        return array("q", rows)
-
-    def block(self, index: int, block: int) -> RowGroup:
+    def block(self, index: int, number: int) -> RowGroup:
         """Map one block of a row group into memory, unpacking the row group into the cache on its first use.
 
         A cache that cannot be written (full, read-only) costs speed, never the data: the blocks used last are
-        then kept in the memory of this process, see :class:`MemoryBlocks`.
+        then kept in the memory of this process.
         """
-        name = self._unpacked_name(index)
-        # Empty, and quick to ask, wherever the cache folder can be written.
-        kept = MEMORY.get((name, block))
-        if kept is not None:
-            return kept
-        path = _UNPACKED.path(name)
-        mapped = _mapped(path, block)
+        key = self.digest, index, number
+        group = BLOCKS.get(key)
+        if group is not None:
+            return group
+        mapped = unpacked.mapped(key)
         if mapped is None and self.unpack(index):
-            mapped = _mapped(path, block)
+            mapped = unpacked.mapped(key)
         if mapped is None:
-            return MEMORY.block(name, block, lambda: self.blocks(index))
-        first_row = self.group_starts[index] + block * self.block_rows[index]
-        return RowGroup(mapped.table, self.path, first_row, mapped.size_bytes)
+            return self._decoded(index, number)
+        first_row = self.group_starts[index] + number * self.block_rows[index]
+        group = RowGroup(mapped[0], self.path, first_row, mapped[1])
+        return BLOCKS.get_or_make(key, lambda: group)
 
     def unpack(self, index: int) -> bool:
-        """See to it that a row group lies unpacked in the cache; tell whether it does.
+        """Unpack a row group into the cache unless it is there; return whether it is there now.
 
         One process of the machine unpacks it, others wait for that one.
         """
-
-        def fill(stream: IO[bytes]) -> None:
-            write_blocks(stream, path.name, self.schema, (group.table for group in self.blocks(index)))
-
-        path = _UNPACKED.path(self._unpacked_name(index))
-        _UNPACKED.mark_used(path)
-        if path.exists():
-            return True
-        # Asked anew: a notebook may set the variable at any time.
-        _UNPACKED.limit_bytes = cache_limit_bytes()
-        with _lock_of(path.name):
+        rows = self.group_starts[index + 1] - self.group_starts[index]
+        keys = [(self.digest, index, number) for number in range(-(-rows // self.block_rows[index]))]
+        if all(map(unpacked.is_kept, keys)) or not unpacked.can_keep():
+            return unpacked.can_keep()
+        with unpacked.locked_file(self.digest):
             # Whoever held the lock may have unpacked it meanwhile.
-            return path.exists() or _UNPACKED.write(path.name, self.unpacked_bytes(index), fill)
+            return all(map(unpacked.is_kept, keys)) or all(
+                unpacked.keep(key, group.table) for key, group in zip(keys, self.blocks(index), strict=True)
+            )
+
+    def _decoded(self, index: int, number: int) -> RowGroup:
+        """Return a block, decoding no more of its row group than it takes."""
+        with _DECODING.lock:  # two threads would decode the same blocks
+            group = BLOCKS.get((self.digest, index, number))
+            reached, groups = _DECODING.pop((self.digest, index)) or (0, self.blocks(index))
+            if group is None and reached > number:  # else it goes on where it stopped, as a full pass does
+                reached, groups = 0, self.blocks(index)
+            while group is None or reached <= number:
+                group = next(groups)
+                BLOCKS.put((self.digest, index, reached), group)
+                reached += 1
+            _DECODING.put((self.digest, index), (reached, groups))
+            return group
 
     def unpacked_bytes(self, index: int) -> int:
         """About how much a row group takes when it is unpacked, by the footer."""
         return int(self.metadata.row_group(index).total_byte_size)
 
-    def _unpacked_name(self, index: int) -> str:
-        return f"{self._digest}-{index:05d}.arrow"
-
     @cached_property
-    def _digest(self) -> str:
+    def digest(self) -> str:
+        """Name of the content that the file had when it was met first."""
         return hashlib.sha256(repr(self.identity).encode()).hexdigest()[:32]
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
@@ -284,26 +228,23 @@ class Shard:
             first_row += len(table)
         if first_row != self.group_starts[index + 1]:  # a damaged page may end early without a word
             found, expected = first_row - self.group_starts[index], self.metadata.row_group(index).num_rows
-            message = (
-                f"{self.path!r} is damaged, row group {index} holds {found} rows; expected {expected} by its "
-                "footer; next: run `verify` on the data set, then generate or download it again"
-            )
-            raise IntegrityError(message)
+            problem = f" is damaged, row group {index} holds {found} rows; expected {expected} by its footer"
+            raise IntegrityError.in_file(self.path, problem)
 
     def _require_bounded(self, index: int) -> None:
-        """Refuse rows that unpack to more than the limit, by what the footer says of them."""
+        """Refuse rows that unpack to more than the limit, by what the footer states of them."""
         # A large row group is no harm, for blocks of it are unpacked; one of which next to nothing is stored
         # may be a single row.
         group = self.metadata.row_group(index)
         columns = [group.column(number) for number in range(group.num_columns)]
-        unpacked = sum(
+        size_bytes = sum(
             max(column.total_uncompressed_size, column.num_values * _VALUE_BYTES.get(column.physical_type, 4))
             for column in columns
         )
         stored = sum(column.total_compressed_size for column in columns)
-        if unpacked <= _MOST_EXPANSION * stored:
-            unpacked //= max(group.num_rows, 1)
-        require_unpackable(unpacked, f"{self.path!r}, rows from {self.group_starts[index]}:")
+        if size_bytes <= _MOST_EXPANSION * stored:
+            size_bytes //= max(group.num_rows, 1)
+        require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
 
     def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[Any]:
         import pyarrow as pa
@@ -311,8 +252,8 @@ class Shard:
         rows = self.block_rows[index]
         waiting = None
         with self._named_damage():
-            for batch in self._parquet().iter_batches(rows, [index], columns, use_threads=False):
-                # The reader may give less than asked for; blocks have to be whole to be found again.
+            for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
+                # The reader may give less than asked for; blocks have to be complete to be found again.
                 table = plain_table(pa.Table.from_batches([batch]))
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
@@ -323,53 +264,55 @@ class Shard:
 
     @cached_property
     def identity(self) -> tuple[object, ...]:
-        """What told the file from any other when it was met first; it is compared whenever it is opened.
+        """What distinguished the file from any other when it was met first; compared whenever it is opened.
 
         Content changes without it on purpose only; hashing gigabytes would cost more.
         """
         with self._named_damage():
-            return self._opened()[1] if self._is_remote else self._found_now()
+            return self._opened(None)[1] if self.is_remote else self.found_now()
 
-    def _found_now(self) -> tuple[object, ...]:
-        path = self.path
-        # One call for most files: only of a link is asked where it leads.
-        facts = os.lstat(path)
-        if stat.S_ISLNK(facts.st_mode) or path[0] != "/":
-            real = os.path.realpath(path)
-            return real, *identity_of(Path(real).stat())
-        # What is known of one file saves asking for each folder above each of 50,000.
-        folder, _, name = path.rpartition("/")
-        return f"{_real_folder(folder)}/{name}", *identity_of(facts)
+    def found_now(self) -> tuple[str, int, int, int, int]:
+        """Return what identifies the local file that is there now."""
+        # The name too: machines that share a cache may have other files of the same numbers.
+        return self.path.rpartition("/")[2], *stat_key(os.stat(self.path))  # noqa: PTH116
 
-    def _opened(self, metadata: Any = None) -> tuple[Any, tuple[object, ...]]:
-        """Open the file, whose footer may be known, and return with it what tells it from any other."""
-        if not self._is_remote:
+    @property
+    def is_remote(self) -> bool:
+        """Whether it is at an address."""
+        return "://" in self.path
+
+    def _opened(self, metadata: Any) -> tuple[Any, tuple[object, ...], int]:
+        """Open the file, whose footer may be known; return with it its identity and its size in bytes."""
+        if not self.is_remote:
             # After opening: what takes its place from now on is not what was opened.
-            return open_checked(self.path, metadata), self._found_now()
+            return open_checked(self.path, metadata), (found := self.found_now()), found[-2]
         store, name = file_at(self.path)
         stream = store.open(name)
         facts = getattr(stream, "details", None) or store.facts(name)
-        return open_checked(stream, metadata), (
-            self.path,
-            *((key, str(facts[key])) for key in VERSION_KEYS if key in facts),
-        )
+        versions = [(key, str(facts[key])) for key in VERSION_KEYS if key in facts]
+        return open_checked(stream, metadata), (self.path, *versions), facts["size"]
 
-    @property
-    def _is_remote(self) -> bool:
-        return "://" in self.path
-
-    def _parquet(self) -> Any:
-        expected = self.identity
-        kept = _FOOTERS.get((self.path, self.rows, expected))
+    def _open(self) -> tuple[Any, _Footer]:
+        """Open the file and return its footer with it, once it is known to be the one that was met first."""
+        key = (self.digest, self.rows)
+        footer = _FOOTERS.get(key)
         with self._named_damage():
-            parquet, found = self._opened(None if kept is None else kept.metadata)
-        if found != expected:
+            parquet, identity, size_bytes = self._opened(footer and footer.metadata)
+        if identity != self.identity:
             message = (
                 f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
                 "read, for old and new ones would mix; next: load the data set again"
             )
             raise IntegrityError(message)
-        return parquet
+        metadata = parquet.metadata
+        found = {"rows": metadata.num_rows, "bytes": size_bytes}
+        for unit, stated in (("rows", self.rows), ("bytes", self.size_bytes)):
+            if stated not in (None, found[unit]):  # such as a shard of a set that is being replaced
+                problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
+                raise IntegrityError.in_file(self.path, problem)
+        footer = footer or _Footer(metadata, plain_schema(parquet.schema_arrow), self.path)
+        _FOOTERS.put(key, footer)
+        return parquet, footer
 
     @contextlib.contextmanager
     def _named_damage(self) -> Iterator[None]:
@@ -384,60 +327,27 @@ class Shard:
             message = f"{self.path!r} is missing; next: generate or download the data set again"
             raise IntegrityError(message) from error
         except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-            message = (
-                f"{self.path!r} is damaged, a whole Parquet file was expected ({error}); next: run `verify` "
-                "on the data set, then generate or download it again"
-            )
-            raise IntegrityError(message) from error
-
-
-@contextlib.contextmanager
-def _lock_of(name: str) -> Iterator[None]:
-    """Hold the lock of a file of the cache, one of a few for all of them; without locks nobody waits."""
-    folder = cache_folder() / LOCKS
-    with contextlib.ExitStack() as stack:
-        with contextlib.suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-            # 256 files for all row groups: one each would stay in the cache for good.
-            stack.enter_context(locked(folder / name[:2]))
-        yield
+            problem = f" is damaged, an intact Parquet file was expected ({error})"
+            raise IntegrityError.in_file(self.path, problem) from error
 
 
 def _in_threads(function: Callable[[Shard], T], shards: Sequence[Shard]) -> Iterator[T]:
     """Yield what a function gives for each shard, in order; many are read at once, those afar above all."""
     if len(shards) < _FEW_SHARDS:
         return map(function, shards)
-    workers = _REMOTE_READERS if "://" in shards[0].path else os.cpu_count() or 1
-    return in_threads(function, shards, workers)
+    return in_threads(function, shards, _REMOTE_READERS if shards[0].is_remote else os.cpu_count() or 1)
 
 
-def _small_column(file: Shard, made_of: str, shards: Sequence[Shard], name: str) -> Any:
+def _small_column(small: tuple[Shard, str] | None, shards: Sequence[Shard], name: str) -> Any:
     """Read a column of some shards from their file of small columns; None where it is to be asked of them."""
     # What is wrong with it costs speed only; `verify` names it.
     with contextlib.suppress(IntegrityError):
-        is_theirs = (file.schema.metadata or {}).get(MADE_OF) == made_of.encode()
-        if is_theirs and name in file.schema.names and sum(map(len, shards)) == len(file):
-            return file.column(name)
+        if small is not None:
+            file, made_of = small
+            is_theirs = (file.schema.metadata or {}).get(MADE_OF) == made_of.encode()
+            if is_theirs and name in file.schema.names and sum(map(len, shards)) == len(file):
+                return file.column(name)
     return None
-
-
-@lru_cache(maxsize=256)
-def _real_folder(folder: str) -> str:
-    return os.path.realpath(f"{folder}/").rstrip("/")
-
-
-def _mapped(path: Path, number: int) -> MappedBlock | None:
-    """Map one block of an unpacked row group; None when it is not there, or damaged (then it is removed)."""
-    try:
-        mapped = map_block(path, number)
-    except FileNotFoundError:
-        return None
-    except (ValueError, OSError) as error:
-        if of_the_process(error) is None:
-            _UNPACKED.drop(path)
-        return None
-    _UNPACKED.mark_used(path)
-    return mapped
 
 
 def _origin(path: str) -> tuple[str, str]:
@@ -448,12 +358,9 @@ def _origin(path: str) -> tuple[str, str]:
     on_hub = re.search(r"(?:^hf://datasets/|/datasets--)([^/]+?)(?:/|--)([^/@]+)(?:@[^/]*)?/", path)
     if on_hub is not None:
         return repr(f"{on_hub[1]}/{on_hub[2]}"), split
-    folders = [part for part in path.split("/")[:-1] if part not in ("", ".")]
-    if "://" not in path:
-        folders = list(Path(path).absolute().parts[:-1])
-    if len(folders) > 1 and folders[-1] == DATA_FOLDER:
-        folders.pop()
-    return repr(folders[-1]), split
+    folders = (path if "://" in path else os.path.abspath(path)).split("/")[:-1]  # noqa: PTH100
+    named = [part for part in folders if part not in ("", ".", DATA_FOLDER)] or folders
+    return repr(named[-1]), split
 
 
 @dataclass(frozen=True)
@@ -465,19 +372,13 @@ class ShardedTable:
     def __post_init__(self) -> None:
         # Which file is there now is noted where that costs next to nothing.
         for shard in self.shards:
-            if "identity" not in shard.__dict__ and "://" not in shard.path:
-                try:
-                    shard.__dict__["identity"] = shard._found_now()
-                except OSError:  # what is missing is named when it is asked for
-                    continue
+            if "identity" not in shard.__dict__ and not shard.is_remote:
+                with contextlib.suppress(OSError):  # what is missing is named when it is asked for
+                    shard.__dict__["identity"] = shard.found_now()
 
     @cached_property
     def _starts(self) -> list[int]:
         return [0, *accumulate(map(len, self.shards))]
-
-    @cached_property
-    def _groups(self) -> MemoryCache[tuple[int, int, int], RowGroup]:
-        return MemoryCache(_MAPPED_BYTES, lambda group: max(_LEAST_MAPPED_BYTES, group.mapped_bytes))
 
     @cached_property
     def _columns(self) -> dict[str, NDArray[Any]]:
@@ -488,7 +389,7 @@ class ShardedTable:
         return {"shards": self.shards}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        object.__setattr__(self, "shards", state["shards"])
+        self.__dict__.update(state)
 
     def __len__(self) -> int:
         return self._starts[-1]
@@ -500,7 +401,7 @@ class ShardedTable:
 
     @property
     def identity(self) -> str:
-        """What tells these rows from all others, also from later ones of the same files."""
+        """What distinguishes these rows from all others, also from later ones of the same files."""
         return repr([shard.identity for shard in self.shards])
 
     @property
@@ -513,31 +414,22 @@ class ShardedTable:
         shard_index = bisect_right(self._starts, row) - 1
         shard = self.shards[shard_index]
         inner = row - self._starts[shard_index]
-        group_index = bisect_right(shard.group_starts, inner) - 1
-        block, index = divmod(inner - shard.group_starts[group_index], shard.block_rows[group_index])
-        key = (shard_index, group_index, block)
-        group = self._groups.get(key)
-        if group is None:
-            group = made = shard.block(group_index, block)
-            if made.mapped_bytes:  # what lies in memory is kept by MEMORY
-                group = self._groups.get_or_make(key, lambda: made)
-        return group, index
+        digest, starts, block_rows = shard.layout
+        group_index = bisect_right(starts, inner) - 1
+        number, index = divmod(inner - starts[group_index], block_rows[group_index])
+        return BLOCKS.get((digest, group_index, number)) or shard.block(group_index, number), index
 
     def row_groups(self, rows: NDArray[np.int64]) -> list[tuple[Shard, int]]:
         """Return the row groups that hold some rows, which rise; opens no other shard."""
+        found: list[tuple[Shard, int]] = []
         if not self.shards:
-            return []
+            return found
         owners = np.searchsorted(self._starts, rows, "right") - 1
-        return [
-            (self.shards[owner], group)
-            for owner in np.unique(owners).tolist()
-            for group in np.unique(
-                np.searchsorted(
-                    self.shards[owner].group_starts, rows[owners == owner] - self._starts[owner], "right"
-                )
-                - 1
-            ).tolist()
-        ]
+        for owner in np.unique(owners).tolist():
+            shard, inner = self.shards[owner], rows[owners == owner] - self._starts[owner]
+            groups = np.unique(np.searchsorted(shard.group_starts, inner, "right") - 1)
+            found += [(shard, group) for group in groups.tolist()]
+        return found
 
     def derive(
         self, key: str, columns: Sequence[str], compute: Callable[[RowGroup], NDArray[Any]]
@@ -568,21 +460,19 @@ class ShardedTable:
         return self._kept(key, lambda: chain.from_iterable(_in_threads(compute, self.shards)))
 
     def _kept(self, key: str, parts: Callable[[], Iterable[NDArray[Any]]]) -> NDArray[Any]:
-        values = self._columns.get(key)
-        if values is None:
-            arrays = list(parts())
-            values = np.concatenate(arrays) if arrays else np.zeros(0)
+        if key not in self._columns:
+            values = np.concatenate(list(parts()) or [np.zeros(0)])
             # It is kept as it is handed out.
             values.setflags(write=False)
-            values = self._columns.setdefault(key, values)
-        return values
+            self._columns.setdefault(key, values)
+        return self._columns[key]
 
     def _arrays(self, name: str) -> Iterator[Any]:
         """Yield the Arrow arrays of one column in order, from few files where the data set has such."""
         for small, neighbours in groupby(self.shards, key=lambda shard: shard.small):
             shards = list(neighbours)
-            column = None if small is None else _small_column(small[0], small[1], shards, name)
-            if column is None:
-                yield from _in_threads(lambda shard: shard.column(name), shards)
-            else:
+            column = _small_column(small, shards, name)
+            if column is not None:
                 yield column
+            else:
+                yield from _in_threads(lambda shard: shard.column(name), shards)

@@ -7,8 +7,11 @@ import operator
 from abc import abstractmethod
 from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import suppress
+from copy import copy
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar, overload
+from functools import reduce
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +19,20 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.printable import printable
 from tactile_toolkit.read.order import StoredParts
-from tactile_toolkit.wording import counted, is_whole, plain_number
+from tactile_toolkit.wording import class_name, counted, is_whole, plain_number, whole_number
 
 if TYPE_CHECKING:
     from tactile_toolkit.read.parquet import Shard
 
-__all__ = ["ColumnStatistics", "LazySequence", "Statistics", "checked_index", "nearest", "positions"]
+__all__ = [
+    "ColumnStatistics",
+    "LazySequence",
+    "Statistics",
+    "checked_index",
+    "flattened",
+    "nearest",
+    "positions",
+]
 
 T = TypeVar("T")
 
@@ -88,11 +99,19 @@ def nearest(known: Iterable[Any], wanted: Any) -> list[Any]:
     Of values that cannot be compared with it, the first.
     """
     ordered = sorted({each for each in known if each is not None and each == each})  # neither null nor NaN
-    try:
+    place = 0
+    with suppress(TypeError):
         place = bisect_left(ordered, wanted)
-    except TypeError:
-        place = 0
     return ordered[max(place - 2, 0) : place + 2]
+
+
+def flattened(values: Iterable[Any]) -> Iterator[Any]:
+    """Yield values, and those of collections among them, at any depth."""
+    for value in values:
+        if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
+            yield from flattened(value)
+        else:
+            yield value
 
 
 def positions(index: Any, length: int) -> NDArray[np.int64]:
@@ -125,10 +144,22 @@ class LazySequence(Sequence[T], Generic[T]):
     what was read before, the machine or the version of numpy.
     """
 
+    things: ClassVar[str] = "rows"
+    """What the items are called."""
+
+    _rows: range | NDArray[np.int64]
+    """Which of the items that are stored, in which order."""
+
     @property
-    @abstractmethod
     def labels(self) -> NDArray[np.int64]:
-        """Label of each item, shape (len,), int64; reads the label column only."""
+        """Label of each item, shape (len,), int64; reads the label column only.
+
+        Raises
+        ------
+        IntegrityError
+            A label is missing or does not fit into 64 bits.
+        """
+        return self.int_column("label")
 
     @property
     @abstractmethod
@@ -145,8 +176,17 @@ class LazySequence(Sequence[T], Generic[T]):
         """Read one plain column, shape (len,), without touching any other."""
 
     @abstractmethod
+    def int_column(self, name: str) -> NDArray[np.int64]:
+        """Read one column of whole numbers, shape (len,), int64, without touching any other."""
+
+    @abstractmethod
     def to_hf(self) -> Any:
         """Return the items as a ``datasets.Dataset``."""
+
+    @property
+    @abstractmethod
+    def identity(self) -> str:
+        """What distinguishes the stored rows that this is a view of from all others, later ones there too."""
 
     @property
     @abstractmethod
@@ -154,36 +194,53 @@ class LazySequence(Sequence[T], Generic[T]):
         """Columns of one value for each item, no lists: what :meth:`column` reads."""
 
     @abstractmethod
-    def _item(self, position: int) -> T:
-        """Return one item; IndexError out of range."""
-
-    @abstractmethod
-    def _some(self, chosen: slice | NDArray[np.int64]) -> Self:
-        """Return a view of some items."""
+    def _stored(self, row: int) -> T:
+        """Return one of the items that are stored."""
 
     @abstractmethod
     def _joined(self, other: Self) -> Self:
         """Return a view of all items of both."""
 
     @abstractmethod
-    def _like(self, item: Any) -> Iterable[int]:
-        """Return positions of all items that may equal one, rising; as few as small columns tell."""
-
-    @abstractmethod
-    def _same_rows(self, other: Self) -> bool:
-        """Tell whether two sequences view the same stored rows in the same order, without reading them."""
+    def _candidates(self, item: Any) -> Iterable[int]:
+        """Return positions of all items that may equal one, rising; as few as small columns show."""
 
     @abstractmethod
     def _stored_parts(self) -> StoredParts:
-        """Tell which items lie in the same shard; reads no row."""
+        """Return which items lie in the same shard; reads no row."""
 
     @abstractmethod
     def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
         """Return the row groups in which some items lie, in stored order."""
 
     @abstractmethod
-    def _words(self) -> list[str]:
-        """Say how many items of what these are, for people."""
+    def _description(self) -> list[str]:
+        """Return how many items of what these are, for people."""
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def _item(self, position: int) -> T:
+        """Return one item; IndexError out of range."""
+        length = len(self._rows)
+        # Not `checked_index`, which would cost a tenth of all that `touches[i]` does.
+        if not -length <= position < length:
+            message = f"index {position} is out of range for {counted(length, self.things)}"
+            raise IndexError(message)
+        return self._stored(int(self._rows[position]))
+
+    def _select(self, chosen: slice | NDArray[np.int64]) -> Self:
+        """Return a view of the items at some positions."""
+        return self._view(self._rows[chosen] if isinstance(chosen, slice) else self._row_numbers[chosen])
+
+    def _view(self, rows: range | NDArray[np.int64]) -> Self:
+        view = copy(self)
+        view._rows = rows
+        return view
+
+    @property
+    def _row_numbers(self) -> NDArray[np.int64]:
+        return np.asarray(self._rows, np.int64)
 
     @overload
     def __getitem__(self, index: int) -> T: ...
@@ -199,10 +256,12 @@ class LazySequence(Sequence[T], Generic[T]):
         TypeError
             It is something else.
         """
+        if isinstance(index, int):
+            return self._item(index)
         if isinstance(index, slice):
-            return self._some(index)
+            return self._select(index)
         if isinstance(index, (list, tuple, np.ndarray)) and np.ndim(index) > 0:
-            return self._some(positions(index, len(self)))
+            return self._select(positions(index, len(self)))
         return self._item(operator.index(index))
 
     def by_id(self, id: int | str) -> T:
@@ -222,7 +281,9 @@ class LazySequence(Sequence[T], Generic[T]):
         places = self._places_of_id(number)
         if not len(places):
             near = ", ".join(map(repr, self._near_ids(number))) or "(none, it is empty)"
-            message = f"{', '.join(self._words())}: there is no id {id!r}; next: give one such as {near}"
+            message = (
+                f"{', '.join(self._description())}: there is no id {id!r}; next: give one such as {near}"
+            )
             raise InputError(message)
         return self._item(int(places[0]))
 
@@ -236,7 +297,9 @@ class LazySequence(Sequence[T], Generic[T]):
         TypeError
             They are not whole numbers.
         """
-        return self._some(positions(indices if isinstance(indices, np.ndarray) else list(indices), len(self)))
+        return self._select(
+            positions(indices if isinstance(indices, np.ndarray) else list(indices), len(self))
+        )
 
     def filter(self, function: Callable[[T], Any]) -> Self:
         """Return the items for which a function is true, in their order.
@@ -246,7 +309,7 @@ class LazySequence(Sequence[T], Generic[T]):
         kept = np.zeros(len(self), bool)
         for position, item in self._each():
             kept[position] = bool(function(item))
-        return self._some(np.flatnonzero(kept))
+        return self._select(np.flatnonzero(kept))
 
     def filter_labels(self, *labels: int | str | Iterable[int | str]) -> Self:
         """Return the items of some classes, given as numbers or names, or as sequences of them.
@@ -256,19 +319,15 @@ class LazySequence(Sequence[T], Generic[T]):
         InputError
             A class is not one of :attr:`label_names`.
         """
-        wanted: list[int] = []
-        for given in labels:
-            if isinstance(given, Iterable) and not isinstance(given, (str, bytes)):
-                wanted += map(self._label_number, given)
-            else:
-                wanted.append(self._label_number(given))
-        return self._some(np.flatnonzero(np.isin(self.labels, wanted)))
+        wanted = list(map(self._label_number, flattened(labels)))
+        return self._select(np.flatnonzero(np.isin(self.labels, wanted)))
 
     def by_label(self) -> dict[str, Self]:
         """Return one view per class, by class name."""
         labels = self.labels
         return {
-            name: self._some(np.flatnonzero(labels == number)) for number, name in enumerate(self.label_names)
+            name: self._select(np.flatnonzero(labels == number))
+            for number, name in enumerate(self.label_names)
         }
 
     def shuffle(self, seed: int) -> Self:
@@ -284,7 +343,7 @@ class LazySequence(Sequence[T], Generic[T]):
         InputError
             The seed is not a whole number from 0.
         """
-        return self._some(self._order(seed))
+        return self._select(self._order(seed))
 
     def sample(self, n: int, seed: int) -> Self:
         """Return so many items, drawn at random without repetition.
@@ -303,11 +362,7 @@ class LazySequence(Sequence[T], Generic[T]):
         InputError
             There are fewer items, or a number is not a whole one from 0.
         """
-        count = plain_number(n)
-        if not (is_whole(count) and 0 <= count <= len(self)):
-            message = f"a sample of {n!r} was asked for; expected a whole number from 0 to {len(self):,}"
-            raise InputError(message)
-        return self._some(self._order(seed)[:count])
+        return self._select(self._order(seed)[: whole_number(n, "n, the size of a sample,", 0, len(self))])
 
     def split(self, *parts: float, seed: int, stratify: bool = False) -> tuple[Self, ...]:
         """Divide the items at random into parts that share none and leave none out.
@@ -345,7 +400,7 @@ class LazySequence(Sequence[T], Generic[T]):
         ends = _part_ends([plain_number(part) for part in parts], len(self))
         order = self._order(seed)
         if not stratify:
-            return tuple(self._some(part) for part in np.split(order, ends)[: len(ends)])
+            return tuple(self._select(part) for part in np.split(order, ends)[: len(ends)])
         # Each class is spread evenly over 0 to 1, from a start of its own: a cut anywhere divides all classes
         # alike, up to one item of each.
         labels = self.labels[order]
@@ -357,7 +412,7 @@ class LazySequence(Sequence[T], Generic[T]):
             spread[labels == label] = (np.arange(count) + start) / count
         part_of = np.empty(len(order), np.int64)
         part_of[np.argsort(spread, kind="stable")] = np.searchsorted(ends, np.arange(len(order)), "right")
-        return tuple(self._some(order[part_of == part]) for part in range(len(ends)))
+        return tuple(self._select(order[part_of == part]) for part in range(len(ends)))
 
     def statistics(self) -> Statistics:
         """Count items and classes, and sum up the plain columns of numbers; reads those columns only.
@@ -387,17 +442,9 @@ class LazySequence(Sequence[T], Generic[T]):
         Returns
         -------
         pandas.DataFrame
-
-        Raises
-        ------
-        InputError
-            pandas is not installed.
         """
-        try:
-            import pandas as pd
-        except ImportError as error:
-            message = "to_pandas() needs the package 'pandas'; it is not installed; next: pip install pandas"
-            raise InputError(message) from error
+        import pandas as pd
+
         return pd.DataFrame({name: self.column(name) for name in self._plain_columns})
 
     @classmethod
@@ -413,10 +460,7 @@ class LazySequence(Sequence[T], Generic[T]):
         if not parts:
             message = "nothing to concatenate; expected at least one data set"
             raise InputError(message)
-        joined = parts[0]
-        for part in parts[1:]:
-            joined = joined + part
-        return joined
+        return reduce(operator.add, parts)
 
     def __add__(self, other: Self) -> Self:
         if type(other) is not type(self):
@@ -454,19 +498,23 @@ class LazySequence(Sequence[T], Generic[T]):
         return sum(1 for _ in self._places(value))
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether both hold equal items in the same order, with the same names of classes."""
+        """Return whether both hold equal items in the same order, with the same names of classes."""
         if not isinstance(other, type(self)) or type(other) is not type(self):
             return NotImplemented
         if len(self) != len(other) or self.label_names != other.label_names:
             return False
-        return self._same_rows(other) or all(one == another for one, another in zip(self, other, strict=True))
+        if self.identity == other.identity and np.array_equal(self._rows, other._rows):
+            return True
+        return all(one == another for one, another in zip(self, other, strict=True))
 
     def __hash__(self) -> int:
         # Equal sets have equal hashes; what the rows hold is not read for that.
         return hash((type(self), len(self), self.label_names))
 
     def __repr__(self) -> str:
-        return printable(f"{type(self).__name__}({', '.join([*self._words(), self._classes_in_words()])})")
+        return printable(
+            f"{type(self).__name__}({', '.join([*self._description(), self._classes_in_words()])})"
+        )
 
     def _repr_html_(self) -> str:
         """Show what it is, and small pictures of some items or what is wrong with them, in a notebook."""
@@ -492,30 +540,26 @@ class LazySequence(Sequence[T], Generic[T]):
         return enumerate(self)
 
     def _places(self, item: Any) -> Iterator[int]:
-        return (position for position in self._like(item) if self._item(position) == item)
+        return (position for position in self._candidates(item) if self._item(position) == item)
 
     def _order(self, seed: int) -> NDArray[np.int64]:
         return np.argsort(_numbers(seed, len(self)), kind="stable")
 
     def _label_number(self, label: Any) -> int:
         known, number = self.label_names, plain_number(label)
-        if isinstance(number, str) and number in known:
+        if number in known:
             return known.index(number)
         if is_whole(number) and 0 <= number < len(known):
             return int(number)
-        if not (is_whole(number) or isinstance(number, str)):
-            message = (
-                f"{label!r} ({type(label).__name__}) was given; expected classes as whole numbers or names"
-            )
-            raise InputError(message)
-        message = f"no class {label!r}; expected a number below {len(known)} or one of {', '.join(known)}"
+        listed = ", ".join(known)
+        message = f"no class {label!r}; expected a whole number below {len(known)} or one of {listed}"
         raise InputError(message)
 
     def _class_counts(self) -> dict[str, int]:
         if "label" not in self._plain_columns:
             return {}
         known, (numbers, counts) = self.label_names, np.unique(self.labels, return_counts=True)
-        names = (known[label] if 0 <= label < len(known) else str(label) for label in numbers.tolist())
+        names = (class_name(known, label) for label in numbers.tolist())
         return dict.fromkeys(known, 0) | dict(zip(names, counts.tolist(), strict=True))
 
     def _classes_in_words(self) -> str:
@@ -532,11 +576,7 @@ class LazySequence(Sequence[T], Generic[T]):
 
 def _numbers(seed: int, count: int) -> NDArray[np.uint64]:
     """Return random bits: of the stream of PCG64, which numpy promises to keep, unlike its shuffles."""
-    number = plain_number(seed)
-    if not (is_whole(number) and number >= 0):
-        message = f"seed is {seed!r}; expected a whole number from 0"
-        raise InputError(message)
-    return np.asarray(np.random.PCG64(number).random_raw(count), np.uint64)
+    return np.asarray(np.random.PCG64(whole_number(seed, "seed")).random_raw(count), np.uint64)
 
 
 def _part_ends(parts: Sequence[Any], length: int) -> list[int]:

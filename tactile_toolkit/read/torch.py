@@ -11,20 +11,17 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.read.ahead import UnpackingAhead
 from tactile_toolkit.read.order import GlobalOrder, Share
 from tactile_toolkit.read.sequence import LazySequence
-from tactile_toolkit.wording import is_whole, plain_number
+from tactile_toolkit.wording import is_whole, plain_number, whole_number
 
 if TYPE_CHECKING:
     import torch
 else:
-    try:
+    with needs_extra("training on a data set", "torch", "torch"):
         import torch
-    except ImportError as error:
-        feature = "training on a data set"
-        raise MissingExtraError(feature, "torch", "torch") from error
 
 __all__ = ["TrainingBatches", "shared_zeros"]
 
@@ -34,6 +31,12 @@ _VERSION = 1
 _SINCE = "_steps_since_snapshot"
 # The table that workers share is made before anybody knows how many there will be.
 _MOST_WORKERS = 255
+
+
+_OTHER_ORDER = (
+    ", which follows from seed, window and sizes of shards; next: take the same as when it was saved"
+)
+_OTHER_DIVISION = "; next: give the state to load_state_dict() of the TrainingBatches, not of the loader"
 
 
 def shared_zeros(*shape: int) -> torch.Tensor:
@@ -138,13 +141,13 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             )
             raise InputError(message)
         self.data = data
-        self.batch_size = _whole_number(batch_size, 1, "batch_size")
+        self.batch_size = whole_number(batch_size, "batch_size", 1)
         self.drop_last = drop_last
         self.collate_fn = collate_fn
         self.rank, self.world_size = _rank_of(rank, world_size)
-        seed = None if seed is None else _whole_number(seed, 0, "seed")
+        seed = None if seed is None else whole_number(seed, "seed")
         self._sequence = sequence
-        self._order = GlobalOrder(sequence._stored_parts(), seed, _whole_number(window, 1, "window"))
+        self._order = GlobalOrder(sequence._stored_parts(), seed, whole_number(window, "window", 1))
         self._resumed = (0, 0)
         self._current: _Pass | None = None
         # What the next pass is, for this process and for each worker: epoch, start, batches given already,
@@ -162,7 +165,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
 
         Needed only to repeat or skip epochs, or when another number of workers takes over.
         """
-        number = _whole_number(epoch, 0, "epoch")
+        number = whole_number(epoch, "epoch")
         self._set(number, self._resumed[1] if number == self._resumed[0] else 0)
 
     def __len__(self) -> int:
@@ -255,9 +258,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             "epoch": current.epoch,
             "start": current.start,
             "batches": current.batches,
-            "batch_size": self.batch_size,
-            "world_size": self.world_size,
-            "workers": 0 if worker is None else worker.num_workers,
+            **self._division(worker),
         }
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
@@ -272,7 +273,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         Raises
         ------
         InputError
-            It is none, or of another data set, seed or window.
+            It is not such a state, or of another data set, seed or window.
         """
         states = list(_holding(_FORMAT, state_dict))
         if not states:
@@ -280,11 +281,19 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
                 "no state of TrainingBatches was given; expected state_dict() of the loader that gave them"
             )
             raise InputError(message)
-        for state in states:
-            self._require_same(state)
         worker = torch.utils.data.get_worker_info()
+        expected = {_FORMAT: _VERSION, "order": self._order.fingerprint}
         if worker is not None:
-            self._resume_worker(worker, states[0])
+            expected |= self._division(worker)
+        for state in states:
+            for name, value in expected.items():
+                if state[name] != value:
+                    advice = _OTHER_ORDER if name == "order" else _OTHER_DIVISION
+                    message = f"a state of {name} {state[name]!r}; expected {value!r}{advice}"
+                    raise InputError(message)
+        if worker is not None:
+            self._current = None
+            self._next[1 + worker.id] = torch.tensor([*map(states[0].get, ("epoch", "start", "batches")), 0])
             return
         # Where a loader asks its workers for their states now and then only, it counts the batches since.
         since = [each[_SINCE] for each in _holding(_SINCE, state_dict)]
@@ -294,17 +303,10 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self._resumed = epoch, reached
         self._set(epoch, reached)
 
-    def _resume_worker(self, worker: Any, state: Mapping[str, Any]) -> None:
-        found = {"batch_size": self.batch_size, "world_size": self.world_size, "workers": worker.num_workers}
-        for name, value in found.items():
-            if state[name] != value:
-                message = (
-                    f"{name} is {value}, and was {state[name]} when the state was saved; next: give the "
-                    "state to load_state_dict() of the TrainingBatches, not of the loader"
-                )
-                raise InputError(message)
-        self._current = None
-        self._next[1 + worker.id] = torch.tensor([state["epoch"], state["start"], state["batches"], 0])
+    def _division(self, worker: Any) -> dict[str, int]:
+        """Return among how many the items are divided."""
+        workers = 0 if worker is None else worker.num_workers
+        return {"batch_size": self.batch_size, "world_size": self.world_size, "workers": workers}
 
     def _reached(self, states: Sequence[Mapping[str, Any]], further_batches: int) -> tuple[int, int]:
         """Return epoch and number of items that all ranks have been given, by the states of all workers."""
@@ -323,17 +325,6 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             raise InputError(message)
         items = (batches + further_batches) * first["batch_size"] * first["world_size"]
         return first["epoch"], min(first["start"] + items, len(self._order))
-
-    def _require_same(self, state: Mapping[str, Any]) -> None:
-        if state[_FORMAT] != _VERSION:
-            message = f"a state of version {state[_FORMAT]!r}; expected {_VERSION}"
-            raise InputError(message)
-        if state["order"] != self._order.fingerprint:
-            message = (
-                f"a state of the order {state['order']!r}; expected {self._order.fingerprint!r}, which "
-                "follows from seed, window and sizes of shards; next: take the same as when it was saved"
-            )
-            raise InputError(message)
 
     def _set(self, epoch: int, start: int) -> None:
         self._current = None
@@ -354,14 +345,6 @@ def _holding(key: str, found: Any) -> Iterator[Mapping[str, Any]]:
             return
         for value in found.values():
             yield from _holding(key, value)
-
-
-def _whole_number(value: Any, least: int, name: str) -> int:
-    number = plain_number(value)
-    if not (is_whole(number) and number >= least):
-        message = f"{name} is {value!r}; expected a whole number from {least}"
-        raise InputError(message)
-    return int(number)
 
 
 def _rank_of(rank: int | None, world_size: int | None) -> tuple[int, int]:

@@ -218,7 +218,7 @@ def test_a_file_cut_in_the_middle_is_named(single_folder: Path, tmp_path: Path) 
     cut = tmp_path / "test-00000-of-00001.parquet"
     cut.write_bytes(whole[: len(whole) // 2])
     with pytest.raises(
-        IntegrityError, match=r"test-00000-of-00001\.parquet.*whole Parquet file was expected"
+        IntegrityError, match=r"test-00000-of-00001\.parquet.*intact Parquet file was expected"
     ):
         realtouch.load(cut, "test")
 

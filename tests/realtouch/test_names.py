@@ -52,7 +52,7 @@ def test_a_file_of_a_short_name_comes_first_in_every_room(
     for name, load in (("mnist3d", mnist3d.load), ("real-seq", realtouch.load)):
         Path(name).write_bytes(b"no Parquet")
         assert place_of(name) == name
-        with pytest.raises(Exception, match=f"'{name}' is damaged, a whole Parquet file was expected"):
+        with pytest.raises(Exception, match=f"'{name}' is damaged, an intact Parquet file was expected"):
             load(name)
 
 

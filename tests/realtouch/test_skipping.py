@@ -166,10 +166,10 @@ def test_a_file_cut_in_the_middle_is_left_out(single_folder: Path, tmp_path: Pat
     assert [record.label for record in dataset] == [record.label for record in stream] == [0, 1]
     for skipped in (dataset.skipped, stream.skipped, realtouch.verify(tmp_path).findings):
         assert [(each.file, each.row) for each in skipped] == [(str(cut), None)]
-        assert "a whole Parquet file was expected" in skipped[0].problem
+        assert "an intact Parquet file was expected" in skipped[0].problem
     for file in (tmp_path / "data").glob("*"):
         file.write_bytes(b"PAR1")
-    with pytest.raises(IntegrityError, match="a whole Parquet file was expected"):
+    with pytest.raises(IntegrityError, match="an intact Parquet file was expected"):
         realtouch.load(tmp_path, on_error="skip")
 
 

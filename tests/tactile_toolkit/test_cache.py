@@ -183,7 +183,7 @@ def test_threads_get_one_value(tmp_path):
 def _fork_with_the_lock_held() -> None:
     memory: MemoryCache[str, bytes] = MemoryCache(10, len)
     memory.put("a", b"1")
-    with memory._lock:  # as if another thread held it at the fork
+    with memory.lock:  # as if another thread held it at the fork
         child = os.fork()
         if child == 0:
             os._exit(0 if memory.get("a") is None and memory.size == 0 else 1)

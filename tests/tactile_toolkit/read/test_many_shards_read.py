@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.read import parquet
+from tactile_toolkit.read.blocks import BLOCKS
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 
@@ -24,7 +24,7 @@ def _held() -> tuple[int, int]:
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="maps are looked up in /proc")
 def test_open_files_and_maps_are_bounded_however_many_shards_are_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(parquet, "_MAPPED_BYTES", MAPS * parquet._LEAST_MAPPED_BYTES)  # not 4,096
+    monkeypatch.setattr(BLOCKS, "limit", MAPS << 20)  # each counts at least 1 MiB
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
     shards = []
     for index in range(SHARDS):

@@ -172,4 +172,4 @@ def test_only_windows_that_are_asked_for_are_laid_out(parts, monkeypatch):
         order.positions(np.arange(first, first + 50))
     assert len(laid) == min(parts, 40)
     assert len(set(laid)) == len(laid)
-    assert len(order._kept) <= 2
+    assert order._window.cache_info().currsize <= 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import builtins
 import html
 import pickle
 import shutil
@@ -288,19 +287,6 @@ def test_statistics_and_tables_read_plain_columns_only(rows: Rows, monkeypatch: 
     assert {options["columns"][0] for options in asked} == {"id", "label", "value", "name"}
     nothing = rows[:0].statistics()
     assert (nothing.rows, nothing.classes["a"], nothing.columns["value"].missing) == (0, 0, 0)
-
-
-def test_pandas_may_be_absent(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
-    usual = builtins.__import__
-
-    def refuse(name: str, *others: Any, **further: Any) -> Any:
-        if name == "pandas":
-            raise ImportError(name)
-        return usual(name, *others, **further)
-
-    monkeypatch.setattr(builtins, "__import__", refuse)
-    with pytest.raises(InputError, match=r"needs the package 'pandas'.*next: pip install pandas"):
-        rows.to_pandas()
 
 
 def test_a_hugging_face_set_shares_the_rows(every_set: dict[str, Any], rows: Rows) -> None:

@@ -407,13 +407,13 @@ def test_a_cache_that_is_too_small_or_not_there_costs_speed_only(
 
 UNPACK = """
     import os, sys
-    from tactile_toolkit.read import parquet
-    write = parquet.write_blocks
-    def logged(stream, name, *rest):
+    from tactile_toolkit.read import blocks, parquet
+    write = blocks.write_block
+    def logged(stream, name, table):
         with open(sys.argv[1], "a") as log:
             log.write(name + "\\n")
-        write(stream, name, *rest)
-    parquet.write_blocks = logged
+        write(stream, name, table)
+    blocks.write_block = logged
     print("ready", flush=True)
     sys.stdin.readline()
     table = parquet.ShardedTable(tuple(map(parquet.Shard, sys.argv[2:])))
