@@ -7,14 +7,7 @@ import zipfile
 
 from tactile_toolkit.errors import InputError
 
-__all__ = [
-    "CACHE_LIMIT_VARIABLE",
-    "UNPACKED_VARIABLE",
-    "cache_limit_bytes",
-    "require_plain_archive",
-    "require_unpackable",
-    "unpacked_limit_bytes",
-]
+__all__ = ["CACHE_LIMIT_VARIABLE", "cache_limit_bytes", "require_plain_archive", "require_unpackable"]
 
 UNPACKED_VARIABLE = "TACTILE_TOOLKIT_UNPACKED_MIB"
 """Environment variable that raises the limit, in MiB."""
@@ -22,28 +15,19 @@ UNPACKED_VARIABLE = "TACTILE_TOOLKIT_UNPACKED_MIB"
 CACHE_LIMIT_VARIABLE = "TACTILE_TOOLKIT_CACHE_MIB"
 """Environment variable that says how much of the disk unpacked row groups may take in the cache, in MiB."""
 
-_USUAL_MIB = {
-    UNPACKED_VARIABLE: 512,  # ten times the largest row of the published data sets, eleven times all MNIST
-    CACHE_LIMIT_VARIABLE: 32 << 10,
-}
-
+_UNPACKED_MIB = 512  # ten times the largest row of the published data sets, eleven times all MNIST
+_CACHE_MIB = 32 << 10
 
 _USUAL_EXPANSION = 32
 """Meshes and tables take 5 to 30 times the bytes of their files in memory while they are read."""
 
 
-def unpacked_limit_bytes() -> int:
-    """Return the limit of one file or row; InputError where the variable does not hold a whole number."""
-    return _limit_bytes(UNPACKED_VARIABLE)
-
-
 def cache_limit_bytes() -> int:
-    """Return the limit of the cache of row groups; InputError as for :func:`unpacked_limit_bytes`."""
-    return _limit_bytes(CACHE_LIMIT_VARIABLE)
+    """Return the limit of the cache of row groups; InputError unless the variable holds a whole number."""
+    return _limit_bytes(CACHE_LIMIT_VARIABLE, _CACHE_MIB)
 
 
-def _limit_bytes(variable: str) -> int:
-    usual_mib = _USUAL_MIB[variable]
+def _limit_bytes(variable: str, usual_mib: int) -> int:
     named = os.environ.get(variable) or str(usual_mib)
     # Eleven digits of MiB are less than 2^63 bytes, which Arrow and file systems count in.
     if not (named.isascii() and named.isdigit() and len(named) < 12):
@@ -57,7 +41,7 @@ def require_unpackable(size_bytes: int, what: str, file_bytes: int = 0) -> None:
 
     ``file_bytes``, where given, is the size of the file: a large one may unpack to so many times its size.
     """
-    limit = max(unpacked_limit_bytes(), _USUAL_EXPANSION * file_bytes)
+    limit = max(_limit_bytes(UNPACKED_VARIABLE, _UNPACKED_MIB), _USUAL_EXPANSION * file_bytes)
     if size_bytes > limit:
         needed_mib = -(-size_bytes // (1 << 20))
         message = (

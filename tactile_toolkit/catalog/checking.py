@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Generic, TypeVar
 
 from tactile_toolkit.catalog.locate import find_shards, folder_named, splits_of, splits_to_check
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import require_mesh_columns
-from tactile_toolkit.read.columns import RowGroup, null_fields
+from tactile_toolkit.read.columns import null_fields
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import runner_for
-from tactile_toolkit.store.address import is_remote, place_of_data
 
 __all__ = ["CheckedRow", "RowsToCheck", "check_rows", "shards_to_check"]
 
@@ -53,14 +51,9 @@ def shards_to_check(path: str, split: str | None, made_by: str) -> list[tuple[st
     Raises InputError where there is none, IntegrityError where a shard is damaged or missing.
     """
     if split is not None:
-        splits: Sequence[str] = [split]
-    elif folder_named(path) is not None:
-        splits = splits_to_check(path)
-    elif is_remote(path) or Path(place_of_data(path)).is_file():
-        splits = splits_of(path)
+        splits: tuple[str, ...] = (split,)
     else:
-        message = f"{path!r} does not exist; expected a data set folder or a Parquet file"
-        raise InputError(message)
+        splits = splits_of(path) if folder_named(path) is None else splits_to_check(path)
     shards = [(name, shard) for name in splits for shard in find_shards(path, name)]
     for _, shard in shards:
         require_mesh_columns(shard.schema, path, made_by)
@@ -111,22 +104,12 @@ class _CheckPart(Generic[T]):
         return part, list(islice(self._rows(part), part.rows))
 
     def _rows(self, part: RowsToCheck) -> Iterator[CheckedRow[T]]:
-        import pyarrow as pa
-
         file = Path(part.shard.path).name
         for block in part.shard.blocks(part.group):
             nulls = null_fields(block.table, self.columns)
-            readable = block
-            if nulls:
-                # One null spoils its whole column; without such rows the others can be read.
-                whole = pa.array([row for row in range(len(block.table)) if row not in nulls], pa.int64())
-                readable = RowGroup(block.table.take(whole).combine_chunks(), block.path)
-            index = 0
-            for row, row_id in enumerate(block.table["id"].to_pylist(), block.first_row):
+            for index, row_id in enumerate(block.table["id"].to_pylist()):
                 # In data sets of others it may be null, or a text.
                 known_id = row_id if isinstance(row_id, int) else None
-                null_field, found = nulls.get(row - block.first_row, ""), None
-                if not null_field:
-                    found = self.check(Row(readable, index))
-                    index += 1
-                yield CheckedRow(part.split, file, row, known_id, found, null_field)
+                null_field = nulls.get(index, "")
+                found = None if null_field else self.check(Row(block, index))
+                yield CheckedRow(part.split, file, block.first_row + index, known_id, found, null_field)

@@ -71,8 +71,8 @@ def chosen_records(
     found: dict[int, tuple[str, Any]] = {}
     for split, dataset in datasets.items():
         known = dataset.ids  # each time, a copy of the rows chosen
-        for row in np.flatnonzero(np.isin(known, ids)).tolist():
-            found.setdefault(int(known[row]), (split, dataset[row]))
+        rows = np.flatnonzero(np.isin(known, ids)).tolist()
+        found = {int(known[row]): (split, dataset[row]) for row in reversed(rows)} | found
     missing = [str(number) for number in dict.fromkeys(ids) if number not in found]
     if missing:
         message = (

@@ -78,24 +78,22 @@ def find_files(
     names: Sequence[str], *, revision: str | None = None, streaming: bool = False
 ) -> tuple[Shard, ...]:
     """Find Parquet files that belong together, local or on the Hub, as :func:`find_shards` does."""
+    if not names:
+        message = "no files given; expected Parquet files of one data set"
+        raise InputError(message)
     shards: list[Shard] = []
-    repositories: dict[HubName, HubRepository] = {}  # one each, so that its files are of one commit
+    repositories: dict[tuple[str, str | None], HubRepository] = {}  # one each: its files are of one commit
     for name in names:
-        file = _file_here(name)
-        is_here = _is_of_store(name) or _local_place(name) is not None
-        named = None if is_here else hub_name(name, revision)
-        if named is not None and _is_file(named):
-            key = HubName(named.repo_id, named.revision, "")
-            repository = repositories.setdefault(key, HubRepository(named.repo_id, named.revision))
-            shards += _hub_shards(repository, [named.path], streaming)
-        elif file is not None:
-            shards.append(Shard(file))
+        place = _found_here(name) or hub_name(name, revision)
+        if isinstance(place, HubName) and _is_file(place):
+            key = place.repo_id, place.revision
+            repository = repositories.setdefault(key, HubRepository(*key))
+            shards += _hub_shards(repository, [place.path], streaming)
+        elif isinstance(place, str):
+            shards.append(Shard(place))
         else:
             message = f"no file {_shown(name)}; expected Parquet files of one data set"
             raise InputError(message)
-    if not shards:
-        message = "no files given; expected Parquet files of one data set"
-        raise InputError(message)
     return tuple(shards)
 
 
@@ -110,9 +108,7 @@ def repository_named(name: str, revision: str | None = None) -> HubRepository:
 
 def _place_of(name: str, revision: str | None) -> str | DataFolder | HubName:
     """Return what a name means: a Parquet file by its path, a folder, or what lies on the Hub."""
-    file = _file_here(name)
-    folder = folder_named(name) if file is None else None
-    return file or folder or _named_on_hub(name, revision)
+    return _found_here(name) or _named_on_hub(name, revision)
 
 
 def _named_on_hub(name: str, revision: str | None) -> HubName:
@@ -134,10 +130,18 @@ def folder_named(name: str) -> DataFolder | None:
 
     Raises InputError for a folder of a store that is not there: nothing else can be meant.
     """
-    if _is_of_store(name):
-        folder = DataFolder(name)
-        if name.endswith(_PARQUET):
+    found = _found_here(name)
+    return found if isinstance(found, DataFolder) else None
+
+
+def _found_here(name: str) -> str | DataFolder | None:
+    """Return a Parquet file by its path or a folder, local or in an object store; None for anything else."""
+    if is_remote(name):
+        if scheme_of(name) == "hf":
             return None
+        if name.endswith(_PARQUET):
+            return place_of_data(name)
+        folder = DataFolder(name)
         if not folder.exists():
             message = (
                 f"{folder.lacks('data set')}; expected the folder of a data set, or a Parquet file; next: "
@@ -145,33 +149,16 @@ def folder_named(name: str) -> DataFolder | None:
             )
             raise InputError(message)
         return folder
-    place = _local_place(name)
-    return DataFolder(str(place)) if place is not None and place.is_dir() else None
-
-
-def _file_here(name: str) -> str | None:
-    """Return a Parquet file that stands by its name, local or in an object store; None for anything else."""
-    if _is_of_store(name):
-        return place_of_data(name) if name.endswith(_PARQUET) else None
-    place = _local_place(name)
-    return str(place) if place is not None and place.is_file() else None
-
-
-def _is_of_store(name: str) -> bool:
-    """Tell whether a name is the address of something in an object store, not on the Hub."""
-    return is_remote(name) and scheme_of(name) != "hf"
-
-
-def _local_place(name: str) -> Path | None:
-    """Return the file or folder of that name; None where there is none, or can be none."""
-    if is_remote(name):
-        return None
     try:
         place = expanded(place_of_data(name))
     except InputError:  # an unknown user's home
         return None
     with readable(name):
-        return place if is_there(place) else None
+        if not is_there(place):
+            return None
+    if place.is_dir():
+        return DataFolder(str(place))
+    return str(place) if place.is_file() else None
 
 
 def _shown(name: str) -> str:
@@ -194,11 +181,8 @@ def _split_of(known: Sequence[str], split: str | None, name: str) -> str:
         return split
     only, *further = dict.fromkeys(known or [_USUAL_SPLIT])
     if further:
-        listed = ", ".join([only, *further])
-        message = (
-            f"{_shown(name)} has the splits {listed}; expected one of them; next: say which, split={only!r} "
-            f"(in a shell --split {only})"
-        )
+        found = f"{_shown(name)} has the splits {', '.join([only, *further])}; expected one of them"
+        message = f"{found}; next: name it, split={only!r} (in a shell --split {only})"
         raise InputError(message)
     return only
 
@@ -215,7 +199,7 @@ def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool
     if not streaming:
         return tuple(map(Shard, repository.fetch(paths)))
     for path in paths:
-        repository.file(path)  # a file that is not there is told now, not when it is read
+        repository.file(path)  # a file that is not there is named now, not when it is read
     failures = functools.partial(named_failures, repository.repo_id, repository.revision, "streaming")
     return tuple(Shard(repository.address(path), failures=failures) for path in paths)
 
@@ -273,7 +257,7 @@ def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
     root = folder.address()
     return tuple(
         [
-            Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry)
+            Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry, size_bytes=record.bytes)
             for record, entry in zip(records, small, strict=True)
         ]
     )
