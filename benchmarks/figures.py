@@ -52,7 +52,8 @@ _STORE = ("tactile_toolkit/store", "tactile_toolkit/run")
 _READ = ("tactile_toolkit/read", "tactile_toolkit/cache.py")
 _DIGIT = (
     "mnist3d/solid.py",
-    "mnist3d/steps.py",
+    "mnist3d/literal.py",
+    "mnist3d/surface.py",
     "mnist3d/lattice.py",
     "mnist3d/rows.py",
     "mnist3d/generation.py",

@@ -16,7 +16,8 @@ from pathlib import Path
 import numpy as np
 
 from mnist3d.ink import count_bodies_and_holes
-from mnist3d.solid import SolidSpec, ink_mask, literal_solid, solidify
+from mnist3d.literal import literal_solid
+from mnist3d.solid import SolidSpec, binarise, solidify
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import PrintReport, inspect
 
@@ -59,7 +60,7 @@ def time_table(images: list[np.ndarray], repeats: int) -> None:
     meshes = [solidify(p, spec) for p in images]
     checked = [best_ms(lambda m=m: inspect(m), repeats) for m in meshes]
     literal = [best_ms(lambda p=p: solidify(p, spec, method="literal"), 1) for p in images]
-    masks = [ink_mask(p, spec) for p in images]
+    masks = [binarise(p, spec) for p in images]
     undecimated = [best_ms(lambda m=m: literal_solid(m, spec, decimated=False), 1) for m in masks]
     check, quick = statistics.median(checked), statistics.median(fast)
     print("ms per digit (median)           make   check   total")
@@ -85,7 +86,7 @@ def accuracy_table(images: list[np.ndarray], points: int) -> None:
     rows, reports, distances, packed, same = [], [], [], [], 0
     for pixels in images:
         spec = SolidSpec()
-        mask = ink_mask(pixels, spec)
+        mask = binarise(pixels, spec)
         fast, literal = solidify(pixels, spec), literal_solid(mask, spec, decimated=False)
         report, oracle = inspect(fast), inspect(literal)
         counts = count_bodies_and_holes(mask)

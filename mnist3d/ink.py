@@ -1,4 +1,4 @@
-"""From grey levels to the ink of a digit: a mask with one meaning only.
+"""From an image to the ink of a digit: a mask with one meaning only.
 
 The mask that leaves :func:`clean` holds no speck and no pinhole, and no two of its pixels touch at a corner
 alone. The numbers of bodies and holes are then the same whether corners connect or not, and the solid that is
@@ -8,27 +8,23 @@ built from the mask can be held to them.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.errors import ItemError
+from tactile_toolkit.errors import InputError, ItemError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
+    from mnist3d.spec import SolidSpec
+
+    Mask: TypeAlias = NDArray[np.bool_]
+    Levels: TypeAlias = NDArray[np.uint8]
+
 __all__ = [
-    "binarise",
-    "clean",
-    "count_bodies_and_holes",
-    "dark_on_light",
-    "grown",
-    "join_bodies",
-    "levels_and_threshold",
-    "margin",
-    "otsu_threshold",
-    "paper_is_dark",
-    "repair_corners",
+    *("binarise", "clean", "count_bodies_and_holes", "grown", "ink_of_levels", "join_bodies"),
+    *("levels_and_threshold", "margin", "otsu_threshold", "paper_is_dark", "repair_corners"),
 ]
 
 MIN_SIDE_PX = 8
@@ -46,28 +42,74 @@ PAPER_SHARE = 0.75
 _CORNERS_CONNECT = np.ones((3, 3), dtype=bool)
 
 
-def binarise(levels: NDArray[np.uint8], threshold: float | None = None) -> NDArray[np.bool_]:
-    """Tell ink (True) from paper, in grey levels from 0 (ink) to 255 (paper).
+_SENTENCES = {
+    "bad-shape": "the image has shape {}; expected (H, W) with sides of {} px or more",
+    "bad-dtype": "the image has dtype {}; expected grey levels (integers, floats or bool)",
+    "not-finite": "{} pixels of the image are NaN or infinite; expected grey levels from 0 to 255",
+    "bad-range": "grey levels run from {} to {}; expected 0 to 255, or floats from 0 to 1",
+    "too-small": "the image has {} x {} px, which make {:g} mm; expected {} px or more; next: "
+    "solidify(..., resample=True) draws it again with 500",
+    "unclear-ink": "{}: the ink cannot be told from the paper, found {:.0%} of the margin light and the rest "
+    "dark, expected nearly all of it to be paper; next: say dark or light (--ink, ink=), or crop the image",
+    "one-level": "the image has one grey level only ({}); expected dark ink on light paper",
+    "no-ink": "no pixel is dark enough to be ink; expected a digit",
+    "all-ink": "ink covers {:.0%} of the margin of the image, which would make a slab; expected a digit on "
+    "paper, with less than {:.0%} of the margin ink; next: say ink='light' if the ink is the lighter part, "
+    "or leave room around the digit",
+    "only-specks": "no piece of ink is as large as {} mm^2 (min_speck_mm2); expected a digit",
+}
+
+
+def _refuse(reason: str, *found: Any, sentence: str = "") -> NoReturn:
+    raise ItemError(reason, _SENTENCES[sentence or reason].format(*found))
+
+
+def binarise(
+    pixels: NDArray[Any],
+    spec: SolidSpec,
+    *,
+    ink: Literal["auto", "dark", "light"] = "auto",
+    resample: bool = False,
+) -> Mask:
+    """Find the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
+
+    Parameters and errors as of :func:`mnist3d.solid.solidify`.
+    """
+    if ink not in ("auto", "dark", "light"):
+        message = f"ink is {ink!r}; expected 'auto', 'dark' or 'light'"
+        raise InputError(message)
+    # A threshold says which side of it is ink.
+    levels, threshold = levels_and_threshold(
+        pixels, ink if spec.threshold is None or ink != "auto" else "dark"
+    )
+    if resample:
+        from mnist3d.sources.canvas import fit
+
+        # Other levels have another threshold.
+        levels, threshold = fit(levels), None
+    elif max(levels.shape) < SMALL_PX:
+        height_px, width_px = levels.shape
+        size_mm = max(height_px, width_px) * spec.pixel_pitch_mm
+        _refuse("too-small", width_px, height_px, size_mm, SMALL_PX)
+    mask = clean(ink_of_levels(levels, threshold if spec.threshold is None else spec.threshold), spec)
+    return join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm) if spec.join_bodies else mask
+
+
+def ink_of_levels(levels: Levels, threshold: float | None = None) -> Mask:
+    """Return ink (True) from paper, in grey levels from 0 (ink) to 255 (paper).
 
     Pixels up to the threshold are ink; by default that is Otsu's of the image. Raises ItemError ``no-ink`` or
     ``all-ink``, the latter also when the margin is ink for the most part.
     """
     darkest, lightest = int(levels.min()), int(levels.max())
     if threshold is None and lightest == darkest:
-        message = f"the image has one grey level only ({darkest}); expected dark ink on light paper"
-        raise ItemError("no-ink" if darkest > 127 else "all-ink", message)
+        _refuse("no-ink" if darkest > 127 else "all-ink", darkest, sentence="one-level")
     mask = levels <= (otsu_threshold(levels) if threshold is None else threshold)
     if not mask.any():
-        message = "no pixel is dark enough to be ink; expected a digit"
-        raise ItemError(reason="no-ink", message=message)
+        _refuse("no-ink")
     paper = float(1 - margin(mask).mean())
     if mask.all() or paper <= 1 - PAPER_SHARE:
-        message = (
-            f"ink covers {1 - paper:.0%} of the margin of the image, which would make a slab; expected a "
-            f"digit on paper, with less than {PAPER_SHARE:.0%} of the margin ink; next: say ink='light' if "
-            "the ink is the lighter part, or leave room around the digit"
-        )
-        raise ItemError(reason="all-ink", message=message)
+        _refuse("all-ink", 1 - paper, PAPER_SHARE)
     return mask
 
 
@@ -79,81 +121,56 @@ def margin(values: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([part.ravel() for part in parts])
 
 
-def paper_is_dark(levels: NDArray[np.uint8], threshold: int, where: str) -> bool:
-    """Tell whether the margin, which is paper, is dark; `where` names the image.
+def paper_is_dark(levels: Levels, threshold: int, where: str) -> bool:
+    """Return whether the margin, which is paper, is dark; `where` names the image.
 
     Raises ItemError ``unclear-ink`` when less than three quarters of it are on one side of the threshold.
     """
     light = float((margin(levels) > threshold).mean())
     if 1 - PAPER_SHARE < light < PAPER_SHARE:
-        message = (
-            f"{where}: the ink cannot be told from the paper, found {light:.0%} of the margin light and the "
-            "rest dark, expected nearly all of it to be paper; next: say dark or light (--ink, ink=), or "
-            "crop the image"
-        )
-        raise ItemError(reason="unclear-ink", message=message)
+        _refuse("unclear-ink", where, light)
     return light <= 1 - PAPER_SHARE
 
 
-def dark_on_light(pixels: NDArray[Any], ink: str) -> NDArray[np.uint8]:
+def levels_and_threshold(pixels: NDArray[Any], ink: str) -> tuple[Levels, int | None]:
     """Turn an image of any number type into grey levels from 0 (ink) to 255 (paper).
 
     Integers are levels from 0 to 255, floats run from 0 to 1 or to 255, bool has two levels. With ``"auto"``
-    the margin of the image is paper. Raises ItemError ``bad-shape``, ``bad-dtype``, ``not-finite``,
-    ``bad-range`` or ``unclear-ink``.
+    the margin of the image is paper. Otsu's threshold comes with them where it is known by then. Raises
+    ItemError ``bad-shape``, ``bad-dtype``, ``not-finite``, ``bad-range`` or ``unclear-ink``.
     """
-    return levels_and_threshold(pixels, ink)[0]
-
-
-def levels_and_threshold(pixels: NDArray[Any], ink: str) -> tuple[NDArray[np.uint8], int | None]:
-    """Return what :func:`dark_on_light` does, and Otsu's threshold of it where it is known by then."""
     levels = _as_levels(pixels)
-    if ink == "light":
+    threshold = otsu_threshold(levels) if ink == "auto" and levels.min() < levels.max() else None
+    if ink == "light" or (threshold is not None and paper_is_dark(levels, threshold, "the image")):
         return 255 - levels, None
-    if ink == "auto" and levels.min() < levels.max():
-        threshold = otsu_threshold(levels)
-        if paper_is_dark(levels, threshold, "the image"):
-            return 255 - levels, None
-        return levels, threshold
-    return levels, None
+    return levels, threshold
 
 
-def _as_levels(pixels: NDArray[Any]) -> NDArray[np.uint8]:
+def _as_levels(pixels: NDArray[Any]) -> Levels:
     image = np.asarray(pixels)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE_PX:
-        message = f"the image has shape {image.shape}; expected (H, W) with sides of {MIN_SIDE_PX} px or more"
-        raise ItemError(reason="bad-shape", message=message)
+        _refuse("bad-shape", image.shape, MIN_SIDE_PX)
     if image.dtype == np.uint8:
         return image
     if image.dtype == np.bool_:
         return np.where(image, np.uint8(255), np.uint8(0))
     if image.dtype.kind not in "iuf":
-        message = f"the image has dtype {image.dtype}; expected grey levels (integers, floats or bool)"
-        raise ItemError(reason="bad-dtype", message=message)
+        _refuse("bad-dtype", image.dtype)
     if not np.isfinite(image).all():
-        bad = int((~np.isfinite(image)).sum())
-        message = f"{bad} pixels of the image are NaN or infinite; expected grey levels from 0 to 255"
-        raise ItemError(reason="not-finite", message=message)
+        _refuse("not-finite", int((~np.isfinite(image)).sum()))
     if image.min() < 0 or image.max() > 255:
-        message = (
-            f"grey levels run from {image.min()} to {image.max()}; expected 0 to 255, or floats from 0 to 1"
-        )
-        raise ItemError(reason="bad-range", message=message)
+        _refuse("bad-range", image.min(), image.max())
     if image.dtype.kind == "f" and image.max() <= 1:
         image = image.astype(np.float64) * 255
     return np.round(image).astype(np.uint8)
 
 
-def otsu_threshold(levels: NDArray[np.uint8]) -> int:
+def otsu_threshold(levels: Levels) -> int:
     """Return the highest level of the darker of the two groups that differ most (Otsu 1979)."""
     # scikit-image finds the same, but importing it costs every process up to a second.
-    flat = levels.ravel()
-    # Eight white pixels at once: most of a page is white.
-    words = flat[: flat.size // 8 * 8].view(np.uint64)
-    mixed = words[words != np.iinfo(np.uint64).max]
-    counts = np.bincount(mixed.view(np.uint8), minlength=256).astype(np.float64)
-    counts += np.bincount(flat[8 * len(words) :], minlength=256)
-    counts[255] += 8 * (len(words) - len(mixed))
+    # Most of a page is white: the rest is counted.
+    counts = np.bincount(levels[levels < 255], minlength=256).astype(np.float64)
+    counts[255] = levels.size - counts.sum()
     below = np.cumsum(counts)
     weighted = np.cumsum(counts * np.arange(256))
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -161,16 +178,16 @@ def otsu_threshold(levels: NDArray[np.uint8]) -> int:
     return int(np.nanargmax(np.where(np.isfinite(spread), spread, -1.0)))
 
 
-def clean(
-    mask: NDArray[np.bool_], *, pixel_pitch_mm: float, min_speck_mm2: float, min_pinhole_mm2: float
-) -> NDArray[np.bool_]:
+def clean(mask: Mask, spec: SolidSpec) -> Mask:
     """Take away specks and pinholes and settle contacts at corners, so that 4- and 8-connectivity agree.
 
     Specks go also where they touch a stroke by a few pixels: they would become fins that no printer makes.
 
     Raises ItemError ``no-ink`` when nothing but specks was there.
     """
-    pixel_mm2 = pixel_pitch_mm**2
+    speck_px, pinhole_px = (
+        area / spec.pixel_pitch_mm**2 for area in (spec.min_speck_mm2, spec.min_pinhole_mm2)
+    )
     cleaned = np.zeros_like(mask)
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows):
@@ -179,16 +196,15 @@ def clean(
         # Corners first: whole pieces that go later cannot leave a new contact at a corner behind.
         inked = repair_corners(np.pad(mask[window], 1))
         # The corner of the padding is the paper around the digit, which is no pinhole.
-        inked = ~_without_small(~inked, min_pinhole_mm2 / pixel_mm2, always=(0, 0))
-        inked = _without_small(inked, min_speck_mm2 / pixel_mm2)
-        cleaned[window] = _without_attached_specks(inked, min_speck_mm2 / pixel_mm2)[1:-1, 1:-1]
+        inked = ~_without_small(~inked, pinhole_px, always=(0, 0))
+        inked = _without_small(inked, speck_px)
+        cleaned[window] = _without_attached_specks(inked, speck_px)[1:-1, 1:-1]
     if not cleaned.any():
-        message = f"no piece of ink is as large as {min_speck_mm2} mm^2 (min_speck_mm2); expected a digit"
-        raise ItemError(reason="no-ink", message=message)
+        _refuse("no-ink", spec.min_speck_mm2, sentence="only-specks")
     return cleaned
 
 
-def repair_corners(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def repair_corners(mask: Mask) -> Mask:
     """Fill one pixel wherever two pixels of ink touch at a corner alone; ink is only ever added."""
     mask = mask.copy()
     while True:
@@ -202,9 +218,7 @@ def repair_corners(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
         mask[1:, 1:] |= rising
 
 
-def _without_small(
-    mask: NDArray[np.bool_], min_px: float, always: tuple[int, int] | None = None
-) -> NDArray[np.bool_]:
+def _without_small(mask: Mask, min_px: float, always: tuple[int, int] | None = None) -> Mask:
     """Drop the pieces smaller than a limit; the piece at the pixel ``always`` stays whatever its size."""
     from scipy import ndimage
 
@@ -219,7 +233,7 @@ def _without_small(
     return np.asarray(keep[labels])
 
 
-def _without_attached_specks(mask: NDArray[np.bool_], min_px: float) -> NDArray[np.bool_]:
+def _without_attached_specks(mask: Mask, min_px: float) -> Mask:
     """Drop what would be a speck but for a few pixels by which it touches the side of wider ink.
 
     A thin stroke of the pen reaches further than a round speck of the limit is wide, and stays; so does a
@@ -246,7 +260,7 @@ def _without_attached_specks(mask: NDArray[np.bool_], min_px: float) -> NDArray[
     return repair_corners(cleaned)
 
 
-def _opened(mask: NDArray[np.bool_], radius_px: int) -> NDArray[np.bool_]:
+def _opened(mask: Mask, radius_px: int) -> Mask:
     """Keep what octagons within the mask cover; they are ``2 * radius_px + 1`` pixels wide."""
     # Shifts of the whole mask take a twelfth of the time of scipy's opening (0.5 and 5.6 ms at radius 6).
     # With and without corners in turn, squares and diamonds add up to octagons.
@@ -259,7 +273,7 @@ def _opened(mask: NDArray[np.bool_], radius_px: int) -> NDArray[np.bool_]:
     return ink
 
 
-def grown(mask: NDArray[np.bool_], *, corners: bool = True) -> NDArray[np.bool_]:
+def grown(mask: Mask, *, corners: bool = True) -> Mask:
     """Widen what is marked by a pixel to all sides, and where corners connect also to those."""
     wider = mask.copy()
     wider[1:] |= mask[:-1]
@@ -270,7 +284,7 @@ def grown(mask: NDArray[np.bool_], *, corners: bool = True) -> NDArray[np.bool_]
     return wider
 
 
-def count_bodies_and_holes(mask: NDArray[np.bool_]) -> tuple[int, int]:
+def count_bodies_and_holes(mask: Mask) -> tuple[int, int]:
     """Count the pieces of clean ink and the spots of paper that ink encloses; outside the mask is paper."""
     from scipy import ndimage
 
@@ -282,7 +296,7 @@ def count_bodies_and_holes(mask: NDArray[np.bool_]) -> tuple[int, int]:
     return bodies, bodies - int(euler)
 
 
-def join_bodies(mask: NDArray[np.bool_], width_px: float) -> NDArray[np.bool_]:
+def join_bodies(mask: Mask, width_px: float) -> Mask:
     """Join pieces of clean ink by straight bars until one is left, so that the digit prints in one piece.
 
     Each round joins the first piece to the one nearest to it, where the two come closest. A bar reaches into
@@ -307,7 +321,7 @@ def join_bodies(mask: NDArray[np.bool_], width_px: float) -> NDArray[np.bool_]:
 
 def _bar(
     shape: tuple[int, ...], start: NDArray[np.float64], end: NDArray[np.float64], width_px: float
-) -> NDArray[np.bool_]:
+) -> Mask:
     length = float(np.hypot(*(end - start)))
     along = (end - start) / length
     rows, columns = np.ogrid[: shape[0], : shape[1]]

@@ -1,32 +1,40 @@
-"""The fast way to the same solid: one distance transform, one lattice as fine as the vertex budget allows.
+"""Erosion with all kernel sizes at once: the first steps of Algorithm 1 in their continuous form.
 
-The distance of every pixel from the outline holds all erosions at once. The solid is evaluated as a
-real-valued depth on a lattice several pixels wide, so its zero is found between the nodes. Where a neck, a
-gap or a whisker is narrower than the lattice can show, rows and columns of nodes are added until it is shown.
-Only the upper half is made; its surface ends in the mid-plane and is mirrored as it is, which makes the mesh
-symmetric to the last bit (but for those that are decimated because of very many added nodes).
+The printed algorithm erodes the ink with one kernel after another and stacks the binary layers. Here the
+distance of every pixel from the outline holds all erosions at once: a pixel is left by the kernel of radius r
+where it is further than r from the outline. So :func:`erode` gives, instead of what is left, how deep each
+node lies within what is left; marching cubes then find the surface between the nodes, which may lie several
+pixels apart. :func:`stack` puts these layers on one another, and :func:`mirror` stands for the lower half
+without making it: it would be the same again, and mirrored last it is so to the last bit.
+
+:class:`Lattice` says where the nodes lie: as far apart as the vertex budget asks for. Where a neck, a gap or
+a whisker is narrower than the lattice can show, rows and columns of nodes are added until it is shown.
+:mod:`mnist3d.literal` has the same steps as they are printed.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeVar
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 
-from mnist3d.ink import count_bodies_and_holes, grown
+from mnist3d.ink import grown
 from mnist3d.side_view import depth_px, half_height_px
-from mnist3d.steps import BUDGET_SLACK, bodies_and_holes, decimate, marching_cubes, scale, smooth
-from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from mnist3d.spec import SolidSpec
-    from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["LatticeSteps", "lattice_solid", "lattice_steps", "signed_distance_px"]
+    Mask: TypeAlias = NDArray[np.bool_]
+    Places: TypeAlias = NDArray[np.intp]
+    Singles: TypeAlias = NDArray[np.float32]
+    Doubles: TypeAlias = NDArray[np.float64]
+
+__all__ = ["Lattice", "Mirrored", "erode", "lattice_of", "mirror", "signed_distance_px", "stack"]
 
 F = TypeVar("F", np.float32, np.float64)
 
@@ -62,7 +70,7 @@ GRAIN_PX = 2.0**-12
 _FACTOR_GRAIN_PX, _WEIGHT_GRAIN = 2.0**-16, 2.0**-24
 """Grids of what is sampled, below 2^7 px, and of weights, below 2: their sums need no more than 50 bits."""
 
-NUDGE = 0.03
+MIN_NODE_DEPTH = 0.03
 """Least depth of a node in pitches: it keeps the vertices on the edges around a node apart."""
 
 CHORD_LOSS = 0.11
@@ -74,103 +82,169 @@ geometry, this value as measured on 20 of the real digits against the literal so
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PlaneLattice:
-    """Distances from the outline at the nodes of a lattice in the mid-plane, in pixels.
-
-    ``s_px`` is positive inside; ``rows_px`` and ``columns_px`` say where the nodes lie, ``pitch_px`` how far
-    apart they are where nothing narrow is near.
-    """
-
-    s_px: NDArray[np.float32]
-    rows_px: NDArray[np.float64]
-    columns_px: NDArray[np.float64]
-    pitch_px: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LatticeSteps:
-    """A solid and what it was made from, step by step.
+class Lattice:
+    """Where the solid of some ink is evaluated: nodes in the mid-plane, and how far each is from the outline.
 
     Attributes
     ----------
-    lattice : PlaneLattice
-        Its nodes in the mid-plane, in pixels from ``corner_px``, the first (row, column) that it covers.
-    layers : ndarray of bool, shape (R, C, L)
-        Which nodes are inside, from the mid-plane up, ``lattice.pitch_px`` apart: eroded, and stacked.
-    vertices_px, faces : ndarray, shape (V, 3) and (F, 3)
-        The upper half as marching cubes give it, coordinates as in :mod:`mnist3d.steps`.
-    mesh : Mesh
-        The same smoothed, mirrored and scaled, and decimated where it has too many vertices.
+    ink : ndarray of bool, shape (H, W)
+        The part of the image with ink in it, and paper around; what follows is in pixels of this part.
+    corner_px : tuple of int
+        Row and column of the image at which it begins.
+    distance_px : ndarray of float32, shape (H, W)
+        Distance of each pixel from the outline, positive inside.
+    narrow : ndarray of int, shape (2, N)
+        Rows and columns of pixels of ink and paper that nothing wide is near.
+    rows_px, columns_px : ndarray of float64, shape (R,) and (C,)
+        Where the nodes lie.
+    pitch_px : float
+        How far apart they are where nothing narrow is near.
+    s_px : ndarray of float32, shape (R, C)
+        Distance from the outline at the nodes.
     """
 
-    lattice: PlaneLattice
+    ink: Mask
     corner_px: tuple[int, int]
-    layers: NDArray[np.bool_]
-    vertices_px: NDArray[np.float32]
-    faces: NDArray[np.int32]
-    mesh: Mesh
+    distance_px: Singles
+    narrow: Places
+    rows_px: Doubles
+    columns_px: Doubles
+    pitch_px: float
+    s_px: Singles
+
+    @property
+    def least_px(self) -> np.float32:
+        """Least depth of a node: it keeps the vertices on the edges around a node apart."""
+        return np.float32(MIN_NODE_DEPTH * self.pitch_px)
+
+    def heights_px(self, spec: SolidSpec) -> Singles:
+        """Return the heights of the layers above the mid-plane, to beyond the top of the solid, shape (L, 1).
+
+        Each an array of its own: numpy squares single numbers by another function, to another last bit.
+        """
+        top_px = spec.half_thickness_px + 2 * self.pitch_px
+        return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None]
+
+    def finer(self, inside: Mask) -> Lattice | None:
+        """Return a lattice with more nodes where bodies or holes are lost; None where each pixel has one.
+
+        That is where nodes ``inside`` the mid-plane touch at a corner alone, or else where the lattice shows
+        ink for paper, or paper for ink.
+        """
+        if self.s_px.shape == self.ink.shape:
+            return None
+        missed = self._corner_contacts(inside)
+        if not missed.size:
+            shown = self._between_nodes(*np.ogrid[: self.ink.shape[0], : self.ink.shape[1]])
+            missed = np.stack(np.nonzero((shown > 0) != self.ink))
+        return self._with_nodes_at(missed).fitted()
+
+    def fitted(self) -> Lattice:
+        """Return a lattice with nodes added until it shows all that is narrow."""
+        lattice = self
+        while True:
+            error_px = np.abs(
+                lattice._between_nodes(*lattice.narrow) - lattice.distance_px[tuple(lattice.narrow)]
+            )
+            missed = lattice.narrow[:, error_px > NARROW_ERROR_PX]
+            if not missed.size:
+                return lattice
+            lattice = lattice._with_nodes_at(missed)
+
+    def _with_nodes_at(self, missed: Places) -> Lattice:
+        rows, columns = map(_refined, (self.rows_px, self.columns_px), missed, self.ink.shape)
+        # Where nothing more can be added line by line, every pixel becomes a node; that is the finest.
+        if (len(rows), len(columns)) == self.s_px.shape:
+            rows, columns = (np.arange(side, dtype=np.float64) for side in self.ink.shape)
+        return self.sampled(rows, columns)
+
+    def sampled(self, rows_px: Doubles, columns_px: Doubles) -> Lattice:
+        """Return a lattice with these nodes."""
+        s, ridge = (
+            _blurred(self.distance_px, rows_px, columns_px, blur)
+            for blur in (BLUR_PER_PITCH, RIDGE_BLUR_PER_PITCH)
+        )
+        share = np.clip(s / np.float32(RIDGE_DEPTH_PER_PITCH * self.pitch_px) - 1, 0, 1)
+        return replace(self, rows_px=rows_px, columns_px=columns_px, s_px=s + share * (ridge - s))
+
+    def _corner_contacts(self, inside: Mask) -> Places:
+        """Return the pixels, shape (2, N), between nodes of which two touch at a corner alone.
+
+        The surface may join them, or what lies across.
+        """
+        one, other = inside[:-1, :-1], inside[:-1, 1:]
+        contacts = (one == inside[1:, 1:]) & (other == inside[1:, :-1]) & (one != other)
+        cells = (
+            np.searchsorted(nodes[1:-1], np.arange(nodes[-1] + 1), side="right")
+            for nodes in (self.rows_px, self.columns_px)
+        )
+        return np.stack(np.nonzero(contacts[np.ix_(*cells)]))
+
+    def _between_nodes(self, rows: Places, columns: Places) -> Doubles:
+        """Return what the lattice shows at pixels, linear between its nodes; exact as :func:`_blurred`."""
+        s = _on_grid(self.s_px, _FACTOR_GRAIN_PX).astype(np.float64)
+        row, above, below = _linear(self.rows_px, rows)
+        column, left, right = _linear(self.columns_px, columns)
+        before, after = (
+            _on_grid(above * s[row, side] + below * s[row + 1, side], _FACTOR_GRAIN_PX)
+            for side in (column, column + 1)
+        )
+        return np.asarray(left * before + right * after)
 
 
-def lattice_solid(mask: NDArray[np.bool_], spec: SolidSpec) -> Mesh:
-    """Build the solid of clean ink; raises as :func:`lattice_steps`."""
-    return lattice_steps(mask, spec).mesh
+class Mirrored(NamedTuple):
+    """Layers from the mid-plane up, shape (R, C, L), that stand for a lower half too."""
+
+    upper: Singles
 
 
-def lattice_steps(mask: NDArray[np.bool_], spec: SolidSpec) -> LatticeSteps:
-    """Build the solid of clean ink (:func:`mnist3d.ink.clean`), and keep what each step gave.
-
-    Raises ItemError ``topology`` where no lattice down to one pixel keeps the bodies and holes of the ink,
-    ``vertex-budget`` where they need more than 1.5 times the vertices asked for.
-    """
+def lattice_of(ink: Mask, spec: SolidSpec) -> Lattice:
+    """Lay a lattice over clean ink (:func:`mnist3d.ink.clean`) that shows all that is narrow."""
     # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
     margin_px = math.ceil(2 * LARGEST_PITCH_PX)
-    inked = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    top, left = int(inked[0][0]) - margin_px, int(inked[1][0]) - margin_px
-    window = tuple(slice(lines[0], lines[-1] + 1) for lines in inked)
-    crop = np.pad(mask[window], margin_px)
-    counts = count_bodies_and_holes(crop)
+    (top, bottom), (left, right) = (np.flatnonzero(ink.any(axis=axis))[[0, -1]].tolist() for axis in (1, 0))
+    crop = np.pad(ink[top : bottom + 1, left : right + 1], margin_px)
     # Deeper than the half thickness the surface is flat; 4 px more keep the cut-off out of the blur there.
     distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
     distance = _on_grid(distance, _FACTOR_GRAIN_PX)
     narrow = np.stack(np.nonzero(_narrow_parts(distance)))
     pitch_px = _first_pitch_px(distance, spec)
     rows, columns = (np.arange(0.0, side - 1, pitch_px) for side in distance.shape)
-    while True:
-        lattice = _sample(distance, rows, columns, pitch_px)
-        error_px = np.abs(_between_nodes(lattice, *narrow) - distance[tuple(narrow)])
-        missed = narrow[:, error_px > NARROW_ERROR_PX]
-        if not missed.size:
-            layers, raw, smoothed, upper = _upper_surface(lattice, spec)
-            found = bodies_and_holes(smoothed, upper, int(np.count_nonzero(smoothed[:, 2] == 0)))
-            if found == counts:
-                break
-            # Bodies or holes are lost where nodes touch at a corner alone, or else where the lattice shows
-            # ink for paper, or paper for ink.
-            missed = _corner_contacts(layers[:, :, 0], lattice)
-            if not missed.size:
-                shown = _between_nodes(lattice, *np.ogrid[: crop.shape[0], : crop.shape[1]])
-                missed = np.stack(np.nonzero((shown > 0) != crop))
-        if len(rows) == crop.shape[0] and len(columns) == crop.shape[1]:
-            message = (
-                f"no lattice keeps the {counts[0]} bodies and {counts[1]} holes of the ink; the finest has "
-                f"{found[0]} and {found[1]}"
-            )
-            raise ItemError(reason="topology", message=message)
-        before = len(rows), len(columns)
-        rows, columns = (_refined(*each) for each in zip((rows, columns), missed, crop.shape, strict=True))
-        # Where nothing more can be added line by line, every pixel becomes a node; then the loop ends.
-        if (len(rows), len(columns)) == before:
-            rows, columns = (np.arange(side, dtype=np.float64) for side in crop.shape)
-    vertices, faces = _mirror_surface(smoothed, upper)
-    corner = np.array([top, left, 0], dtype=np.float32)
-    mesh = scale(vertices + corner, faces, (mask.shape[0], mask.shape[1]), spec)
-    # Who asks for a pitch has asked for its vertices, too.
-    bounded = spec.lattice_pitch_mm is None and len(vertices) > BUDGET_SLACK * spec.target_vertices
-    mesh = decimate(mesh, spec.target_vertices) if bounded else mesh
-    return LatticeSteps(lattice, (top, left), layers, raw + corner, upper, mesh)
+    corner_px = top - margin_px, left - margin_px
+    return (
+        Lattice(crop, corner_px, distance, narrow, rows, columns, pitch_px, distance)
+        .sampled(rows, columns)
+        .fitted()
+    )
 
 
-def signed_distance_px(mask: NDArray[np.bool_], inside_px: float, outside_px: float) -> NDArray[np.float32]:
+def erode(lattice: Lattice, height_px: Singles, spec: SolidSpec) -> Singles:
+    """Erode the ink with the kernel that belongs to a height: one layer, shape (R, C), of how deep nodes lie.
+
+    Positive where the binary erosion of that kernel leaves the node, and 0 on the surface: lengths in pixels.
+    """
+    depth = depth_px(lattice.s_px, height_px, spec)
+    depth += np.float32(CHORD_LOSS * lattice.pitch_px**2 / spec.half_thickness_px)
+    # A node on the surface itself would give triangles without area.
+    nudged = np.where(depth > 0, lattice.least_px, -lattice.least_px)
+    return np.where(np.abs(depth) < lattice.least_px, nudged, depth)
+
+
+def stack(layers: Sequence[NDArray[Any]]) -> NDArray[Any]:
+    """Put layers of shape (H, W) on top of one another, from the mid-plane up."""
+    return np.stack(layers, axis=2)
+
+
+def mirror(upper: Singles) -> Mirrored:
+    """Let the layers above the mid-plane stand for those below it as well.
+
+    Marching cubes and smoothing of the upper half alone give what they give of the whole; the surface is
+    mirrored when it is scaled.
+    """
+    return Mirrored(upper)
+
+
+def signed_distance_px(mask: Mask, inside_px: float, outside_px: float) -> Singles:
     """Measure how far each pixel centre lies from the outline of the ink, positive inside, up to two reaches.
 
     The outline runs between pixels, half a pixel from the centres on either side of it. What lies beyond the
@@ -193,7 +267,7 @@ def signed_distance_px(mask: NDArray[np.bool_], inside_px: float, outside_px: fl
     return np.where(mask, inside - np.float32(0.5), np.float32(0.5) - outside)
 
 
-def _distance_px(along_rows: NDArray[np.int16], reach_px: float) -> NDArray[np.float32]:
+def _distance_px(along_rows: NDArray[np.int16], reach_px: float) -> Singles:
     """Return the distance to the nearest 0, up to a reach below 128, from that within each row."""
     reach, height = math.ceil(reach_px), len(along_rows)
     along_rows = np.minimum(along_rows, np.int16(reach))
@@ -211,7 +285,7 @@ def _distance_px(along_rows: NDArray[np.int16], reach_px: float) -> NDArray[np.f
     return np.asarray(np.minimum(np.sqrt(squared, dtype=np.float32), np.float32(reach_px)))
 
 
-def _first_pitch_px(distance: NDArray[np.float32], spec: SolidSpec) -> float:
+def _first_pitch_px(distance: Singles, spec: SolidSpec) -> float:
     """Return the pitch asked for, or the one at which marching cubes will meet the vertex budget.
 
     A vertex lies on every edge of the lattice that passes through the surface, so their number is known
@@ -227,7 +301,7 @@ def _first_pitch_px(distance: NDArray[np.float32], spec: SolidSpec) -> float:
     return pitch
 
 
-def _crossed_edges(s_px: NDArray[np.float32], pitch_px: float, spec: SolidSpec) -> int:
+def _crossed_edges(s_px: Singles, pitch_px: float, spec: SolidSpec) -> int:
     """Count the edges that pass through the whole surface: beside and above the nodes, the rim only once."""
     layers = np.ceil(half_height_px(s_px, spec) / np.float32(pitch_px)).astype(np.int32)
     beside = np.abs(np.diff(layers, axis=0)).sum() + np.abs(np.diff(layers, axis=1)).sum()
@@ -236,7 +310,7 @@ def _crossed_edges(s_px: NDArray[np.float32], pitch_px: float, spec: SolidSpec) 
     return int(2 * (beside + np.count_nonzero(inked)) - rim)
 
 
-def _narrow_parts(distance: NDArray[np.float32]) -> NDArray[np.bool_]:
+def _narrow_parts(distance: Singles) -> Mask:
     """Mark the pixels of ink and paper that nothing wide is near: necks, gaps, whiskers and notches."""
     wide_ink, wide_paper = distance >= NARROW_PX, distance <= -NARROW_PX
     for _ in range(NARROW_REACH_PX):
@@ -244,21 +318,7 @@ def _narrow_parts(distance: NDArray[np.float32]) -> NDArray[np.bool_]:
     return np.where(distance > 0, ~wide_ink, ~wide_paper)
 
 
-def _corner_contacts(inside: NDArray[np.bool_], lattice: PlaneLattice) -> NDArray[np.intp]:
-    """Return the pixels, shape (2, N), between nodes of which two touch at a corner alone.
-
-    The surface may join them, or what lies across.
-    """
-    one, other = inside[:-1, :-1], inside[:-1, 1:]
-    contacts = (one == inside[1:, 1:]) & (other == inside[1:, :-1]) & (one != other)
-    cells = (
-        np.searchsorted(nodes[1:-1], np.arange(nodes[-1] + 1), side="right")
-        for nodes in (lattice.rows_px, lattice.columns_px)
-    )
-    return np.stack(np.nonzero(contacts[np.ix_(*cells)]))
-
-
-def _refined(nodes: NDArray[np.float64], lines: NDArray[np.intp], count: int) -> NDArray[np.float64]:
+def _refined(nodes: Doubles, lines: Places, count: int) -> Doubles:
     """Put nodes on every pixel of the lines in which something is missed, and on those beside them."""
     missed = np.zeros(count, dtype=bool)
     missed[lines] = True
@@ -274,34 +334,15 @@ def _refined(nodes: NDArray[np.float64], lines: NDArray[np.intp], count: int) ->
     return np.unique(np.concatenate([others, wanted]))
 
 
-def _sample(
-    distance: NDArray[np.float32], rows: NDArray[np.float64], columns: NDArray[np.float64], pitch_px: float
-) -> PlaneLattice:
-    s = _blurred(distance, rows, columns, BLUR_PER_PITCH)
-    ridge = _blurred(distance, rows, columns, RIDGE_BLUR_PER_PITCH)
-    share = np.clip(s / np.float32(RIDGE_DEPTH_PER_PITCH * pitch_px) - 1, 0, 1)
-    return PlaneLattice(s + share * (ridge - s), rows, columns, pitch_px)
-
-
-def _blurred(
-    distance: NDArray[np.float32],
-    rows: NDArray[np.float64],
-    columns: NDArray[np.float64],
-    sigma_per_pitch: float,
-) -> NDArray[np.float32]:
-    down = _weights(rows, distance.shape[0], sigma_per_pitch)
-    across = _weights(columns, distance.shape[1], sigma_per_pitch)
-    return _on_grid(_both_ways(down, across, distance), GRAIN_PX).astype(np.float32)
-
-
-def _both_ways(down: Any, across: Any, values: NDArray[Any]) -> NDArray[np.float64]:
-    """Apply sparse weights along both axes.
+def _blurred(values: Singles, rows: Doubles, columns: Doubles, sigma_per_pitch: float) -> Singles:
+    """Return what a blur as wide as the nodes lie apart leaves of values at the nodes.
 
     Values and weights lie on grids so coarse that every product and every sum of them is exact in double
     precision: so they are the same bits on every processor.
     """
-    halfway = down @ values.astype(np.float64)
-    return np.asarray((across @ np.ascontiguousarray(_on_grid(halfway, _FACTOR_GRAIN_PX).T)).T)
+    down, across = map(_weights, (rows, columns), values.shape, (sigma_per_pitch, sigma_per_pitch))
+    halfway = _on_grid(down @ values.astype(np.float64), _FACTOR_GRAIN_PX)
+    return _on_grid((across @ np.ascontiguousarray(halfway.T)).T, GRAIN_PX).astype(np.float32)
 
 
 def _on_grid(values: NDArray[F], grain: float) -> NDArray[F]:
@@ -309,8 +350,10 @@ def _on_grid(values: NDArray[F], grain: float) -> NDArray[F]:
     return np.asarray(np.round(values * values.dtype.type(1 / grain)) * values.dtype.type(grain))
 
 
-def _weights(nodes: NDArray[np.float64], count: int, sigma_per_pitch: float) -> Any:
+def _weights(nodes: Doubles, count: int, sigma_per_pitch: float) -> Any:
     """Return a sparse matrix from pixels to nodes; a node one pixel from the next is not blurred."""
+    from scipy.sparse import csr_array
+
     # Pitches differ along an axis: each node is blurred as the finer of its two sides needs.
     gaps = np.diff(nodes)
     pitch = np.minimum(np.append(gaps, gaps[-1]), np.append(gaps[0], gaps))
@@ -322,10 +365,14 @@ def _weights(nodes: NDArray[np.float64], count: int, sigma_per_pitch: float) -> 
     inside = (pixels >= 0) & (pixels < count)
     squared = np.where(inside, (nodes[:, None] - pixels) ** 2, np.inf)
     narrow, wide = _bells(squared, sigma), _bells(squared, 2**0.5 * sigma)
-    return _sparse(2 * narrow - wide, pixels, count)
+    weights = _on_grid(2 * narrow - wide, _WEIGHT_GRAIN)
+    # A row reaches as far as the widest bell does; most outer weights round to nothing.
+    kept = weights != 0
+    starts = np.append(0, np.cumsum(np.count_nonzero(kept, axis=1)))
+    return csr_array((weights[kept], pixels[kept], starts), shape=(len(weights), count))
 
 
-def _bells(squared: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArray[np.float64]:
+def _bells(squared: Doubles, sigma: Doubles) -> Doubles:
     """Return rows of weights that add up to 1, near a Gaussian; where sigma is 0 the node itself counts.
 
     Made of products and sums alone; exponentials differ from processor to processor.
@@ -337,107 +384,8 @@ def _bells(squared: NDArray[np.float64], sigma: NDArray[np.float64]) -> NDArray[
     return np.asarray(bell / bell.sum(axis=1, keepdims=True))
 
 
-def _between_nodes(
-    lattice: PlaneLattice, rows: NDArray[np.intp], columns: NDArray[np.intp]
-) -> NDArray[np.float64]:
-    """Return what the lattice says at pixels, linear between its nodes; exact as in :func:`_both_ways`."""
-    s = _on_grid(lattice.s_px, _FACTOR_GRAIN_PX).astype(np.float64)
-    row, above, below = _linear(lattice.rows_px, rows)
-    column, left, right = _linear(lattice.columns_px, columns)
-    before, after = (
-        _on_grid(above * s[row, side] + below * s[row + 1, side], _FACTOR_GRAIN_PX)
-        for side in (column, column + 1)
-    )
-    return np.asarray(left * before + right * after)
-
-
-def _linear(nodes: NDArray[np.float64], pixels: NDArray[np.intp]) -> tuple[NDArray[Any], ...]:
+def _linear(nodes: Doubles, pixels: Places) -> tuple[NDArray[Any], ...]:
     """Return the nodes before pixels and the weights of these and the next ones."""
     before = np.searchsorted(nodes[1:-1], pixels, side="right")
     share = np.clip((pixels - nodes[before]) / (nodes[before + 1] - nodes[before]), 0, 1)
     return before, _on_grid(1 - share, _WEIGHT_GRAIN), _on_grid(share, _WEIGHT_GRAIN)
-
-
-def _sparse(weights: NDArray[np.float64], places: NDArray[np.intp], count: int) -> Any:
-    from scipy.sparse import csr_array
-
-    weights = _on_grid(weights, _WEIGHT_GRAIN)
-    # A row reaches as far as the widest bell does; most outer weights round to nothing.
-    kept = weights != 0
-    starts = np.append(0, np.cumsum(np.count_nonzero(kept, axis=1)))
-    return csr_array((weights[kept], places[kept], starts), shape=(len(weights), count))
-
-
-def _upper_surface(
-    lattice: PlaneLattice, spec: SolidSpec
-) -> tuple[NDArray[np.bool_], NDArray[np.float32], NDArray[np.float32], NDArray[np.int32]]:
-    """Return which nodes are inside, the vertices before and after they are smoothed, and the faces."""
-    pitch = lattice.pitch_px
-    heights = np.arange(0, spec.half_thickness_px + 2 * pitch, pitch).astype(np.float32)
-    depth = depth_px(lattice.s_px[:, :, None], heights, spec)
-    depth += np.float32(CHORD_LOSS * pitch**2 / spec.half_thickness_px)
-    # A node on the surface itself would give triangles without area.
-    least = np.float32(NUDGE * pitch)
-    depth = np.where(np.abs(depth) < least, np.where(depth > 0, least, -least), depth)
-    # The lower half would be the same again; mirrored, it is so to the last bit.
-    vertices, faces = marching_cubes(depth, 0.0)
-    faces = _in_storage_order(faces)
-    inside = depth > 0
-    beside_thin = _beside_thin_parts(vertices, inside)
-    for axis, nodes in enumerate((lattice.rows_px, lattice.columns_px)):
-        vertices[:, axis] = np.interp(vertices[:, axis], np.arange(len(nodes)), nodes)
-    vertices[:, 2] *= np.float32(pitch)
-    rim = vertices[:, 2] == 0
-    moved = smooth(vertices, faces, spec.smoothing_iterations, spec.smoothing_factor, rim)
-    # Volume and topology come before smoothness there: a wall that folds is no solid.
-    moved = np.where(beside_thin[:, None], vertices, moved)
-    moved[:, 2] = np.where(rim, 0, np.maximum(moved[:, 2], least))
-    return inside, vertices, np.asarray(moved, dtype=np.float32), faces
-
-
-def _in_storage_order(faces: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Begin each triangle at its lowest vertex and sort the triangles; the winding stays.
-
-    Neighbouring rows then hold nearly equal numbers, which halves what zstd makes of them.
-    """
-    if not len(faces):
-        return faces
-    # On a surface no two triangles leave the same vertex by the same edge, so two numbers settle the order;
-    # of the three edges of a triangle the one from its lowest vertex has the least.
-    count = int(faces.max()) + 1
-    a, b, c = faces.T.astype(np.int64)
-    edge = np.minimum(np.minimum(a * count + b, b * count + c), c * count + a)
-    order = np.argsort(edge, kind="stable")
-    first, second = np.divmod(edge[order], count)
-    third = (a + b + c)[order] - first - second
-    return np.stack([first, second, third], axis=1).astype(np.int32)
-
-
-def _beside_thin_parts(vertices: NDArray[np.float32], inside: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark the vertices at walls and gaps of one node, whose sides smoothing might push past each other.
-
-    Vertices count in pitches; each lies on an edge of the lattice between two nodes.
-    """
-    # Higher up there is always a wider layer below, so a ridge of one node is safe and may be smoothed.
-    plane = inside[:, :, 0]
-    thin = np.zeros_like(plane)
-    for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
-        one = np.roll(plane, (down, across), axis=(0, 1))
-        other = np.roll(plane, (-down, -across), axis=(0, 1))
-        thin |= (one == other) & (one != plane)
-    low, high = np.floor(vertices[:, :2]).astype(np.intp), np.ceil(vertices[:, :2]).astype(np.intp)
-    return np.asarray(thin[tuple(low.T)] | thin[tuple(high.T)])
-
-
-def _mirror_surface(
-    vertices: NDArray[np.float32], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Add the lower half to a surface that ends in the mid-plane, where its rim has the height 0 exactly.
-
-    The mirror images of the vertices off the mid-plane follow those of the upper half, in the same order.
-    """
-    off_plane = vertices[:, 2] != 0
-    image = np.arange(len(vertices), dtype=np.int32)
-    image[off_plane] = len(vertices) + np.arange(np.count_nonzero(off_plane), dtype=np.int32)
-    lower = vertices[off_plane] * np.array([1, 1, -1], dtype=np.float32)
-    return np.concatenate([vertices, lower]), np.concatenate([faces, image[faces][:, [0, 2, 1]]])

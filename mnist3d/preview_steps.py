@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.lattice import LatticeSteps, lattice_steps
-from mnist3d.solid import ink_mask
-from mnist3d.steps import scale
+from mnist3d.lattice import Lattice, Mirrored
+from mnist3d.solid import binarise, scale, solidify
+from mnist3d.surface import Surface
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
@@ -45,20 +46,23 @@ def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
 
     ItemError, which names the picture by its title, where the image is not a usable digit.
     """
+    steps: list[tuple[Lattice, Mirrored, Surface]] = []
     try:
-        ink = ink_mask(pixels, spec, ink="dark")
-        steps = lattice_steps(ink, spec)
+        ink = binarise(pixels, spec, ink="dark")
+        solid = solidify(pixels, spec, ink="dark", on_surface=lambda *found: steps.append(found))
     except ItemError as error:
         raise ItemError(error.reason, f"{title}: {error}") from error
     window = _window(ink)
-    layers = _layers_px(steps, window)
-    upper = scale(steps.vertices_px, steps.faces, (ink.shape[0], ink.shape[1]), spec)
+    ((lattice, volume, surface),) = steps
+    layers = _layers_px(lattice, volume.upper > 0, window)
+    # Without its rim it is not known as a half, and stays one.
+    upper = scale(replace(surface, rim=surface.rim[:0]), (ink.shape[0], ink.shape[1]), spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
     views = [
         draw_bodies(Picture3d((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M))
-        for mesh in (upper, steps.mesh)
+        for mesh in (upper, solid)
     ]
-    pitch_px, triangles = steps.lattice.pitch_px, len(steps.mesh.faces)
+    pitch_px, triangles = lattice.pitch_px, len(solid.faces)
     decimated = ", decimated" if triangles != 2 * len(upper.faces) else ""
     tiles = (
         Tile(_square(np.asarray(pixels)[window].astype(np.uint8)), "1  image"),
@@ -78,16 +82,16 @@ def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
     return sheet(tiles, Sheet(3, title, words))
 
 
-def _layers_px(steps: LatticeSteps, window: tuple[slice, slice]) -> list[NDArray[np.bool_]]:
+def _layers_px(
+    lattice: Lattice, inside: NDArray[np.bool_], window: tuple[slice, slice]
+) -> list[NDArray[np.bool_]]:
     """Return the layers that are not empty, each pixel of a window as the node that is nearest to it."""
-    lattice = steps.lattice
+    nodes_px = (lattice.rows_px, lattice.columns_px)
     rows, columns = (
         np.abs(np.arange(span.start, span.stop)[:, None] - corner - nodes).argmin(axis=1)
-        for span, corner, nodes in zip(
-            window, steps.corner_px, (lattice.rows_px, lattice.columns_px), strict=True
-        )
+        for span, corner, nodes in zip(window, lattice.corner_px, nodes_px, strict=True)
     )
-    layers = np.moveaxis(steps.layers[np.ix_(rows, columns)], 2, 0)
+    layers = np.moveaxis(inside[np.ix_(rows, columns)], 2, 0)
     return [layer for layer in layers if layer.any()]
 
 

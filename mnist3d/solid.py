@@ -1,52 +1,32 @@
-"""From a digit image to a printable solid.
+"""From a digit image to a printable solid: Algorithm 1 of the Tactile MNIST paper.
 
-:func:`solidify` is all that most readers need. The steps it takes carry the names of the published
-algorithm and can be called one by one: :func:`erode`, :func:`stack`, :func:`mirror`,
-:func:`marching_cubes`, :func:`smooth`, :func:`scale`.
+:func:`solidify` is all that most readers need. It takes the steps of the algorithm in the printed order, one
+function each: :func:`~mnist3d.ink.binarise`; :func:`~mnist3d.lattice.erode`, :func:`~mnist3d.lattice.stack`
+and :func:`~mnist3d.lattice.mirror`, in a continuous form that :mod:`mnist3d.lattice` explains;
+:func:`~mnist3d.surface.marching_cubes`, :func:`~mnist3d.surface.smooth` and :func:`~mnist3d.surface.scale`.
+:mod:`mnist3d.literal` takes them as they are printed.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
-from mnist3d.ink import SMALL_PX, binarise, clean, join_bodies, levels_and_threshold
-from mnist3d.lattice import lattice_solid
-from mnist3d.spec import EROSIONS, PROFILES, SolidSpec
-from mnist3d.steps import (
-    decimate,
-    erode,
-    erosion_radii_px,
-    literal_solid,
-    marching_cubes,
-    mirror,
-    scale,
-    smooth,
-    stack,
-)
+from mnist3d.ink import binarise, count_bodies_and_holes
+from mnist3d.lattice import Lattice, Mirrored, erode, lattice_of, mirror, stack
+from mnist3d.literal import literal_solid
+from mnist3d.spec import SolidSpec
+from mnist3d.surface import BUDGET_SLACK, Surface, bodies_and_holes, decimate, marching_cubes, scale, smooth
 from tactile_toolkit.errors import InputError, ItemError
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = [
-    "EROSIONS",
-    "PROFILES",
-    "SolidSpec",
-    "decimate",
-    "erode",
-    "erosion_radii_px",
-    "ink_mask",
-    "lattice_solid",
-    "literal_solid",
-    "marching_cubes",
-    "mirror",
-    "scale",
-    "smooth",
-    "solidify",
-    "stack",
+    *("SolidSpec", "solidify"),
+    *("binarise", "erode", "stack", "mirror", "marching_cubes", "smooth", "scale", "decimate"),
 ]
 
 
@@ -57,6 +37,7 @@ def solidify(
     method: Literal["fast", "literal"] = "fast",
     ink: Literal["auto", "dark", "light"] = "auto",
     resample: bool = False,
+    on_surface: Callable[[Lattice, Mirrored, Surface], None] = lambda _lattice, _volume, _surface: None,
 ) -> Mesh:
     """Turn the image of a digit into a closed, printable mesh.
 
@@ -73,8 +54,11 @@ def solidify(
         Which part is ink. ``"auto"`` takes the margin for paper, and where ``spec.threshold`` is given what
         is up to it for ink.
     resample : bool
-        Draw the image anew with 500 pixels on its longer side, as the sources do. Images of less than 64
+        Draw the image again with 500 pixels on its longer side, as the sources do. Images of less than 64
         pixels are refused otherwise: 28 pixels of 0.2 mm make a block of 5.6 mm.
+    on_surface : callable
+        Called, for pictures of the steps, with the lattice, the stack of layers and the surface that marching
+        cubes find; not by ``method="literal"``.
 
     Returns
     -------
@@ -94,45 +78,28 @@ def solidify(
     if method not in ("fast", "literal"):
         message = f"method is {method!r}; expected 'fast' or 'literal'"
         raise InputError(message)
-    mask = ink_mask(pixels, spec, ink=ink, resample=resample)
-    return lattice_solid(mask, spec) if method == "fast" else literal_solid(mask, spec)
-
-
-def ink_mask(
-    pixels: NDArray[Any],
-    spec: SolidSpec,
-    *,
-    ink: Literal["auto", "dark", "light"] = "auto",
-    resample: bool = False,
-) -> NDArray[np.bool_]:
-    """Find the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
-
-    Raises as :func:`solidify`.
-    """
-    if ink not in ("auto", "dark", "light"):
-        message = f"ink is {ink!r}; expected 'auto', 'dark' or 'light'"
-        raise InputError(message)
-    # A threshold says which side of it is ink.
-    said = ink if spec.threshold is None or ink != "auto" else "dark"
-    levels, threshold = levels_and_threshold(pixels, said)
-    if resample:
-        from mnist3d.sources.canvas import fit
-
-        # Other levels have another threshold.
-        levels, threshold = fit(levels), None
-    elif max(levels.shape) < SMALL_PX:
-        size_mm = max(levels.shape) * spec.pixel_pitch_mm
-        message = (
-            f"the image has {levels.shape[1]} x {levels.shape[0]} px, which make {size_mm:g} mm; expected "
-            f"{SMALL_PX} px or more; next: solidify(..., resample=True) draws it anew with 500"
-        )
-        raise ItemError(reason="too-small", message=message)
-    mask = clean(
-        binarise(levels, threshold if spec.threshold is None else spec.threshold),
-        pixel_pitch_mm=spec.pixel_pitch_mm,
-        min_speck_mm2=spec.min_speck_mm2,
-        min_pinhole_mm2=spec.min_pinhole_mm2,
-    )
-    if not spec.join_bodies:
-        return mask
-    return join_bodies(mask, width_px=spec.bridge_width_mm / spec.pixel_pitch_mm)
+    image = binarise(pixels, spec, ink=ink, resample=resample)
+    if method == "literal":
+        return literal_solid(image, spec)
+    counts, lattice = count_bodies_and_holes(image), lattice_of(image, spec)
+    while True:
+        layers = [erode(lattice, height_px, spec) for height_px in lattice.heights_px(spec)]
+        volume = mirror(stack(layers))
+        surface = marching_cubes(volume, lattice)
+        smoothed = smooth(surface, spec.smoothing_iterations, spec.smoothing_factor)
+        found = bodies_and_holes(len(smoothed.vertices_px), smoothed.faces, len(smoothed.rim))
+        if found == counts:
+            break
+        finer = lattice.finer(layers[0] > 0)
+        if finer is None:
+            message = (
+                f"no lattice keeps the {counts[0]} bodies and {counts[1]} holes of the ink; the finest has "
+                f"{found[0]} and {found[1]}"
+            )
+            raise ItemError(reason="topology", message=message)
+        lattice = finer
+    on_surface(lattice, volume, surface)
+    mesh = scale(smoothed, (image.shape[0], image.shape[1]), spec)
+    # Who asks for a pitch has asked for its vertices, too.
+    within = spec.lattice_pitch_mm is not None or len(mesh.vertices_m) <= BUDGET_SLACK * spec.target_vertices
+    return mesh if within else decimate(mesh, spec.target_vertices)

@@ -10,14 +10,15 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from mnist3d.ink import (
-    binarise,
     clean,
     count_bodies_and_holes,
-    dark_on_light,
+    ink_of_levels,
     join_bodies,
+    levels_and_threshold,
     otsu_threshold,
     repair_corners,
 )
+from mnist3d.spec import SolidSpec
 from tactile_toolkit.errors import ItemError
 
 MASKS = hnp.arrays(bool, st.tuples(st.integers(8, 40), st.integers(8, 40)))
@@ -29,18 +30,19 @@ def paper(side: int = 60) -> np.ndarray:
 
 def reason_of(pixels: np.ndarray, threshold: float | None = None) -> str:
     with pytest.raises(ItemError) as caught:
-        binarise(dark_on_light(pixels, "dark"), threshold)
+        ink_of_levels(levels_and_threshold(pixels, "dark")[0], threshold)
     return caught.value.reason
 
 
 def cleaned(mask: np.ndarray, speck_px: float = 20, pinhole_px: float = 10) -> np.ndarray:
-    return clean(mask, pixel_pitch_mm=1.0, min_speck_mm2=speck_px, min_pinhole_mm2=pinhole_px)
+    spec = SolidSpec(pixel_pitch_mm=1.0, min_speck_mm2=speck_px, min_pinhole_mm2=pinhole_px)
+    return clean(mask, spec)
 
 
 def test_binarise_takes_dark_pixels_as_ink() -> None:
     pixels = paper()
     pixels[20:40, 10:50] = 30
-    assert np.array_equal(binarise(pixels), pixels == 30)
+    assert np.array_equal(ink_of_levels(pixels), pixels == 30)
 
 
 @pytest.mark.parametrize("ink", ["auto", "dark"])
@@ -49,9 +51,11 @@ def test_the_mask_is_the_same_for_any_number_type(dtype: str, ink: str) -> None:
     pixels = paper()
     pixels[20:40, 10:50] = 30
     pixels[20:40, 40:50] = 60
-    assert np.array_equal(binarise(dark_on_light(pixels.astype(dtype), ink)), pixels < 255)
+    assert np.array_equal(ink_of_levels(levels_and_threshold(pixels.astype(dtype), ink)[0]), pixels < 255)
     if dtype.startswith("float"):
-        assert np.array_equal(binarise(dark_on_light((pixels / 255).astype(dtype), ink)), pixels < 255)
+        assert np.array_equal(
+            ink_of_levels(levels_and_threshold((pixels / 255).astype(dtype), ink)[0]), pixels < 255
+        )
 
 
 def test_light_ink_is_found_by_the_margin_and_by_word() -> None:
@@ -59,23 +63,23 @@ def test_light_ink_is_found_by_the_margin_and_by_word() -> None:
     pixels[20:40, 10:50] = 30
     expected = pixels == 30
     for image in (255 - pixels, 1 - pixels / 255, ~(pixels > 99)):
-        assert np.array_equal(binarise(dark_on_light(image, "auto")), expected)
-        assert np.array_equal(binarise(dark_on_light(image, "light")), expected)
+        assert np.array_equal(ink_of_levels(levels_and_threshold(image, "auto")[0]), expected)
+        assert np.array_equal(ink_of_levels(levels_and_threshold(image, "light")[0]), expected)
         assert reason_of(image) == "all-ink"
-    assert np.array_equal(binarise(dark_on_light(pixels > 99, "auto")), expected)
+    assert np.array_equal(ink_of_levels(levels_and_threshold(pixels > 99, "auto")[0]), expected)
 
 
 def test_a_margin_of_both_is_unclear() -> None:
     pixels = paper()
     pixels[:, :30] = 0
     with pytest.raises(ItemError, match=r"found 50% of the margin light.*ink=") as caught:
-        dark_on_light(pixels, "auto")
+        levels_and_threshold(pixels, "auto")[0]
     assert caught.value.reason == "unclear-ink"
 
 
 def test_binarise_obeys_a_given_threshold() -> None:
     pixels = np.tile(np.arange(256, dtype=np.uint8), (8, 1))
-    assert binarise(pixels, 99).sum() == 8 * 100
+    assert ink_of_levels(pixels, 99).sum() == 8 * 100
 
 
 @pytest.mark.parametrize(

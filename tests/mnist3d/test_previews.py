@@ -12,11 +12,10 @@ from PIL import Image
 
 import mnist3d
 from mnist3d.generation import GenerateSpec, generate
-from mnist3d.lattice import lattice_steps
 from mnist3d.preview_steps import _stack_view, draw_steps, layer_map
 from mnist3d.previews import DigitPreviewSpec as PreviewSpec
 from mnist3d.previews import object_facts, plan_previews, report_rows
-from mnist3d.solid import SolidSpec, ink_mask
+from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.mnist import MnistSource
 from mnist3d.sources.synthetic import SyntheticSource
@@ -169,8 +168,9 @@ def test_ids_draw_single_objects_from_whatever_split_they_are_in(folder):
 
 
 def test_layers_lie_within_one_another_the_higher_the_darker():
-    steps = lattice_steps(ink_mask(SyntheticSource().image(0).pixels, SolidSpec()), SolidSpec())
-    layers = [layer for layer in np.moveaxis(steps.layers, 2, 0) if layer.any()]
+    volumes = []
+    solidify(SyntheticSource().image(0).pixels, on_surface=lambda _, volume, __: volumes.append(volume))
+    layers = [layer for layer in np.moveaxis(volumes[0].upper > 0, 2, 0) if layer.any()]
     assert all((upper <= lower).all() for lower, upper in pairwise(layers))
     drawn_map = layer_map(layers)
     assert (drawn_map[~layers[0]] == 255).all()

@@ -16,16 +16,12 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from mnist3d.ink import count_bodies_and_holes
-from mnist3d.lattice import lattice_steps
-from mnist3d.solid import (
-    EROSIONS,
-    PROFILES,
-    SolidSpec,
-    ink_mask,
-    literal_solid,
-    solidify,
-)
+from mnist3d.lattice import Lattice, Mirrored
+from mnist3d.literal import literal_solid
+from mnist3d.solid import SolidSpec, binarise, solidify
 from mnist3d.sources.synthetic import SyntheticSource
+from mnist3d.spec import EROSIONS, PROFILES
+from mnist3d.surface import Surface
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import inspect
 from tests.mnist3d.drawings import (
@@ -105,7 +101,7 @@ def test_a_lattice_pitch_can_be_asked_for() -> None:
 def test_heights_for_all_widths_of_ink(width_px: int) -> None:
     spec = SolidSpec()
     pixels = drawn(stroke([(200, 200), (260, 250)], width_px))
-    literal = literal_solid(ink_mask(pixels, spec), spec, decimated=False)
+    literal = literal_solid(binarise(pixels, spec), spec, decimated=False)
     for mesh in (solidify(pixels, spec), literal):
         assert 6.0 <= size_mm(mesh)[2] <= 8.2
 
@@ -130,7 +126,7 @@ def test_an_upright_seven_stays_upright_and_unmirrored() -> None:
 def test_the_fast_solid_is_the_literal_one(pixels: np.ndarray, erosion: str) -> None:
     spec = SolidSpec(erosion=erosion)
     fast = solidify(pixels, spec)
-    literal = literal_solid(ink_mask(pixels, spec), spec, decimated=False)
+    literal = literal_solid(binarise(pixels, spec), spec, decimated=False)
     distances = symmetric_distances_mm(fast, literal, 20_000)
     # Ink half as wide as that of the real digits has a sharp ridge, which a lattice of this pitch wears down.
     assert distances.mean() <= 0.085
@@ -148,7 +144,7 @@ def test_the_fast_solid_is_the_literal_one_on_real_digits(place: int) -> None:
         pixels = np.asarray(image)
     spec = SolidSpec()
     fast = solidify(pixels, spec)
-    mask = ink_mask(pixels, spec)
+    mask = binarise(pixels, spec)
     literal = literal_solid(mask, spec, decimated=False)
     distances = symmetric_distances_mm(fast, literal, 20_000)
     assert distances.mean() <= 0.05
@@ -268,7 +264,7 @@ def test_the_size_of_the_image_moves_only_the_origin() -> None:
 def test_the_fast_way_keeps_necks_as_wide_as_the_literal_one(width_mm: float, angle_deg: float) -> None:
     spec = SolidSpec()
     pixels = dumbbell(width_mm, angle_deg)
-    fast, literal = solidify(pixels, spec), literal_solid(ink_mask(pixels, spec), spec, decimated=False)
+    fast, literal = solidify(pixels, spec), literal_solid(binarise(pixels, spec), spec, decimated=False)
     assert neck_mm(fast, angle_deg) == pytest.approx(neck_mm(literal, angle_deg), abs=0.1)
     assert inspect(fast).is_solid
 
@@ -291,7 +287,7 @@ def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: f
     assert len(mesh.vertices_m) <= 1.5 * spec.target_vertices
     assert (report.problem, report.bodies, report.genus) == (
         None,
-        *count_bodies_and_holes(ink_mask(pixels, spec)),
+        *count_bodies_and_holes(binarise(pixels, spec)),
     )
 
 
@@ -299,14 +295,16 @@ def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: f
 def test_nodes_that_touch_at_a_corner_get_others_between_them() -> None:
     from PIL import Image
 
+    steps: list[tuple[Lattice, Mirrored, Surface]] = []
     # Ink on two nodes across a slanting gap, paper on the other two: the surface joins the ink.
     with Image.open(DIGITS / "0040_label0_writer6.png") as image:
-        steps = lattice_steps(ink_mask(np.asarray(image), SolidSpec()), SolidSpec())
-    report = inspect(steps.mesh)
+        mesh = solidify(np.asarray(image), on_surface=lambda *found: steps.append(found))
+    report = inspect(mesh)
     assert (report.problem, report.bodies, report.genus) == (None, 1, 1)
-    assert len(steps.lattice.rows_px) < 80
+    ((lattice, _, surface),) = steps
+    assert len(lattice.rows_px) < 80
     # Not decimated: the upper half and its mirror image.
-    assert len(steps.mesh.faces) == 2 * len(steps.faces)
+    assert len(mesh.faces) == 2 * len(surface.faces)
 
 
 @BOTH_WAYS
@@ -415,7 +413,7 @@ def test_any_ink_gives_a_solid_or_a_named_refusal(
         return
     report = inspect(mesh)
     assert report.problem is None, report.detail
-    assert (report.bodies, report.genus) == count_bodies_and_holes(ink_mask(pixels, spec))
+    assert (report.bodies, report.genus) == count_bodies_and_holes(binarise(pixels, spec))
 
 
 # --- specification --------------------------------------------------------------------------------

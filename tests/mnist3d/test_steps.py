@@ -11,20 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
-from mnist3d.lattice import signed_distance_px
-from mnist3d.solid import (
-    SolidSpec,
-    decimate,
-    erode,
-    erosion_radii_px,
-    ink_mask,
-    marching_cubes,
-    mirror,
-    scale,
-    smooth,
-    solidify,
-    stack,
-)
+from mnist3d import lattice
+from mnist3d.lattice import lattice_of, signed_distance_px, stack
+from mnist3d.literal import erode, erosion_radii_px, mirror
+from mnist3d.solid import SolidSpec, binarise, decimate, scale, smooth, solidify
+from mnist3d.surface import Surface, isosurface
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import inspect
 from tests.mnist3d.drawings import six
@@ -59,11 +50,23 @@ def test_erosion_is_binary_erosion_with_a_disc(mask: np.ndarray, radius: float) 
 
 
 def test_the_other_erosion_keeps_what_is_further_than_the_radius_from_paper() -> None:
-    mask = ink_mask(six(), SolidSpec())
+    mask = binarise(six(), SolidSpec())
     distance = ndimage.distance_transform_edt(mask)
     printed = erosion_radii_px(SolidSpec())
     for radius, published in zip(erosion_radii_px(SolidSpec(erosion="disc")), printed, strict=True):
         assert np.array_equal(erode(mask, radius), distance > published)
+
+
+def test_the_continuous_erosion_leaves_what_the_printed_one_does() -> None:
+    """At every pixel as a node, but for the blur and the little by which the surface is set outward."""
+    spec = SolidSpec(lattice_pitch_mm=0.2)
+    ink = binarise(six(), spec)
+    fine = lattice_of(ink, spec)
+    assert fine.s_px.shape == (fine.ink.shape[0] - 1, fine.ink.shape[1] - 1)
+    for height, radius in zip(np.arange(20) + 0.5, erosion_radii_px(spec), strict=True):
+        left = lattice.erode(fine, np.array([height], np.float32), spec) > 0
+        printed = erode(fine.ink, radius)[:-1, :-1]
+        assert (left != printed).sum() <= 0.02 * fine.ink.sum()
 
 
 def test_erosion_radii_follow_a_quarter_circle() -> None:
@@ -87,7 +90,7 @@ def test_stack_and_mirror_order_the_layers() -> None:
 def test_marching_cubes_faces_outwards() -> None:
     volume = np.zeros((6, 7, 8))
     volume[2:4, 2:5, 2:6] = 1
-    vertices, faces = marching_cubes(volume, 0.5)
+    vertices, faces = isosurface(volume, 0.5)
     assert vertices.dtype == np.float32
     assert faces.dtype == np.int32
     # A box of 2 x 3 x 4 nodes is cut at its twelve edges and eight corners.
@@ -96,21 +99,22 @@ def test_marching_cubes_faces_outwards() -> None:
 
 def test_smoothing_evens_out_and_keeps_the_volume() -> None:
     grid = np.mgrid[-12:13, -12:13, -12:13]
-    vertices, faces = marching_cubes((np.sqrt((grid**2).sum(axis=0)) < 9.3).astype(float), 0.5)
-    smoothed = smooth(vertices, faces, 20, 0.5)
+    vertices, faces = isosurface((np.sqrt((grid**2).sum(axis=0)) < 9.3).astype(float), 0.5)
+    smoothed = smooth(Surface(vertices, faces), 20, 0.5).vertices_px
     radii = [np.linalg.norm(v - 12, axis=1) for v in (vertices, smoothed)]
     assert radii[1].std() < 0.5 * radii[0].std()
     assert Mesh(smoothed, faces).volume_m3 == pytest.approx(Mesh(vertices, faces).volume_m3, rel=0.01)
 
 
 def test_no_rounds_of_smoothing_move_nothing() -> None:
-    vertices, faces = marching_cubes(np.pad(np.ones((3, 3, 3)), 1), 0.5)
-    assert np.array_equal(smooth(vertices, faces, 0, 0.5), vertices)
+    surface = Surface(*isosurface(np.pad(np.ones((3, 3, 3)), 1), 0.5))
+    assert np.array_equal(smooth(surface, 0, 0.5).vertices_px, surface.vertices_px)
 
 
 def test_scale_puts_the_image_centre_at_the_origin_and_the_lowest_point_on_the_plate() -> None:
     corners = np.array([[0, 0, -3], [9, 0, 0], [0, 19, 2]], dtype=np.float32)
-    mesh = scale(corners, np.array([[0, 1, 2]], np.int32), (10, 20), SolidSpec(vertex_quantum_mm=0))
+    surface = Surface(corners, np.array([[0, 1, 2]], np.int32))
+    mesh = scale(surface, (10, 20), SolidSpec(vertex_quantum_mm=0))
     expected_mm = [[-1.9, 0.9, 0], [-1.9, -0.9, 0.6], [1.9, 0.9, 1.0]]
     assert np.allclose(mesh.vertices_m * 1000, expected_mm, atol=1e-6)
     assert mesh.vertices_m.dtype == np.float32

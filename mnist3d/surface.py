@@ -1,42 +1,32 @@
-"""The published steps from ink to mesh, one function each (Tactile MNIST paper, algorithm on MNIST 3D).
-
-Arrays of pixels are (rows, columns), stacks of layers (rows, columns, height). Surfaces are pairs of vertices
-(float32, shape (V, 3)) and faces (int32, shape (F, 3), counter-clockwise seen from outside); their
-coordinates are (row, column, height above the mid-plane) in pixels until :func:`scale`.
-"""
+"""The last steps of Algorithm 1: a surface around the stack of layers, smoothed and scaled to a mesh."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from mnist3d.ink import count_bodies_and_holes
-from mnist3d.side_view import erosion_radius_px
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.crossings import self_crossing
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from numpy.typing import NDArray
 
+    from mnist3d.lattice import Lattice, Mirrored
     from mnist3d.spec import SolidSpec
 
+    Mask: TypeAlias = NDArray[np.bool_]
+    Places: TypeAlias = NDArray[np.intp]
+    Vertices: TypeAlias = NDArray[np.float32]
+    Faces: TypeAlias = NDArray[np.int32]
+
 __all__ = [
-    "BUDGET_SLACK",
-    "bodies_and_holes",
-    "decimate",
-    "erode",
-    "erosion_radii_px",
-    "literal_solid",
-    "marching_cubes",
-    "mirror",
-    "scale",
-    "smooth",
-    "stack",
+    *("BUDGET_SLACK", "Surface", "bodies_and_holes", "decimate", "isosurface", "marching_cubes"),
+    *("scale", "smooth"),
 ]
 
 TAUBIN_RATIO = -1.06
@@ -54,96 +44,68 @@ BUDGET_SLACK = 1.5
 """No mesh has more vertices than this many times its budget."""
 
 
-def literal_solid(mask: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool = True) -> Mesh:
-    """Build the solid of clean ink as the algorithm is printed: the oracle that the fast way is held to.
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A surface before it is scaled: a whole one, or the upper half of one, whose rim lies in the mid-plane.
 
-    Binary layers at full resolution, marching cubes on the binary stack, smoothing, and only then a
-    decimation to the vertex budget (left out with ``decimated=False``). Slow and plain on purpose.
-
-    Raises ItemError ``topology`` where the surface has not the bodies and holes of the ink,
-    ``vertex-budget`` as :func:`decimate`.
+    Attributes
+    ----------
+    vertices_px : ndarray of float32, shape (V, 3)
+        Row, column and height above the mid-plane, from ``corner_px`` of the image.
+    faces : ndarray of int32, shape (F, 3)
+        Rows of the vertices, counter-clockwise seen from outside.
+    corner_px : tuple
+        Row, column and height.
+    rim, still : ndarray of int
+        Rows of vertices that stay in the mid-plane, and that stay where they are, when it is smoothed.
+    least_px : float
+        Least height of the other vertices.
     """
-    layers = [erode(mask, radius) for radius in erosion_radii_px(spec)]
-    # A margin of empty voxels closes the surface; the shift by one pixel undoes it.
-    volume = np.pad(mirror(stack(layers)), 1)
-    vertices, faces = marching_cubes(volume, 0.5)
-    counts, found = count_bodies_and_holes(mask), bodies_and_holes(vertices, faces)
-    if found != counts:
-        message = (
-            f"the layers of the ink, stacked, have {found[0]} bodies and {found[1]} holes; the ink has "
-            f"{counts[0]} and {counts[1]}; next: leave the digit out, or try method='fast'"
-        )
-        raise ItemError(reason="topology", message=message)
-    vertices = smooth(vertices, faces, spec.literal_smoothing_iterations, spec.smoothing_factor)
-    mesh = scale(vertices - np.float32(1), faces, (mask.shape[0], mask.shape[1]), spec)
-    return decimate(mesh, spec.target_vertices) if decimated else mesh
+
+    vertices_px: Vertices
+    faces: Faces
+    corner_px: tuple[int, int, int] = (0, 0, 0)
+    rim: Places = field(default_factory=partial(np.zeros, 0, np.intp))
+    still: Places = field(default_factory=partial(np.zeros, 0, np.intp))
+    least_px: float = -math.inf
 
 
-def erosion_radii_px(spec: SolidSpec) -> NDArray[np.float64]:
-    """List the erosion radius of each layer above the mid-plane, in increasing order.
-
-    Layer k is one pixel thick and its middle lies k + 0.5 px up.
-    """
-    heights = np.arange(round(spec.half_thickness_px)) + 0.5
-    return np.asarray(erosion_radius_px(heights, spec), dtype=np.float64)
-
-
-def erode(mask: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
-    """Let the ink draw in from its outline by a radius; beyond the image is paper.
-
-    The outline lies half a pixel outside the outermost centres, so this is binary erosion with a disc of the
-    offsets shorter than ``radius_px + 0.5``. The usual disc, of offsets up to the radius, leaves half a pixel
-    more: ``SolidSpec.erosion`` chooses between them by the radii of :func:`erosion_radii_px`.
-    """
-    from scipy import ndimage
-
-    # One transform serves any radius; repeated small erosions would draw polygons.
-    distance: Any = ndimage.distance_transform_edt(np.pad(mask, 1))
-    return np.asarray(mask & (distance[1:-1, 1:-1] >= radius_px + 0.5))
+def marching_cubes(volume: Mirrored, lattice: Lattice) -> Surface:
+    """Find the surface of the upper half of the solid, where the depth of the nodes passes 0."""
+    vertices, faces = isosurface(volume.upper, 0.0)
+    still = _beside_thin_parts(vertices, volume.upper[:, :, 0] > 0)
+    for axis, nodes in enumerate((lattice.rows_px, lattice.columns_px)):
+        vertices[:, axis] = np.interp(vertices[:, axis], np.arange(len(nodes)), nodes)
+    vertices[:, 2] *= np.float32(lattice.pitch_px)
+    rim = np.flatnonzero(vertices[:, 2] == 0)
+    corner_px, least_px = (*lattice.corner_px, 0), float(lattice.least_px)
+    return Surface(vertices, _in_storage_order(faces), corner_px, rim, still, least_px)
 
 
-def stack(layers: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Put layers of shape (H, W) on top of one another, from the mid-plane up."""
-    return np.stack(layers, axis=2)
+def isosurface(volume: NDArray[Any], level: float) -> tuple[Vertices, Faces]:
+    """Return vertices and faces of the surface at which a volume, larger inside the solid, passes a level.
 
-
-def mirror(volume: NDArray[Any]) -> NDArray[Any]:
-    """Add the lower half to the layers above the mid-plane."""
-    return np.concatenate([volume[:, :, ::-1], volume], axis=2)
-
-
-def marching_cubes(
-    volume: NDArray[Any], level: float, spacing: tuple[float, float, float] = (1.0, 1.0, 1.0)
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
-    """Extract the surface at which a volume, larger inside the solid, passes a level.
-
-    Coordinates are in the order of the axes, 0 at the first node, ``spacing`` between nodes.
+    Coordinates are in the order of the axes, in steps between nodes from 0 at the first.
     """
     from skimage import measure
 
     extract: Any = measure.marching_cubes
     # "descent", scikit-image's default, would turn the triangles of such a volume inwards.
     vertices, faces, _, _ = extract(
-        np.ascontiguousarray(volume, dtype=np.float32), level, spacing=spacing, gradient_direction="ascent"
+        np.ascontiguousarray(volume, dtype=np.float32), level, gradient_direction="ascent"
     )
     return vertices.astype(np.float32, copy=False), faces.astype(np.int32, copy=False)
 
 
-def smooth(
-    vertices: NDArray[np.floating[Any]],
-    faces: NDArray[np.int32],
-    iterations: int,
-    factor: float,
-    held: NDArray[np.bool_] | None = None,
-) -> NDArray[np.floating[Any]]:
+def smooth(surface: Surface, iterations: int, factor: float) -> Surface:
     """Even out a surface without shrinking it (Taubin 1995).
 
     Each round is a step of ``factor`` of the way to the middle of the neighbours and a slightly longer one
-    back. Vertices that are ``held`` keep their last coordinate: with the rim of the upper half of a mirrored
-    surface held, the half moves exactly as it would within the whole.
+    back. As its rim stays in the mid-plane, the upper half moves exactly as it would within the whole.
     """
     from scipy import sparse
 
+    vertices, faces, rim = surface.vertices_px, surface.faces, surface.rim
     ends = faces[:, [0, 1, 2, 1, 2, 0]].T.reshape(-1)
     others = faces[:, [1, 2, 0, 0, 1, 2]].T.reshape(-1)
     weights = np.ones(len(ends), dtype=np.float32)
@@ -159,21 +121,31 @@ def smooth(
     for _ in range(iterations):
         for share in (factor, factor * TAUBIN_RATIO):
             moved = vertices + np.float32(share) * (average @ vertices - vertices)
-            if held is not None:
-                moved[held, 2] = vertices[held, 2]
+            moved[rim, 2] = vertices[rim, 2]
             vertices = moved
-    return vertices
+    # Volume and topology come before smoothness there: a wall that folds is no solid.
+    vertices = vertices.copy()
+    vertices[surface.still] = surface.vertices_px[surface.still]
+    vertices[:, 2] = np.maximum(vertices[:, 2], np.float32(surface.least_px))
+    vertices[rim, 2] = 0
+    return replace(surface, vertices_px=vertices)
 
 
-def scale(
-    vertices: NDArray[np.floating[Any]], faces: NDArray[np.int32], shape: tuple[int, int], spec: SolidSpec
-) -> Mesh:
-    """Turn pixels of an image of that shape into metres and set the solid on the plate.
+def scale(surface: Surface, shape: tuple[int, int], spec: SolidSpec) -> Mesh:
+    """Turn pixels of an image of that shape into metres and set the solid on the plate; a half becomes whole.
 
     The middle of the image becomes the origin, the lowest point lies at z = 0; vertices end on the storage
-    grid.
+    grid. The mirror images of the vertices off the mid-plane follow those of the upper half, in the same
+    order.
     """
-    row, column, height = vertices.astype(np.float64).T
+    vertices, faces = surface.vertices_px, surface.faces
+    if len(surface.rim):
+        off_plane = np.delete(np.arange(len(vertices)), surface.rim)
+        image = np.arange(len(vertices), dtype=np.int32)
+        image[off_plane] = len(vertices) + np.arange(len(off_plane), dtype=np.int32)
+        vertices = np.concatenate([vertices, vertices[off_plane] * np.array([1, 1, -1], dtype=np.float32)])
+        faces = np.concatenate([faces, image[faces][:, [0, 2, 1]]])
+    row, column, height = (vertices + np.array(surface.corner_px, dtype=np.float32)).astype(np.float64).T
     centred = np.stack([column - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - row, height], axis=1)
     vertices_mm = centred * spec.pixel_pitch_mm
     if spec.vertex_quantum_mm > 0:
@@ -181,6 +153,40 @@ def scale(
         vertices_mm = np.round(vertices_mm / spec.vertex_quantum_mm) * spec.vertex_quantum_mm
     vertices_mm[:, 2] -= vertices_mm[:, 2].min()
     return Mesh((vertices_mm / MM_PER_M).astype(np.float32), faces)
+
+
+def _in_storage_order(faces: Faces) -> Faces:
+    """Begin each triangle at its lowest vertex and sort the triangles; the winding stays.
+
+    Neighbouring rows then hold nearly equal numbers, which halves what zstd makes of them.
+    """
+    if not len(faces):
+        return faces
+    # On a surface no two triangles leave the same vertex by the same edge, so two numbers settle the order;
+    # of the three edges of a triangle the one from its lowest vertex has the least.
+    count = int(faces.max()) + 1
+    a, b, c = faces.T.astype(np.int64)
+    edge = np.minimum(np.minimum(a * count + b, b * count + c), c * count + a)
+    order = np.argsort(edge, kind="stable")
+    first, second = np.divmod(edge[order], count)
+    third = (a + b + c)[order] - first - second
+    return np.stack([first, second, third], axis=1).astype(np.int32)
+
+
+def _beside_thin_parts(vertices: Vertices, plane: Mask) -> Places:
+    """Return the vertices at walls and gaps of one node, whose sides smoothing might push past each other.
+
+    ``plane`` says which nodes of the mid-plane are inside. Vertices count in pitches; each lies on an edge of
+    the lattice between two nodes.
+    """
+    # Higher up there is always a wider layer below, so a ridge of one node is safe and may be smoothed.
+    thin = np.zeros_like(plane)
+    for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
+        one = np.roll(plane, (down, across), axis=(0, 1))
+        other = np.roll(plane, (-down, -across), axis=(0, 1))
+        thin |= (one == other) & (one != plane)
+    low, high = np.floor(vertices[:, :2]).astype(np.intp), np.ceil(vertices[:, :2]).astype(np.intp)
+    return np.flatnonzero(thin[tuple(low.T)] | thin[tuple(high.T)])
 
 
 def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
@@ -191,7 +197,7 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     """
     if len(mesh.vertices_m) <= target_vertices:
         return mesh
-    counts = bodies_and_holes(mesh.vertices_m, mesh.faces)
+    counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
     most = BUDGET_SLACK * target_vertices
     passes, tolerance_mm = [mesh.to_manifold()], FIRST_TOLERANCE_MM
     over = len(mesh.vertices_m) / most
@@ -237,16 +243,15 @@ def _crosses_itself(mesh: Mesh, bodies: int) -> bool:
 
 
 def _is_held(solid: Any, counts: tuple[int, int]) -> bool:
-    """Tell whether a symmetric solid has so many bodies and holes, and no walls of it have met."""
-    mesh = solid.to_mesh64()
-    if bodies_and_holes(np.asarray(mesh.vert_properties), np.asarray(mesh.tri_verts)) != counts:
+    """Return whether a symmetric solid has so many bodies and holes, and no walls of it have met."""
+    if bodies_and_holes(solid.num_vert(), np.asarray(solid.to_mesh64().tri_verts)) != counts:
         return False
     low, high = solid.bounding_box()[2], solid.bounding_box()[5]
     # Walls meet in the mid-plane first, where the solid is widest.
     return len(solid.slice((low + high) / 2).to_polygons()) == sum(counts)
 
 
-def bodies_and_holes(vertices: NDArray[Any], faces: NDArray[Any], rim: int | None = None) -> tuple[int, int]:
+def bodies_and_holes(vertices: int, faces: NDArray[Any], rim: int = 0) -> tuple[int, int]:
     """Count the bodies of a closed surface and the holes through them.
 
     With a ``rim``, the number of vertices in the mid-plane, the surface is the upper half of one.
@@ -255,10 +260,10 @@ def bodies_and_holes(vertices: NDArray[Any], faces: NDArray[Any], rim: int | Non
     from scipy.sparse import csgraph
 
     # Nodes for the triangles and then for the vertices; only the former lead anywhere, and to three each.
-    starts = np.minimum(3 * np.arange(len(faces) + len(vertices) + 1), 3 * len(faces))
+    starts = np.minimum(3 * np.arange(len(faces) + vertices + 1), 3 * len(faces))
     weights, nodes = np.ones(3 * len(faces)), faces.ravel() + len(faces)
     links = sparse.csr_matrix((weights, nodes, starts), shape=(len(starts) - 1, len(starts) - 1))
     bodies = int(csgraph.connected_components(links, directed=False)[0])
     # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
-    euler = len(vertices) - len(faces) // 2 if rim is None else 2 * len(vertices) - rim - len(faces)
+    euler = 2 * vertices - rim - len(faces) if rim else vertices - len(faces) // 2
     return bodies, bodies - euler // 2
