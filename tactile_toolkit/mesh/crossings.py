@@ -13,8 +13,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.mesh.raster import positions_in_runs
-
 __all__ = ["faces_not_proven_free", "self_crossing", "tolerance_mm"]
 
 Numbers = NDArray[np.float64]
@@ -44,7 +42,7 @@ def self_crossing(vertices_mm: Numbers, faces: Indices, bodies: int = 1) -> Numb
         return None
     if bodies == 1:
         return _crossing_among(vertices_mm, faces, suspects)
-    body = _body_of(faces, len(vertices_mm))
+    body = _connected(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), len(vertices_mm))[faces[:, 0]]
     for one in np.unique(body[suspects]):
         own = np.flatnonzero(body == one)
         place = _crossing_among(vertices_mm, faces[own], np.flatnonzero(np.isin(own, suspects)))
@@ -53,13 +51,13 @@ def self_crossing(vertices_mm: Numbers, faces: Indices, bodies: int = 1) -> Numb
     return None
 
 
-def _body_of(faces: Indices, vertices: int) -> Indices:
+def _connected(ends: Indices, others: Indices, count: int) -> Indices:
+    """Return a number for each thing, shape (count,), that is the same for those that pairs connect."""
     from scipy import sparse
     from scipy.sparse import csgraph
 
-    ends, others = faces[:, [0, 1]].ravel(), faces[:, [1, 2]].ravel()
-    links = sparse.coo_matrix((np.ones(len(ends), np.int8), (ends, others)), shape=(vertices, vertices))
-    return np.asarray(csgraph.connected_components(links, directed=False)[1][faces[:, 0]])
+    links = sparse.coo_matrix((np.ones(len(ends), np.int8), (ends, others)), shape=(count, count))
+    return np.asarray(csgraph.connected_components(links, directed=False)[1], np.int64)
 
 
 # --- proof for what is made of two reliefs back to back -------------------------------------------
@@ -86,7 +84,7 @@ def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
     (ax, bx, cx), (ay, by, cy) = x[corners], y[corners]
     facing = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     odd = np.flatnonzero(np.where(above, facing, -facing) <= 0)
-    if len(odd) > _MOST_ODD or not _rim_is_simple(x, y, corners[:, above], side[:, above] == 0):
+    if len(odd) > _MOST_ODD or not _rim_is_simple(vertices_mm, corners[:, above], side[:, above] == 0):
         return everything
     if not len(odd):
         return odd
@@ -99,73 +97,44 @@ def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
     return np.flatnonzero(near)
 
 
-def _rim_is_simple(x: Numbers, y: Numbers, upper: Indices, on_level: NDArray[np.bool_]) -> bool:
-    """Tell whether the rim of the upper half is closed lines apart from each other that wind once at most."""
-    after = (1, 2, 0)
-    touching = [np.flatnonzero(on_level[corner] & on_level[after[corner]]) for corner in range(3)]
-    start = np.concatenate([upper[corner, found] for corner, found in enumerate(touching)])
-    end = np.concatenate([upper[after[corner], found] for corner, found in enumerate(touching)])
+def _rim_is_simple(points: Numbers, upper: Indices, on_level: NDArray[np.bool_]) -> bool:
+    """Return whether the rim of the upper half is lines apart from each other that wind once at most."""
+    from tactile_toolkit.mesh.nearness import near_pairs
+
+    both = on_level & np.roll(on_level, -1, axis=0)
+    start, end = upper[both], np.roll(upper, -1, axis=0)[both]
     # An edge that the half has in both directions is not of its rim.
-    rim = ~np.isin(start * len(x) + end, end * len(x) + start)
+    rim = ~np.isin(start * len(points) + end, end * len(points) + start)
     start, end = start[rim], end[rim]
-    following = dict(zip(start.tolist(), end.tolist(), strict=True))
-    if len(following) != len(start):
+    if len(np.unique(start)) != len(start):
         return False  # lines that share a corner
-    # A sweep along x: only edges whose ranges overlap there are compared.
-    order = np.argsort(np.minimum(x[start], x[end]), kind="stable")
-    start, end = start[order], end[order]
-    px, py, qx, qy = x[start], y[start], x[end], y[end]
-    low_x, high_x, low_y, high_y = (
-        np.minimum(px, qx),
-        np.maximum(px, qx),
-        np.minimum(py, qy),
-        np.maximum(py, qy),
-    )
-    count = np.searchsorted(low_x, high_x, side="right") - np.arange(len(start)) - 1
-    one = np.repeat(np.arange(len(start)), count)
-    other = one + 1 + positions_in_runs(count)
-    meet = (low_y[one] <= high_y[other]) & (low_y[other] <= high_y[one])
-    one, other = one[meet], other[meet]
-    ax, ay, bx, by = px[one], py[one], qx[one], qy[one]
-    cx, cy, dx, dy = px[other], py[other], qx[other], qy[other]
-    turn_c, turn_d = (
-        (bx - ax) * (y_mm - ay) - (by - ay) * (x_mm - ax) for x_mm, y_mm in ((cx, cy), (dx, dy))
-    )
-    turn_a, turn_b = (
-        (dx - cx) * (y_mm - cy) - (dy - cy) * (x_mm - cx) for x_mm, y_mm in ((ax, ay), (bx, by))
-    )
+    p, q = points[start], points[end]
+    one, other = near_pairs(np.stack([p, q], axis=1), 0.0)
+    a, b, c, d = p[one], q[one], p[other], q[other]
+    turn_c, turn_d = _turn(a, b, c), _turn(a, b, d)
     # Edges cross unless one of them has both ends of the other on one side.
-    apart = (turn_c * turn_d > 0) | (turn_a * turn_b > 0)
+    apart = (turn_c * turn_d > 0) | (_turn(c, d, a) * _turn(c, d, b) > 0)
     # Neighbours share their corner; they are apart otherwise unless one runs back along the other.
     joined = (start[one] == end[other]) | (end[one] == start[other])
-    onwards = (bx - ax) * (dx - cx) + (by - ay) * (dy - cy) > 0
-    fine = np.where(joined, (turn_c != 0) | (turn_d != 0) | onwards, apart)
-    return bool(fine.all()) and _winds_once(following, x, y)
-
-
-def _winds_once(following: dict[int, int], x: Numbers, y: Numbers) -> bool:
-    """Tell whether simple closed lines wind no more than once around any point, and never backwards."""
-    lines = []
-    while following:
-        first, corner = following.popitem()
-        line = [first, corner]
-        while corner != first:
-            corner = following.pop(corner)
-            line.append(corner)
-        lines.append((x[line], y[line]))
-    for line_x, line_y in lines:
-        area = (line_x[:-1] * line_y[1:] - line_x[1:] * line_y[:-1]).sum()
-        winding = 0
-        for other_x, other_y in lines:
-            if other_x is line_x:
-                continue
-            ax, ay, bx, by = other_x[:-1], other_y[:-1], other_x[1:], other_y[1:]
-            left = (bx - ax) * (line_y[0] - ay) - (by - ay) * (line_x[0] - ax)
-            winding += int(((ay <= line_y[0]) & (by > line_y[0]) & (left > 0)).sum())
-            winding -= int(((ay > line_y[0]) & (by <= line_y[0]) & (left < 0)).sum())
-        if winding != (0 if area > 0 else 1):
+    onwards = ((b - a) * (d - c)).sum(axis=1) > 0
+    if not np.where(joined, (turn_c != 0) | (turn_d != 0) | onwards, apart).all():
+        return False
+    # Simple closed lines: how often each is wound around by the others, 0 times or once and it winds back.
+    line = _connected(start, end, len(points))[start]
+    for number in np.unique(line):
+        own = line == number
+        area = _turn(np.zeros_like(p[own]), p[own], q[own]).sum()
+        point, a, b = p[own][:1], p[~own], q[~own]
+        left, upwards = _turn(a, b, point), b[:, 1] > point[:, 1]
+        passing = ((a[:, 1] > point[:, 1]) != upwards) & np.where(upwards, left > 0, left < 0)
+        if np.where(upwards, 1, -1)[passing].sum() != (0 if area > 0 else 1):
             return False
     return True
+
+
+def _turn(a: Numbers, b: Numbers, c: Numbers) -> Numbers:
+    """Return which way points, shape (N, 3), turn seen from above: positive counter-clockwise."""
+    return np.asarray((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
 
 
 # --- everything else ------------------------------------------------------------------------------
@@ -173,7 +142,7 @@ def _winds_once(following: dict[int, int], x: Numbers, y: Numbers) -> bool:
 
 def _crossing_among(vertices_mm: Numbers, faces: Indices, suspects: Indices) -> Numbers | None:
     """Return where faces among the suspects cross each other, if they do."""
-    from tactile_toolkit.mesh.nearness import near_pairs
+    from tactile_toolkit.mesh.nearness import near_pairs, passages
 
     tolerance = tolerance_mm(vertices_mm)
     a, b, c = (vertices_mm[faces[suspects, corner]] for corner in range(3))
@@ -182,101 +151,19 @@ def _crossing_among(vertices_mm: Numbers, faces: Indices, suspects: Indices) -> 
     longest = np.sqrt(np.max([((v - u) ** 2).sum(axis=1) for u, v in ((a, b), (b, c), (c, a))], axis=0))
     # Nothing passes through what is no wider than the tolerance; its edges are those of its neighbours, too.
     wide = doubled > tolerance * longest
-    suspects, normal = suspects[wide], normal[wide] / doubled[wide, None]
-    triangles = faces[suspects]
-    doubtful: list[Numbers] = []
-    for one, other in near_pairs(vertices_mm[triangles], tolerance):
-        folded = _folds(vertices_mm, triangles, normal, one, other, tolerance)
-        if len(folded):
-            return np.asarray(folded[0])
-        for first, second in ((one, other), (other, one)):
-            certain, doubts = _passages(vertices_mm, triangles, normal, first, second, tolerance)
-            if len(certain):
-                return np.asarray(certain[0])
-            doubtful.append(doubts)
-    places = np.concatenate(doubtful) if doubtful else np.zeros((0, 3))
-    if not len(places):
-        return None
-    asked = places[np.linspace(0, len(places) - 1, min(len(places), _DOUBTS_ASKED)).astype(np.int64)]
-    for place in asked:
-        around = place + _ASIDE * tolerance * _DIRECTIONS
-        winding = _winding_numbers(vertices_mm, faces, around)
-        # Off the surface these are whole: 1 inside, 0 outside, and the quarter is for rounding.
+    triangles, normal = faces[suspects[wide]].astype(np.int64), normal[wide] / doubled[wide, None]
+    pairs = near_pairs(vertices_mm[triangles], tolerance)
+    points = np.ascontiguousarray(vertices_mm, dtype=np.float64)
+    certain, places = passages(points, triangles, normal, pairs, tolerance)
+    if certain:
+        return np.asarray(places[0])
+    chosen = np.linspace(0, len(places) - 1, min(len(places), _DOUBTS_ASKED)).astype(np.int64)
+    for place in places[chosen]:
+        winding = _winding_numbers(vertices_mm, faces, place + _ASIDE * tolerance * _DIRECTIONS)
+        # Off the surface these are integers: 1 inside, 0 outside, and the quarter is for rounding.
         if ((winding > 1.25) | (winding < -0.25)).any():
             return np.asarray(place)
     return None
-
-
-def _folds(
-    vertices_mm: Numbers, triangles: Indices, normal: Numbers, one: Indices, other: Indices, tolerance: float
-) -> Numbers:
-    """Return the middle of edges at which two triangles lie on one another instead of side by side."""
-    # Within 8 degrees of opposite: the angle alone does not tell a fold from a thin edge, the gap below does.
-    opposed = np.flatnonzero((normal[one] * normal[other]).sum(axis=1) < -0.99)
-    one, other = triangles[one[opposed]], triangles[other[opposed]]
-    shared = (one[:, :, None] == other[:, None, :]).any(axis=2)
-    two = shared.sum(axis=1) == 2
-    one, other, shared = one[two], other[two], shared[two]
-    apex = one[~shared]
-    p, q = vertices_mm[one[shared].reshape(-1, 2)].transpose(1, 0, 2)
-    far = other[~(other[:, :, None] == one[:, None, :]).any(axis=2)]
-    along = (q - p) / np.sqrt(((q - p) ** 2).sum(axis=1, keepdims=True))
-    first, second = (
-        v - p - ((v - p) * along).sum(axis=1, keepdims=True) * along for v in vertices_mm[[apex, far]]
-    )
-    size, size_far = (np.sqrt((v * v).sum(axis=1)) for v in (first, second))
-    # How far the shorter one stands off the longer.
-    gap = np.minimum(size, size_far) * np.sqrt(
-        ((first / size[:, None] - second / size_far[:, None]) ** 2).sum(axis=1)
-    )
-    return np.asarray(((p + q) / 2)[gap <= tolerance])
-
-
-def _passages(
-    vertices_mm: Numbers,
-    triangles: Indices,
-    normal: Numbers,
-    target: Indices,
-    passing: Indices,
-    tolerance: float,
-) -> tuple[Numbers, Numbers]:
-    """Return where edges of triangles certainly pass through target triangles, and where they may."""
-    (x, y, z), corners = np.ascontiguousarray(vertices_mm.T), triangles.T
-    normal_x, normal_y, normal_z = normal.T
-    level = (vertices_mm[corners[0]] * normal).sum(axis=1)[target]
-    upright_x, upright_y, upright_z = normal_x[target], normal_y[target], normal_z[target]
-    passers = corners[:, passing]
-    depth = [upright_x * x[c] + upright_y * y[c] + upright_z * z[c] - level for c in passers]
-    met = np.flatnonzero((np.minimum.reduce(depth) <= tolerance) & (np.maximum.reduce(depth) >= -tolerance))
-    target, passers, depths = target[met], passers[:, met], [each[met] for each in depth]
-    own = corners[:, target]
-    shared = [(c == own[0]) | (c == own[1]) | (c == own[2]) for c in passers]
-    ends, pairs, at = [], [], []
-    for corner, after in ((0, 1), (1, 2), (2, 0)):
-        start, end = depths[corner], depths[after]
-        pair = np.flatnonzero(
-            ~(shared[corner] | shared[after])
-            & (np.minimum(start, end) <= tolerance)
-            & (np.maximum(start, end) >= -tolerance)
-        )
-        ends.append(passers[[corner, after]][:, pair])
-        at.append(np.stack([start[pair], end[pair]]))
-        pairs.append(target[pair])
-    (p, q), (at_p, at_q) = vertices_mm[np.concatenate(ends, axis=1)], np.concatenate(at, axis=1)
-    faces = np.concatenate(pairs)
-    through = (np.minimum(at_p, at_q) < -tolerance) & (np.maximum(at_p, at_q) > tolerance)
-    level_edge = at_p == at_q
-    share = np.where(level_edge, 0.5, np.clip(at_p / np.where(level_edge, 1.0, at_p - at_q), 0.0, 1.0))
-    place = p + share[:, None] * (q - p)
-    inside = np.full(len(faces), np.inf)
-    for corner, after in ((0, 1), (1, 2), (2, 0)):
-        here, there = vertices_mm[triangles[faces, corner]], vertices_mm[triangles[faces, after]]
-        along = there - here
-        inward = np.cross(normal[faces], along)
-        length = np.sqrt((along * along).sum(axis=1))
-        inside = np.minimum(inside, ((place - here) * inward).sum(axis=1) / length)
-    certain = through & (inside > tolerance)
-    return place[certain], place[~certain & (inside >= -tolerance)]
 
 
 def _directions() -> Numbers:

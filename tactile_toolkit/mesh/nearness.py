@@ -16,18 +16,21 @@ processor.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any, TypeAlias, TypeVar
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FACING", "compiled", "near_pairs", "thinnest_wall_mm"]
+__all__ = ["FACING", "compiled", "near_pairs", "passages", "thinnest_wall_mm"]
 
 Numbers: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 Vector: TypeAlias = tuple[float, float, float]
+Solid: TypeAlias = tuple[Numbers, Indices, Numbers, Numbers, Indices]
+"""Points, faces, and what :func:`_surface` finds of them."""
+
 F = TypeVar("F", bound=Callable[..., Any])
 
 FACING = 0.95
@@ -50,9 +53,6 @@ _OPPOSED = 1 - 2 * _STRAIGHT**2 + 1e-9
 # so far apart.
 _ASLANT = math.sqrt(2 - 2 * _STRAIGHT) + 1e-9
 
-# Pairs that are handed over together: bounds the memory of who looks at them.
-_AT_ONCE = 1 << 17
-
 
 def compiled(function: F) -> F:
     """Compile on first use; kept next to the file or in the user's cache folder, where one can be written."""
@@ -67,15 +67,15 @@ def compiled(function: F) -> F:
     return result
 
 
-def near_pairs(corners_mm: Numbers, reach_mm: float) -> Iterator[tuple[Indices, Indices]]:
-    """Yield pairs of triangles, shape (F, 3, 3), whose boxes are within reach along each axis, in parts."""
+def near_pairs(corners_mm: Numbers, reach_mm: float) -> Indices:
+    """Return pairs of triangles, or other things of shape (F, corners, 3), whose boxes are within reach.
+
+    Along each axis; shape (2, pairs), each pair once.
+    """
     if not len(corners_mm):
-        return
+        return np.zeros((2, 0), np.int64)
     low, high = corners_mm.min(axis=1) - reach_mm / 2, corners_mm.max(axis=1) + reach_mm / 2
-    pairs = _meeting(_along_a_curve((low + high) / 2), low, high)
-    for start in range(0, len(pairs), _AT_ONCE):
-        one, other = pairs[start : start + _AT_ONCE].T
-        yield one, other
+    return np.ascontiguousarray(_meeting(_along_a_curve((low + high) / 2), low, high).T)
 
 
 def thinnest_wall_mm(vertices_mm: Numbers, faces: Indices, reach_mm: float) -> float:
@@ -165,7 +165,7 @@ def _meeting(order: Indices, low: Numbers, high: Numbers) -> Indices:
     return found[:pairs]
 
 
-# --- the thinnest wall ----------------------------------------------------------------------------
+# --- vectors -----------------------------------------------------------------------------------------
 
 
 @compiled
@@ -194,6 +194,96 @@ def _unit(u: Vector) -> Vector:
     return u[0] / length, u[1] / length, u[2] / length
 
 
+# --- triangles that pass through one another ------------------------------------------------------
+
+
+@compiled
+def passages(
+    points: Numbers, triangles: Indices, normal: Numbers, pairs: Indices, tolerance: float
+) -> tuple[bool, Numbers]:
+    """Return whether a triangle of a pair certainly passes through the other or is folded onto it, and where.
+
+    If none does, the places are those where an edge may pass through a triangle; shape (N, 3).
+    """
+    doubtful, count = np.empty((64, 3)), 0
+    for pair in range(pairs.shape[1]):
+        one, other = pairs[0, pair], pairs[1, pair]
+        # Within 8 degrees of opposite: the angle alone does not tell a fold from a thin edge, the gap does.
+        opposed = _dot(_row(normal, one), _row(normal, other)) < -0.99
+        for target, passing in ((one, other), (other, one)):
+            for k in range(3):
+                found, place = _passage(
+                    points, triangles, _row(normal, target), target, passing, k, tolerance
+                )
+                if opposed and _is_fold(points, triangles, target, passing, k, tolerance):
+                    found = 2
+                if found:
+                    if count == len(doubtful):
+                        doubtful = np.concatenate((doubtful, np.empty_like(doubtful)))
+                    doubtful[count] = place
+                    count += 1
+                if found == 2:
+                    return True, doubtful[count - 1 : count]
+    return False, doubtful[:count]
+
+
+@compiled
+def _passage(
+    points: Numbers, triangles: Indices, into: Vector, target: int, passing: int, k: int, tolerance: float
+) -> tuple[int, Vector]:
+    """Return whether an edge passes through a target: 0 for no, 1 for perhaps, 2 for yes; and where."""
+    start, end = triangles[passing, k], triangles[passing, (k + 1) % 3]
+    p, q = _row(points, start), _row(points, end)
+    base = _row(points, triangles[target, 0])
+    at_p, at_q = _dot(_sub(p, base), into), _dot(_sub(q, base), into)
+    if min(at_p, at_q) > tolerance or max(at_p, at_q) < -tolerance:
+        return 0, p
+    share = 0.5 if at_p == at_q else min(max(at_p / (at_p - at_q), 0.0), 1.0)
+    place = p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1]), p[2] + share * (q[2] - p[2])
+    inside = np.inf
+    for side in range(3):
+        corner = triangles[target, side]
+        if corner in (start, end):
+            return 0, p
+        here = _row(points, corner)
+        along = _sub(_row(points, triangles[target, (side + 1) % 3]), here)
+        inward = _cross(into, along)
+        inside = min(inside, _dot(_sub(place, here), inward) / math.sqrt(_dot(along, along)))
+    through = min(at_p, at_q) < -tolerance and max(at_p, at_q) > tolerance
+    return (0 if inside < -tolerance else 2 if through and inside > tolerance else 1), place
+
+
+@compiled
+def _is_fold(points: Numbers, triangles: Indices, one: int, other: int, k: int, tolerance: float) -> bool:
+    """Return whether triangles that share edge k of the one lie on one another instead of side by side."""
+    start, end = triangles[one, k], triangles[one, (k + 1) % 3]
+    apex, far, shared = _row(points, triangles[one, (k + 2) % 3]), _row(points, start), 0
+    for corner in triangles[other]:
+        if corner in (start, end):
+            shared += 1
+        else:
+            far = _row(points, corner)
+    if shared != 2:
+        return False
+    p = _row(points, start)
+    along = _unit(_sub(_row(points, end), p))
+    first, second = _across(_sub(apex, p), along), _across(_sub(far, p), along)
+    between = _sub(_unit(first), _unit(second))
+    # How far the shorter one stands off the longer.
+    shorter = min(_dot(first, first), _dot(second, second))
+    return math.sqrt(shorter * _dot(between, between)) <= tolerance
+
+
+@compiled
+def _across(u: Vector, along: Vector) -> Vector:
+    """Return what of a way does not lead along a direction."""
+    part = _dot(u, along)
+    return u[0] - part * along[0], u[1] - part * along[1], u[2] - part * along[2]
+
+
+# --- the thinnest wall ----------------------------------------------------------------------------
+
+
 @compiled
 def _thinnest_wall(points: Numbers, faces: Indices, order: Indices, reach: float) -> float:
     """Return the least distance below the reach at which two triangles face each other, or infinity.
@@ -201,17 +291,15 @@ def _thinnest_wall(points: Numbers, faces: Indices, order: Indices, reach: float
     Branch and bound: boxes that are further apart than the best so far, do not lie before each other, or
     whose directions do not oppose each other, are left out with all that they hold.
     """
-    inward, at_corner, twin = _surface(points, faces)
-    low, high = _boxes(points, faces, inward, at_corner, twin)
+    solid = _surface(points, faces)
+    low, high = _boxes(solid)
     boxes, count, best = _tree(order, low, high), len(order), reach
     stack, top = np.ones((64, 2), np.int64), 1
     while top:
         top -= 1
         one, other = stack[top, 0], stack[top, 1]
         if min(one, other) >= count:
-            best = _between(
-                points, faces, inward, at_corner, twin, order[one - count], order[other - count], best
-            )
+            best = _between(solid, order[one - count], order[other - count], best)
             continue
         for left in _within(one, count):
             for right in _within(other, count):
@@ -250,8 +338,8 @@ def _column(boxes: Numbers, node: int, axis: int) -> tuple[float, float, float, 
 
 
 @compiled
-def _surface(points: Numbers, faces: Indices) -> tuple[Numbers, Numbers, Indices]:
-    """Return directions into the solid, of triangles and at corners, and which half-edge lies along which.
+def _surface(points: Numbers, faces: Indices) -> Solid:
+    """Return points, faces, directions into the solid of triangles and at corners, and twins of half-edges.
 
     Half-edge 3 f + k leads from corner k of triangle f to the next one.
     """
@@ -282,14 +370,13 @@ def _surface(points: Numbers, faces: Indices) -> tuple[Numbers, Numbers, Indices
         for place in range(begun[end], begun[end + 1]):
             if faces[leaving[place] // 3, (leaving[place] + 1) % 3] == start:
                 twin[half] = leaving[place]
-    return inward, at_corner, twin
+    return points, faces, inward, at_corner, twin
 
 
 @compiled
-def _boxes(
-    points: Numbers, faces: Indices, inward: Numbers, at_corner: Numbers, twin: Indices
-) -> tuple[Numbers, Numbers]:
+def _boxes(solid: Solid) -> tuple[Numbers, Numbers]:
     """Return boxes, shape (F, 6), around triangles and the directions in which each may face others."""
+    points, faces, inward, at_corner, twin = solid
     low, high = np.full((len(faces), 6), np.inf), np.full((len(faces), 6), -np.inf)
     for face in range(len(faces)):
         own = _row(inward, face)
@@ -309,17 +396,9 @@ def _boxes(
 
 
 @compiled
-def _between(
-    points: Numbers,
-    faces: Indices,
-    inward: Numbers,
-    at_corner: Numbers,
-    twin: Indices,
-    one: int,
-    other: int,
-    best: float,
-) -> float:
+def _between(solid: Solid, one: int, other: int, best: float) -> float:
     """Return the least distance at which two triangles face each other, or the best so far."""
+    points, faces, inward, _, _ = solid
     for k in range(3):
         corner = faces[one, k]
         if corner == faces[other, 0] or corner == faces[other, 1] or corner == faces[other, 2]:
@@ -334,18 +413,17 @@ def _between(
         if most <= _LEVEL or least >= best:
             return best
     for here, there in ((one, other), (other, one)):
-        best = _from_corners(points, faces, inward, at_corner, here, there, best)
+        best = _from_corners(solid, here, there, best)
     for half in range(3 * one, 3 * one + 3):
         for opposite in range(3 * other, 3 * other + 3):
-            best = _between_edges(points, faces, inward, twin, half, opposite, best)
+            best = _between_edges(solid, half, opposite, best)
     return best
 
 
 @compiled
-def _from_corners(
-    points: Numbers, faces: Indices, inward: Numbers, at_corner: Numbers, one: int, other: int, best: float
-) -> float:
+def _from_corners(solid: Solid, one: int, other: int, best: float) -> float:
     """Return the least distance from a corner of the one triangle straight to the inside of the other."""
+    points, faces, inward, at_corner, _ = solid
     into, base = _row(inward, other), _row(points, faces[other, 0])
     opposed = -_dot(_row(inward, one), into)
     for k in range(3):
@@ -365,10 +443,9 @@ def _from_corners(
 
 
 @compiled
-def _between_edges(
-    points: Numbers, faces: Indices, inward: Numbers, twin: Indices, one: int, other: int, best: float
-) -> float:
+def _between_edges(solid: Solid, one: int, other: int, best: float) -> float:
     """Return the least distance between two half-edges that face each other."""
+    points, faces, _, _, _ = solid
     p, q = _row(points, faces[one // 3, one % 3]), _row(points, faces[other // 3, other % 3])
     u = _sub(_row(points, faces[one // 3, (one + 1) % 3]), p)
     v = _sub(_row(points, faces[other // 3, (other + 1) % 3]), q)
@@ -384,18 +461,14 @@ def _between_edges(
         return best
     there = way[0] / distance, way[1] / distance, way[2] / distance
     back = -there[0], -there[1], -there[2]
-    cosine = min(
-        _cosine_in(points, faces, inward, twin, one, there),
-        _cosine_in(points, faces, inward, twin, other, back),
-    )
+    cosine = min(_cosine_in(solid, one, there), _cosine_in(solid, other, back))
     return min(best, distance / cosine) if cosine >= FACING else best
 
 
 @compiled
-def _cosine_in(
-    points: Numbers, faces: Indices, inward: Numbers, twin: Indices, half: int, way: Vector
-) -> float:
+def _cosine_in(solid: Solid, half: int, way: Vector) -> float:
     """Return how straight a way that starts at an edge leads into the solid; 1 at an edge that is a notch."""
+    points, faces, inward, _, twin = solid
     start, end = _row(points, faces[half // 3, half % 3]), _row(points, faces[half // 3, (half + 1) % 3])
     along = _unit(_sub(end, start))
     most, least, nearest = -1.0, 1.0, -1.0

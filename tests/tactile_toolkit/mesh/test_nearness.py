@@ -24,11 +24,7 @@ def test_boxes_that_meet_are_found_once(seed: int, count: int, reach_mm: float) 
     corners_mm = random.uniform(0, 20, (count, 1, 3)) + random.uniform(0, 4, (count, 3, 3))
     low, high = corners_mm.min(axis=1) - reach_mm / 2, corners_mm.max(axis=1) + reach_mm / 2
     meet = ((low[:, None] <= high) & (low <= high[:, None])).all(axis=2)
-    found = [
-        tuple(sorted(pair))
-        for part in near_pairs(corners_mm, reach_mm)
-        for pair in zip(*(side.tolist() for side in part), strict=True)
-    ]
+    found = [tuple(sorted(pair)) for pair in near_pairs(corners_mm, reach_mm).T.tolist()]
     assert sorted(found) == [(one, other) for one, other in np.argwhere(meet).tolist() if one < other]
 
 
