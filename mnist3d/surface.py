@@ -231,15 +231,13 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
 
 
 def _mesh_of(solid: Any) -> Mesh:
-    simplified = solid.to_mesh64()
-    vertices_m = np.asarray(simplified.vert_properties)[:, :3] / MM_PER_M
-    vertices_m[:, 2] -= vertices_m[:, 2].min()
-    return Mesh(vertices_m.astype(np.float32), np.asarray(simplified.tri_verts).astype(np.int32))
+    mesh = Mesh.from_manifold(solid)
+    mesh.vertices_m[:, 2] -= mesh.vertices_m[:, 2].min()
+    return Mesh(mesh.vertices_m.astype(np.float32), mesh.faces)
 
 
 def _crosses_itself(mesh: Mesh, bodies: int) -> bool:
-    vertices_mm = mesh.vertices_m.astype(np.float64) * MM_PER_M
-    return self_crossing(vertices_mm, mesh.faces.astype(np.int64), bodies) is not None
+    return self_crossing(mesh.vertices_mm, mesh.faces.astype(np.int64), bodies) is not None
 
 
 def _is_held(solid: Any, counts: tuple[int, int]) -> bool:

@@ -1,4 +1,4 @@
-"""Scenes by rejection sampling, in the published order (Tactile MNIST paper, section Starstruck)."""
+"""Scenes by rejection sampling, in the published order: :func:`rejection_sampling` is the loop itself."""
 
 from __future__ import annotations
 
@@ -12,7 +12,6 @@ import numpy as np
 
 from starstruck_gen.placement import CLEAR, Clear, Placement, Rejected
 from starstruck_gen.scene import Scene
-from starstruck_gen.shapes import Shape
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import SceneStreams, scene_rng, scene_seed
@@ -20,15 +19,8 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
 __all__ = [
-    "LayoutFailed",
-    "SamplingExhausted",
-    "SceneTrace",
-    "is_hopeless",
-    "most_objects_that_fit",
-    "require_feasible",
-    "sample_scene",
-    "sample_scenes",
-    "trace_scene",
+    *("LayoutFailed", "SamplingExhausted", "SceneTrace", "is_hopeless", "most_objects_that_fit"),
+    *("rejection_sampling", "require_feasible", "sample_scene", "sample_scenes", "trace_scene"),
 ]
 
 T = TypeVar("T")
@@ -79,7 +71,7 @@ def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | No
     2
     """
     _require_class(spec, star_count)
-    return _scene(spec, rng.random, None if star_count is None else int(star_count))
+    return rejection_sampling(spec, rng.random, None if star_count is None else int(star_count))
 
 
 def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[Scene]:
@@ -112,7 +104,7 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
     streams: SceneStreams = _LOCAL.streams
     classes = len(spec.stars)
     return [
-        _scene(spec, streams.uniform(scene_seed(seed, split, index)), spec.stars[index % classes])
+        rejection_sampling(spec, streams.uniform(scene_seed(seed, split, index)), spec.stars[index % classes])
         for index in range(start, start + count)
     ]
 
@@ -138,7 +130,7 @@ def trace_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | Non
         return False
 
     _require_class(spec, star_count)
-    scene = _scene(spec, rng.random, star_count, watched)
+    scene = rejection_sampling(spec, rng.random, star_count, watched)
     standing = set(scene.placements)
     return SceneTrace(scene, tuple(Rejected(one, other, other not in standing) for one, other in met))
 
@@ -156,7 +148,7 @@ def require_feasible(
         shape = spec.star if most < spec.stars[-1] else spec.distractor_shapes[0]
         raise SamplingExhausted(shape.name, most + 1, spec.most_objects, 0, 0, _area_mm(spec), most=most)
     fullest = replace(spec, stars=spec.stars[-1:], distractors=spec.distractors[-1:] * 2)
-    _scene(fullest, scene_rng(seed).random, None, on_failure=on_failure)
+    rejection_sampling(fullest, scene_rng(seed).random, None, on_failure=on_failure)
 
 
 def most_objects_that_fit(spec: SceneSpec) -> int:
@@ -176,7 +168,7 @@ def most_objects_that_fit(spec: SceneSpec) -> int:
 
 
 def is_hopeless(reached: list[int], objects: int) -> bool:
-    """Tell whether no layout will hold all objects, from how many each layout so far held.
+    """Return whether no layout will hold all objects, from how many each layout so far held.
 
     These numbers lie close together: for one that is more than eight standard deviations above the mean of
     the last ten, no number of restarts is enough.
@@ -196,14 +188,22 @@ def _require_class(spec: SceneSpec, star_count: int | None) -> None:
         raise InputError(message)
 
 
-def _scene(
+def rejection_sampling(
     spec: SceneSpec,
     uniform: Uniform,
     star_count: int | None,
     clear: Clear | None = None,
     on_failure: LayoutFailed = lambda _failed, _allowed: None,
 ) -> Scene:
-    """Make one scene; the order in which numbers are drawn is part of every data set's bytes."""
+    """Make one scene (Tactile MNIST paper, 3D Mesh Dataset Generation Details, section Starstruck).
+
+    Objects are placed one after another, stars first, each at a position and a rotation drawn at random. A
+    position that collides with an object before it is rejected, and drawn again up to ``spec.attempts``
+    times; where one object finds no position, the scene starts over.
+
+    ``uniform`` gives numbers in [0, 1): the order in which they are drawn is part of every data set's bytes.
+    ``clear`` is the collision rule, that of the specification by default.
+    """
     clear = clear or CLEAR[spec.collision]
     if star_count is None:
         star_count = _choice(spec.stars, uniform)
@@ -213,54 +213,38 @@ def _scene(
     shapes += [_choice(spec.distractor_shapes, uniform) for _ in range(distractor_count)]
     attempts = [0] * len(shapes)
     reached: list[int] = []
-    hopeless = False
-    while not hopeless and len(reached) <= spec.restarts:
-        placements: list[Placement] = []
+    clearance_m, (half_x_m, half_y_m) = spec.clearance_m, spec.half_area_m
+    while len(reached) <= spec.restarts and not is_hopeless(reached, len(shapes)):
+        placed: list[Placement] = []
         for number, shape in enumerate(shapes):
-            placement, tried = _place(spec, shape, placements, uniform, clear)
-            attempts[number] += tried
-            if placement is None:
+            # Drawn once for an object, not for each attempt.
+            height_m = _choice(spec.heights_m, uniform)
+            for _ in range(spec.attempts):
+                attempts[number] += 1
+                x_m = (2.0 * uniform() - 1.0) * half_x_m
+                y_m = (2.0 * uniform() - 1.0) * half_y_m
+                angle_rad = uniform() * spec.rotation_rad
+                candidate = Placement(shape.key, x_m, y_m, angle_rad, shape.radius_m, height_m)
+                for other in placed:
+                    if not clear(candidate, other, clearance_m):
+                        break
+                else:
+                    placed.append(candidate)
+                    break
+            if len(placed) <= number:
                 break
-            placements.append(placement)
-        if len(placements) == len(shapes):
-            return Scene(star_count, tuple(placements), tuple(attempts), len(reached))
-        reached.append(len(placements))
+        if len(placed) == len(shapes):
+            return Scene(star_count, tuple(placed), tuple(attempts), len(reached))
+        reached.append(len(placed))
         on_failure(len(reached), spec.restarts + 1)
-        hopeless = is_hopeless(reached, len(shapes))
-    failed = reached[-1]
-    raise SamplingExhausted(
-        shapes[failed].name,
-        failed + 1,
-        len(shapes),
-        spec.attempts,
-        len(reached) - 1,
-        _area_mm(spec),
-        hopeless=hopeless,
-    )
+    failed, restarts = reached[-1], len(reached) - 1
+    hopeless = is_hopeless(reached, len(shapes))
+    counts = (failed + 1, len(shapes), spec.attempts, restarts)
+    raise SamplingExhausted(shapes[failed].name, *counts, _area_mm(spec), hopeless=hopeless)
 
 
 def _area_mm(spec: SceneSpec) -> tuple[float, float]:
     return (2 * MM_PER_M * spec.half_area_m[0], 2 * MM_PER_M * spec.half_area_m[1])
-
-
-def _place(
-    spec: SceneSpec, shape: Shape, placed: list[Placement], uniform: Uniform, clear: Clear
-) -> tuple[Placement | None, int]:
-    clearance_m = spec.clearance_m
-    half_x_m, half_y_m = spec.half_area_m
-    # Drawn once for an object, not for each attempt: part of the order that all bytes follow from.
-    height_m = _choice(spec.heights_m, uniform)
-    for attempt in range(1, spec.attempts + 1):
-        x_m = (2.0 * uniform() - 1.0) * half_x_m
-        y_m = (2.0 * uniform() - 1.0) * half_y_m
-        angle_rad = uniform() * spec.rotation_rad
-        candidate = Placement(shape.key, x_m, y_m, angle_rad, shape.radius_m, height_m)
-        for other in placed:
-            if not clear(candidate, other, clearance_m):
-                break
-        else:
-            return candidate, attempt
-    return None, spec.attempts
 
 
 def _choice(options: tuple[T, ...], uniform: Uniform) -> T:

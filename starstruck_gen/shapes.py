@@ -10,10 +10,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Any, ClassVar
 
 import numpy as np
@@ -24,24 +23,9 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number
 
 __all__ = [
-    "KINDS",
-    "OUTLINES",
-    "PUBLISHED_RADIUS_M",
-    "REGISTRY",
-    "STAR",
-    "Box",
-    "Crescent",
-    "Cross",
-    "Disc",
-    "Hexagon",
-    "Outline",
-    "Proportions",
-    "Ring",
-    "Shape",
-    "Star",
-    "Triangle",
-    "outline",
-    "shape_key",
+    *("KINDS", "OUTLINES", "PUBLISHED_RADIUS_M", "STAR", "add_kind", "outline", "read_only", "shape_key"),
+    *("Outline", "Proportions", "Shape"),
+    *("Box", "Crescent", "Cross", "Disc", "Hexagon", "Ring", "Star", "Triangle"),
 ]
 
 Outline = tuple[NDArray[np.float64], ...]
@@ -140,8 +124,8 @@ class Proportions:
 
 def _unpickled(kind: type[Proportions], values: dict[str, Any]) -> Proportions:
     # Unchecked: the process that pickled it has registered, and so checked, the kind.
-    if kind.name:
-        REGISTRY.setdefault(kind.name, kind)
+    if kind.name and kind.name not in KINDS:
+        add_kind(kind)
     return kind(**values)
 
 
@@ -325,31 +309,23 @@ class Crescent(Proportions):
         return (_ring_of(back + bite),)
 
 
-REGISTRY: dict[str, type[Proportions]] = {
-    kind.name: kind for kind in (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)
-}
-"""What :data:`KINDS` and :data:`OUTLINES` show; changed by :func:`starstruck_gen.register_shape`."""
-
-KINDS: Mapping[str, type[Proportions]] = MappingProxyType(REGISTRY)
-"""Kinds of shapes by name, registered ones too.
+KINDS: dict[str, type[Proportions]] = {}
+"""Kinds of shapes by name, those of :func:`starstruck_gen.register_shape` too.
 
 The published scenes have star, box and disc (package tactile-mnist 0.13.0).
 """
 
-
-class _DefaultOutlines(Mapping[str, Callable[[], Outline]]):
-    def __getitem__(self, name: str) -> Callable[[], Outline]:
-        return REGISTRY[name]().rings
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(REGISTRY)
-
-    def __len__(self) -> int:
-        return len(REGISTRY)
-
-
-OUTLINES: Mapping[str, Callable[[], Outline]] = _DefaultOutlines()
+OUTLINES: dict[str, Callable[[], Outline]] = {}
 """Outline of each kind of shape in its default proportions."""
+
+
+def add_kind(kind: type[Proportions]) -> None:
+    """Add a kind to the registry, unchecked."""
+    KINDS[kind.name], OUTLINES[kind.name] = kind, kind().rings
+
+
+for _ours in (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent):
+    add_kind(_ours)
 
 
 def shape_key(proportions: Proportions) -> str:
@@ -368,8 +344,12 @@ def outline(key: str) -> Outline:
     Frame: origin at the centre of the circumscribed circle, first corner of a star on +x. Raises InputError
     when there is no such shape, or its proportions cannot be used.
     """
-    # A user's class may hand out its own arrays: nobody may change them from here on.
-    rings = tuple(np.asarray(ring, dtype=np.float64) for ring in _parse_key(key).rings())
+    return read_only(_parse_key(key).rings())
+
+
+def read_only(rings: Outline) -> Outline:
+    """Return rings that cannot be changed: the class of a user may hand out its own arrays."""
+    rings = tuple(np.asarray(ring, dtype=np.float64) for ring in rings)
     for ring in rings:
         ring.setflags(write=False)
     return rings

@@ -16,26 +16,29 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from starstruck_gen.shapes import PUBLISHED_RADIUS_M, REGISTRY, Proportions, Shape, outline, shape_key
+from starstruck_gen.shapes import (
+    KINDS,
+    PUBLISHED_RADIUS_M,
+    Outline,
+    Proportions,
+    Shape,
+    add_kind,
+    outline,
+    read_only,
+)
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 
 __all__ = [
-    "Prism",
-    "Prisms",
-    "own_kinds",
-    "prism",
-    "prism_solid",
-    "prisms",
-    "register_shape",
+    *("Prism", "Prisms", "own_kinds", "prism", "prism_solid", "prisms", "proved_prism", "register_shape"),
     "require_fine_steps",
 ]
 
 K = TypeVar("K", bound=type[Proportions])
 
 _MOST_KEPT = 1_024
-_TOOLKIT = frozenset(REGISTRY)
+_TOOLKIT = frozenset(KINDS)
 _REACH_TOLERANCE = 1e-9
 
 
@@ -69,12 +72,18 @@ class Prism:
 def prism(key: str) -> Prism:
     """Return the solid of the shape that a key names, made and proved on first use.
 
-    Raises InputError for an unknown shape, or an outline that bounds no area (turned the wrong way, or
-    crossing itself).
+    Raises InputError for an unknown shape, and as :func:`proved_prism`.
+    """
+    return proved_prism(key, outline(key))
+
+
+def proved_prism(key: str, rings: Outline) -> Prism:
+    """Make the solid of an outline and prove it.
+
+    Raises InputError for one that bounds no area (turned the wrong way, or crossing itself).
     """
     import manifold3d
 
-    rings = outline(key)
     corners = np.concatenate(rings)
     # Triangulated once for a shape: 3,300 scenes hold some 15,000 objects of three shapes.
     cap = np.asarray(manifold3d.triangulate(list(rings)), dtype=np.int32)
@@ -223,43 +232,31 @@ def register_shape(kind: K) -> K:
     'kite(width=0.4)'
     """
     _require_described(kind)
-    former = REGISTRY.get(kind.name)
+    former = KINDS.get(kind.name)
     if former is kind:
         return kind
-    # A cell of a notebook that is run again defines its class anew; that class replaces its former.
+    # A cell of a notebook that is run again defines its class once more; that class replaces its former.
     if former is not None and (kind.name in _TOOLKIT or former.__qualname__ != kind.__qualname__):
         message = f"shape {kind.name!r} is taken by {former.__qualname__}; expected another name"
         raise InputError(message)
-    REGISTRY[kind.name] = kind
-    _forget_solids()
-    try:
-        # Solids are found by name, so that the kind is known before it is proved, and forgotten if it fails.
-        reach = float(np.linalg.norm(prism(shape_key(kind())).corners, axis=1).max())
-        if abs(reach - 1.0) > _REACH_TOLERANCE:
-            message = (
-                f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1, "
-                "the circumscribed radius"
-            )
-            raise InputError(message)
-    except Exception:
-        if former is None:
-            del REGISTRY[kind.name]
-        else:
-            REGISTRY[kind.name] = former
-        _forget_solids()
-        raise
+    made = proved_prism(kind.name, read_only(kind().rings()))
+    reach = float(np.linalg.norm(made.corners, axis=1).max())
+    if abs(reach - 1.0) > _REACH_TOLERANCE:
+        message = (
+            f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1, "
+            "the circumscribed radius"
+        )
+        raise InputError(message)
+    add_kind(kind)
+    # What is kept by key may belong to a former kind of the same name.
+    for kept in (outline, prism, prisms, prism_solid):
+        kept.cache_clear()
     return kind
 
 
 def own_kinds() -> tuple[type[Proportions], ...]:
     """Return the kinds that are not the toolkit's, for workers that must know them too."""
-    return tuple(kind for name, kind in REGISTRY.items() if name not in _TOOLKIT)
-
-
-def _forget_solids() -> None:
-    """Empty what is kept by key: it may belong to a former kind of the same name."""
-    for kept in (outline, prism, prisms, prism_solid):
-        kept.cache_clear()
+    return tuple(kind for name, kind in KINDS.items() if name not in _TOOLKIT)
 
 
 def _require_described(kind: Any) -> None:

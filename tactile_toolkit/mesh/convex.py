@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
 
 if TYPE_CHECKING:
@@ -67,13 +67,7 @@ def convex_parts(
         (hull, hull.simplify(tolerance_mm).hull()) for *_, hull in sorted(parts, key=lambda each: each[1])
     ]
     # Of a chip thinner than the tolerance, smoothing leaves nothing.
-    return [_as_mesh(exact if simple.is_empty() else simple) for exact, simple in smooth]
-
-
-def _as_mesh(solid: Any) -> Mesh:
-    found = solid.to_mesh64()
-    vertices_mm = np.asarray(found.vert_properties, np.float64)[:, :3]
-    return Mesh(vertices_mm / MM_PER_M, np.asarray(found.tri_verts, np.int32))
+    return [Mesh.from_manifold(exact if simple.is_empty() else simple) for exact, simple in smooth]
 
 
 def _best_cut(outline: Any) -> tuple[NDArray[np.float64], float]:

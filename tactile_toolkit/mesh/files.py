@@ -13,11 +13,11 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from tactile_toolkit.errors import InputError, StorageError
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, as_mesh
 from tactile_toolkit.mesh.stated import require_bounded
 from tactile_toolkit.mesh.threemf import BuildItem, joined, read_build, write_build
-from tactile_toolkit.store.files import atomic_file
+from tactile_toolkit.store.files import atomic_file, named_failures
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -104,15 +104,10 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     """
     path = Path(path)
     data = pack_mesh(as_mesh(mesh), _ending(path))
-    try:
+    with named_failures(str(path)):
         path.parent.stat()  # a folder that is mistyped is refused, not made
         with atomic_file(path) as stream:
             stream.write(data)
-    except OSError as error:
-        message = (
-            f"{path}: cannot be written ({error.strerror}); next: choose a folder with room and permission"
-        )
-        raise StorageError(message) from error
 
 
 def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
@@ -120,7 +115,7 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
 
     ``name`` is what slicers call the object, where the format holds names (3MF).
     """
-    vertices_mm = np.asarray(mesh.vertices_m, dtype=np.float64) * MM_PER_M
+    vertices_mm = mesh.vertices_mm
     if ending == ".stl":
         return _pack_stl(vertices_mm[mesh.faces])
     if ending == ".3mf":

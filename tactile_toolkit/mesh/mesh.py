@@ -59,6 +59,11 @@ class Mesh:
         """Lowest and highest corner of the bounding box, shape (2, 3), metres."""
         return np.stack([self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)]).astype(np.float64)
 
+    @property
+    def vertices_mm(self) -> NDArray[np.float64]:
+        """The vertices in millimetres, float64."""
+        return np.ascontiguousarray(self.vertices_m, dtype=np.float64) * MM_PER_M
+
     def to_trimesh(self) -> Any:
         """Hand the mesh to trimesh as it is: no vertex merged, moved or dropped.
 
@@ -98,8 +103,14 @@ class Mesh:
         import manifold3d
 
         # Mesh64, as manifold3d merges vertices that single precision does not tell apart.
-        vertices_mm = np.ascontiguousarray(self.vertices_m, dtype=np.float64) * MM_PER_M
-        return manifold3d.Manifold(manifold3d.Mesh64(vertices_mm, self.faces.astype(np.uint64)))
+        return manifold3d.Manifold(manifold3d.Mesh64(self.vertices_mm, self.faces.astype(np.uint64)))
+
+    @classmethod
+    def from_manifold(cls, solid: Any) -> Mesh:
+        """Take over the surface of a manifold3d.Manifold in millimetres; float64."""
+        arrays = solid.to_mesh64()
+        vertices_mm = np.asarray(arrays.vert_properties, np.float64)[:, :3]
+        return cls(vertices_mm / MM_PER_M, np.asarray(arrays.tri_verts).astype(np.int32))
 
     def _corners_m(self) -> NDArray[np.float64]:
         return self.vertices_m.astype(np.float64)[self.faces]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactile_toolkit.checked_fields import check_fields, real
-from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
+from tactile_toolkit.mesh.mesh import as_mesh
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
 from tactile_toolkit.mesh.walls import section_area_mm2, thinnest_width_mm
 
@@ -31,21 +31,10 @@ WALL_REACH_MM = 2.5
 
 REPORT_COLUMNS: dict[str, type] = {
     "is_solid": bool,
-    "status": str,
-    "problem": str,
-    "detail": str,
-    "vertices": int,
-    "faces": int,
-    "bodies": int,
-    "genus": int,
-    "volume_mm3": float,
-    "mass_g": float,
-    "size_x_mm": float,
-    "size_y_mm": float,
-    "size_z_mm": float,
-    "thinnest_wall_mm": float,
-    "overhang_mm2": float,
-    "contact_mm2": float,
+    **dict.fromkeys(("status", "problem", "detail"), str),
+    **dict.fromkeys(("vertices", "faces", "bodies", "genus"), int),
+    **dict.fromkeys(("volume_mm3", "mass_g", "size_x_mm", "size_y_mm", "size_z_mm"), float),
+    **dict.fromkeys(("thinnest_wall_mm", "overhang_mm2", "contact_mm2"), float),
     "warnings": str,
 }
 """Columns of :meth:`PrintReport.to_row` and their types; a text column may hold None."""
@@ -140,12 +129,12 @@ class PrintReport:
     bodies: int
     genus: int
     volume_mm3: float
-    mass_g: float
-    size_mm: tuple[float, float, float]
-    thinnest_wall_mm: float
-    overhang_mm2: float
-    contact_mm2: float
-    warnings: tuple[str, ...]
+    mass_g: float = math.nan
+    size_mm: tuple[float, float, float] = (math.nan, math.nan, math.nan)
+    thinnest_wall_mm: float = math.nan
+    overhang_mm2: float = math.nan
+    contact_mm2: float = math.nan
+    warnings: tuple[str, ...] = ()
 
     def to_row(self) -> dict[str, Any]:
         """Give the report as a flat row with the columns of :data:`REPORT_COLUMNS`.
@@ -188,8 +177,8 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     check = check_manifold(mesh)
     counts = (len(mesh.vertices_m), len(mesh.faces))
     if check.problem is not None:
-        return _report(check, *counts, **_NOT_MEASURED)
-    vertices_mm = np.asarray(mesh.vertices_m, dtype=np.float64) * MM_PER_M
+        return _report(check, *counts)
+    vertices_mm = mesh.vertices_mm
     low, high = vertices_mm.min(axis=0), vertices_mm.max(axis=0)
     size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
     # Vertices that lie in the mid-plane would make the cut run along edges: it is taken just above them.
@@ -223,37 +212,16 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
 
 def unreadable(detail: str) -> PrintReport:
     """Report a file that no mesh could be read from, and why."""
-    return _report(ManifoldCheck(None, "NotTried", UNREADABLE, detail), 0, 0, **_NOT_MEASURED)
+    return _report(ManifoldCheck(None, "NotTried", UNREADABLE, detail), 0, 0)
 
 
 # Share of the height by which the middle section avoids the vertices that lie in the mid-plane.
 _OFF_VERTICES = 1e-7
 
 
-_NOT_MEASURED: dict[str, Any] = {
-    # NaN, so that reports stay columns of numbers.
-    "mass_g": math.nan,
-    "size_mm": (math.nan, math.nan, math.nan),
-    "thinnest_wall_mm": math.nan,
-    "overhang_mm2": math.nan,
-    "contact_mm2": math.nan,
-    "warnings": (),
-}
-
-
 def _report(check: ManifoldCheck, vertices: int, faces: int, **measured: Any) -> PrintReport:
-    return PrintReport(
-        is_solid=check.problem is None,
-        status=check.status,
-        problem=check.problem,
-        detail=check.detail,
-        vertices=vertices,
-        faces=faces,
-        bodies=check.bodies,
-        genus=check.genus,
-        volume_mm3=check.volume_mm3,
-        **measured,
-    )
+    named = (check.problem is None, check.status, check.problem, check.detail)
+    return PrintReport(*named, vertices, faces, check.bodies, check.genus, check.volume_mm3, **measured)
 
 
 def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile) -> float:

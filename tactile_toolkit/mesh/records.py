@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names, require_mesh_columns
+from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.dataset import Record, RecordDataset, Row, with_origins
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.wording import counted
@@ -51,15 +52,9 @@ class SolidRecord(Record):
     @property
     def mesh(self) -> trimesh.Trimesh:
         """The mesh, metres. Vertices stay as they are stored: none is merged, dropped or moved."""
-
-        def build() -> trimesh.Trimesh:
-            import trimesh
-
-            return trimesh.Trimesh(self.vertices_m, self.faces, process=False)
-
         # Nearly all of the 76 µs of a mesh are trimesh's own, which takes no float32 as it is
         # (benchmarks/README.md).
-        return self._once("mesh", build)
+        return self._once("mesh", lambda: Mesh(self.vertices_m, self.faces).to_trimesh())
 
     @property
     def volume_m3(self) -> float:

@@ -8,18 +8,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.crossings import self_crossing
-from tactile_toolkit.mesh.mesh import MM_PER_M
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.mesh import Mesh
 
 __all__ = ["PROBLEMS", "ManifoldCheck", "check_manifold", "require_solid"]
 
@@ -74,10 +69,7 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
     elif volume_mm3 < 0:
         problem = "inside-out", f"the triangles face inwards, the volume is {volume_mm3:.3f} mm³"
     else:
-        vertices_mm, faces = mesh.vertices_m.astype(np.float64) * MM_PER_M, mesh.faces.astype(np.int64)
-        problem = _overlap_problem(parts)
-        if problem is None:
-            problem = _crossing_problem(self_crossing(vertices_mm, faces, len(parts)))
+        problem = _overlap_problem(parts) or _crossing_problem(mesh, len(parts))
     outer = [part for part in parts if part.volume() > 0]
     genus = sum(part.genus() for part in parts)
     if problem is not None:
@@ -125,7 +117,8 @@ def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
     return None
 
 
-def _crossing_problem(place_mm: NDArray[np.float64] | None) -> tuple[str, str] | None:
+def _crossing_problem(mesh: Mesh, bodies: int) -> tuple[str, str] | None:
+    place_mm = self_crossing(mesh.vertices_mm, mesh.faces.astype(np.int64), bodies)
     if place_mm is None:
         return None
     where = ", ".join(f"{coordinate + 0.0:.2f}" for coordinate in place_mm)
@@ -143,15 +136,10 @@ def _pairs_with_meeting_boxes(parts: list[Any]) -> list[tuple[int, int]]:
 
 
 def _encloses(body: Any, cavity: Any) -> bool:
-    import manifold3d
-
     if not _pairs_with_meeting_boxes([body, cavity]):
         return False
-    mesh = cavity.to_mesh64()
-    # manifold3d hands out arrays that cannot be written, and takes none.
-    faces = np.array(mesh.tri_verts[:, ::-1], dtype=np.uint64, order="C")
-    vertices = np.array(mesh.vert_properties[:, :3], dtype=np.float64, order="C")
-    filling = manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
+    inside_out = Mesh.from_manifold(cavity)
+    filling = Mesh(inside_out.vertices_m, np.ascontiguousarray(inside_out.faces[:, ::-1])).to_manifold()
     return bool((filling ^ body).volume() >= filling.volume() - OVERLAP_MM3)
 
 

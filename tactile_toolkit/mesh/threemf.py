@@ -40,7 +40,7 @@ _KEPT = {
     f"{{{_CORE}}}{name}"
     for name in ("model", "resources", "object", "mesh", "components", "component", "build", "item")
 }
-_KNOWN = {*_KEPT, _VERTEX, _TRIANGLE, *(f"{{{_CORE}}}{name}" for name in ("vertices", "triangles"))}
+_KNOWN = {*_KEPT, _VERTEX, _TRIANGLE, f"{{{_CORE}}}vertices", f"{{{_CORE}}}triangles"}
 _PATH = "{http://schemas.microsoft.com/3dmanufacturing/production/2015/06}path"
 _MODEL_PATH = "3D/3dmodel.model"
 
@@ -49,7 +49,7 @@ _DEEPEST = 32
 _MOST_PARTS = 20_000
 # Memory that reading takes, at most: for each byte of XML and of what is built, and for each element.
 _PER_BYTE, _PER_ELEMENT = 4, 160
-_PIECE_BYTES = 1 << 22
+_PIECE_BYTES = 1 << 20
 _LONGEST_TRANSFORM = 1000
 
 
@@ -100,11 +100,10 @@ class _Package:
             message = "the archive holds no .model file"
             raise ValueError(message)
         root = self._model(_MODEL_PATH if _MODEL_PATH in models else models[0])
-        for element in root.element.iterfind("m:build/m:item", _NS):
-            model, identity = self._named(element, root)
-            vertices, faces = joined(self._moved_parts(model, identity, root, element))
-            name = model.objects[identity].get("name", "")
-            yield BuildItem(name, vertices * root.mm_per_unit, faces)
+        for item in root.element.iterfind("m:build/m:item", _NS):
+            model, identity = self._named(item, root)
+            vertices, faces = joined(list(self._placed(item, root)))
+            yield BuildItem(model.objects[identity].get("name", ""), vertices * root.mm_per_unit, faces)
 
     def _model(self, path: str) -> _Model:
         name = self._names.get(path.lower().lstrip("/"))
@@ -130,38 +129,26 @@ class _Package:
             raise ValueError(message)
         return model, identity
 
-    def _parts_of(self, model: _Model, identity: str, depth: int) -> list[Surface]:
-        """Return the surfaces of an object, in the unit of its model."""
+    def _placed(self, element: ElementTree.Element, here: _Model, depth: int = 0) -> Iterator[Surface]:
+        """Yield the surfaces of what an item or component names, where it puts them, in the unit of here."""
+        model, identity = self._named(element, here)
         self._count_part(identity, depth)
-        element = model.objects[identity]
-        mesh = element.find("m:mesh", _NS)
-        if mesh is not None:
-            return [model.surfaces[mesh]]
-        parts = []
-        for component in element.iterfind("m:components/m:component", _NS):
-            other, name = self._named(component, model)
-            parts += self._moved_parts(other, name, model, component, depth + 1)
-        return parts
-
-    def _moved_parts(
-        self, model: _Model, identity: str, here: _Model, element: ElementTree.Element, depth: int = 0
-    ) -> list[Surface]:
-        """Return the surfaces of an object where ``element`` puts them, in the unit of the model ``here``."""
         matrix = np.eye(4, 3)
         if element.get("transform") is not None:
             words = element.attrib["transform"][:_LONGEST_TRANSFORM].split()
-            numbers = [float(number) for number in words]
-            matrix = np.array(numbers).reshape(4, 3)
+            matrix = np.array([float(number) for number in words]).reshape(4, 3)
         # Each model of a package has a unit of its own.
         ratio = model.mm_per_unit / here.mm_per_unit
         mirrored = np.linalg.det(matrix[:3]) < 0
-        parts = []
-        for vertices, faces in self._parts_of(model, identity, depth):
+        thing = model.objects[identity]
+        mesh = thing.find("m:mesh", _NS)
+        components = thing.iterfind("m:components/m:component", _NS)
+        parts = (part for component in components for part in self._placed(component, model, depth + 1))
+        for vertices, faces in parts if mesh is None else [model.surfaces[mesh]]:
             # A few bytes can name the same object again and again, and have it moved at every level.
             self._count_part(identity, depth, vertices.nbytes + faces.nbytes)
             placed = moved(vertices * ratio, matrix[:3]) + matrix[3]
-            parts.append((placed, faces[:, ::-1] if mirrored else faces))
-        return parts
+            yield placed, faces[:, ::-1] if mirrored else faces
 
     def _count_part(self, identity: str, depth: int, size_bytes: int = 0) -> None:
         self._parts += 1
@@ -172,79 +159,61 @@ class _Package:
         require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
 
 
-class _Parsed:
-    """What a parser of a model calls; meshes become arrays, and elements without a meaning here nothing.
+class _Builder(ElementTree.TreeBuilder):
+    """Builds the tree of a model; meshes become arrays, and elements without a meaning here are emptied.
 
-    Text is not asked for: as elements and text, a million vertices would take a gigabyte.
+    As elements, a million vertices would take a gigabyte.
     """
 
     def __init__(self, file_bytes: int) -> None:
-        self._tree = ElementTree.TreeBuilder()
+        super().__init__()
         self._file_bytes = file_bytes
-        self.elements = self._parts = self._ignored = 0
+        self.elements = 0
         self._points, self._corners = array("d"), array("q")
-        self.root: ElementTree.Element | None = None
         self.surfaces: dict[ElementTree.Element, Surface] = {}
-
-    def start(self, tag: str, attributes: dict[str, str]) -> None:
-        self.elements += 1
-        if self.elements % 1024 == 0:
-            what = f"3MF file: XML of more than {self.elements:,} elements"
-            require_unpackable(_PER_ELEMENT * self.elements, what, self._file_bytes)
-        if self._ignored or tag not in _KNOWN:
-            self._ignored += 1
-            self.elements += 2  # the parser keeps all names that it has met
-        elif tag == _VERTEX:
-            self._points.extend([float(attributes[axis]) for axis in "xyz"])
-        elif tag == _TRIANGLE:
-            self._corners.extend([int(attributes[corner]) for corner in ("v1", "v2", "v3")])
-        elif tag in _KEPT:
-            self._parts += 1
-            if self._parts > _MOST_PARTS:
-                message = f"more than {_MOST_PARTS:,} objects and components"
-                raise ValueError(message)
-            self._tree.start(tag, attributes)
-            if tag == _MESH:
-                self._points, self._corners = array("d"), array("q")
 
     def doctype(self, *_: str | None) -> None:
         """Refuse what 3MF does not have: names for text, which a few bytes repeat to any size."""
         message = "the model has a document type; expected plain XML"
         raise ValueError(message)
 
-    def end(self, tag: str) -> None:
-        if self._ignored:
-            self._ignored -= 1
-            return
-        if tag not in _KEPT:
-            return
-        element = self.root = self._tree.end(tag)  # the outermost ends last
-        if tag == _MESH:
+    def end(self, tag: str) -> ElementTree.Element:
+        element = super().end(tag)
+        # The parser keeps all names that it has met, of which those that it need not know are many.
+        self.elements += 1 if tag in _KNOWN else 3
+        if self.elements % 1024 < 3:
+            what = f"3MF file: XML of more than {self.elements:,} elements"
+            require_unpackable(_PER_ELEMENT * self.elements, what, self._file_bytes)
+        if tag == _VERTEX:
+            self._points.extend([float(element.attrib[axis]) for axis in "xyz"])
+        elif tag == _TRIANGLE:
+            self._corners.extend([int(element.attrib[corner]) for corner in ("v1", "v2", "v3")])
+        elif tag == _MESH:
             faces = np.array(self._corners, np.int64)
             if len(faces) and not (faces.min() >= -(2**31) and faces.max() < 2**31):
                 message = "a triangle names a vertex by a number of more than 32 bits"
                 raise ValueError(message)
             vertices = np.array(self._points, np.float64).reshape(-1, 3)
             self.surfaces[element] = (vertices, faces.astype(np.int32).reshape(-1, 3))
+            self._points, self._corners = array("d"), array("q")
+        if tag not in _KEPT:
+            element.clear()
+        return element
 
 
 def _parsed(
     stream: IO[bytes], file_bytes: int
 ) -> tuple[ElementTree.Element, dict[ElementTree.Element, Surface]]:
-    target = _Parsed(file_bytes)
-    parser = ElementTree.XMLParser(target=target)
+    builder = _Builder(file_bytes)
+    parser = ElementTree.XMLParser(target=builder)
     while piece := stream.read(_PIECE_BYTES):
-        before = target.elements
+        before = builder.elements
         parser.feed(piece)
-        if len(piece) == _PIECE_BYTES and target.elements == before:
+        if len(piece) == _PIECE_BYTES and builder.elements == before:
             # Attributes take 30 times as much memory, and are looked through again with each piece.
-            message = f"XML of {_PIECE_BYTES:,} bytes in which no element begins"
+            message = f"XML of {_PIECE_BYTES:,} bytes in which no element ends"
             raise ValueError(message)
-    parser.close()
-    if target.root is None:
-        message = "the model holds nothing"
-        raise ValueError(message)
-    return target.root, target.surfaces
+    return parser.close(), builder.surfaces
 
 
 def joined(surfaces: Sequence[Surface]) -> Surface:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.printing.objects import PrintObject
     from tactile_toolkit.printing.simulator import Physics
 
-__all__ = ["Layout", "Measured", "Placed", "arrange", "measure"]
+__all__ = ["Layout", "Placed", "arrange", "measure"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,27 +49,19 @@ class Placed:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Measured:
-    """Objects made ready for packing, in their order, and those that are not solids and were left out."""
+class Layout:
+    """Objects made ready for packing, in their order, and what lies on each plate, from front to back.
+
+    ``failures`` are those that are not solids and were left out. No packing needs fewer than
+    ``least_plates``: the area that all need, over that of a plate. There are no plates until it is packed.
+    """
 
     spec: PlateSpec
     scale: float
     pieces: tuple[Placed, ...]
     failures: tuple[Failure, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Layout:
-    """A packing: what lies on each plate, from front to back, and objects left out as they are not solids.
-
-    No packing needs fewer than ``least_plates``: the area that all need, over that of a plate.
-    """
-
-    spec: PlateSpec
-    scale: float
-    plates: tuple[tuple[Placed, ...], ...]
-    least_plates: int
-    failures: tuple[Failure, ...]
+    plates: tuple[tuple[Placed, ...], ...] = ()
+    least_plates: int = 0
     physics: Physics | None = None
 
     @property
@@ -83,7 +75,7 @@ def measure(
     spec: PlateSpec,
     scale: float = 1.0,
     on_progress: Progress = lambda _done, _total: None,
-) -> Measured:
+) -> Layout:
     """Take the outline of every object; ``scale`` is a factor on all lengths.
 
     Raises InputError where an object is larger than a plate, or the scale is not positive.
@@ -96,7 +88,7 @@ def measure(
         except ItemError as error:
             failures.append(Failure(item.name, error.reason, f"{error}; it was left out"))
         on_progress(done, len(objects))
-    return Measured(spec, scale, tuple(pieces), tuple(failures))
+    return Layout(spec, scale, tuple(pieces), tuple(failures))
 
 
 def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
@@ -119,7 +111,7 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
     return Placed(item, outline, height_mm, verdict.volume_mm3, spec.cells_of(claimed), area_mm2)
 
 
-def arrange(measured: Measured, on_progress: Progress = lambda _done, _total: None) -> Layout:
+def arrange(measured: Layout, on_progress: Progress = lambda _done, _total: None) -> Layout:
     """Find a place for every object on few plates; objects are moved, never turned.
 
     What lies on a plate is in its middle. The same input gives the same layout; progress counts objects
@@ -142,4 +134,4 @@ def arrange(measured: Measured, on_progress: Progress = lambda _done, _total: No
             for spot, (x_mm, y_mm) in zip(spots, corners_mm.tolist(), strict=True)
         ]
         plates.append(tuple(sorted(placed, key=lambda each: (each.y_mm, each.x_mm))))
-    return Layout(spec, measured.scale, tuple(plates), least, measured.failures)
+    return replace(measured, plates=tuple(plates), least_plates=least)

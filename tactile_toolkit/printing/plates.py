@@ -176,8 +176,7 @@ def _plate_file(layout: Layout, number: int, size_bytes: int, state: str) -> Pla
 def _item(placed: Placed, layout: Layout) -> BuildItem:
     mesh = standing(placed.item.load(), layout.scale)
     # Adding zero writes -0 as 0, as plates always had it: the bytes of an export stay those of the last one.
-    vertices_mm = np.asarray(mesh.vertices_m, np.float64) * MM_PER_M + 0.0
-    return BuildItem(placed.item.name, vertices_mm, mesh.faces, placed.offset_mm)
+    return BuildItem(placed.item.name, mesh.vertices_mm + 0.0, mesh.faces, placed.offset_mm)
 
 
 def _packed(items: Sequence[BuildItem], layout: Layout) -> bytes:
@@ -197,11 +196,7 @@ def _packed(items: Sequence[BuildItem], layout: Layout) -> bytes:
 def _unpacked(content: bytes) -> list[BuildItem]:
     if content.startswith(b"PK"):
         return read_build(content)
-    found = read_mjcf(content).items()
-    return [
-        BuildItem(name, np.asarray(mesh.vertices_m, np.float64) * MM_PER_M, mesh.faces)
-        for name, mesh in found
-    ]
+    return [BuildItem(name, mesh.vertices_mm, mesh.faces) for name, mesh in read_mjcf(content).items()]
 
 
 def _map_of(layout: Layout, number: int) -> bytes:

@@ -16,7 +16,6 @@ from starstruck_gen.placement import Placement, stamp
 from starstruck_gen.shapes import (
     KINDS,
     OUTLINES,
-    REGISTRY,
     Disc,
     Proportions,
     Shape,
@@ -31,10 +30,11 @@ from tests.starstruck_gen.kite import Kite
 
 @pytest.fixture(autouse=True)
 def _only_the_toolkits_own():
-    kinds = dict(REGISTRY)
+    before = [dict(registry) for registry in (KINDS, OUTLINES)]
     yield
-    REGISTRY.clear()
-    REGISTRY.update(kinds)
+    for registry, entries in zip((KINDS, OUTLINES), before, strict=True):
+        registry.clear()
+        registry.update(entries)
     outline.cache_clear()
     prism.cache_clear()
     prisms.cache_clear()
@@ -125,10 +125,10 @@ def _named(kind, name):
     ],
 )
 def test_unusable_kind_is_refused_and_not_kept(kind, message):
-    before = dict(REGISTRY)
+    before = dict(KINDS), dict(OUTLINES)
     with pytest.raises(InputError, match=message):
         register_shape(kind)
-    assert before == REGISTRY
+    assert before == (KINDS, OUTLINES)
 
 
 def test_another_class_of_a_registered_name_is_refused():

@@ -118,3 +118,16 @@ def test_unfinished_run_is_refused_and_a_finished_split_can_be_checked(interrupt
     with pytest.raises(IntegrityError, match=r"not finished \(1 shards of split 'train'"):
         validate_folder(str(interrupted))
     assert validate_folder(interrupted, "test").checked == 4
+
+
+@pytest.mark.parametrize("overlap_m", [1e-6, 5e-3])
+def test_objects_that_overlap_are_found(tmp_path, overlap_m):
+    """No specification makes such a scene either."""
+    rows = make_rows(SceneSpec(distractors=(1, 1)), "train", 0, 0, 1)
+    side_m = 2**0.5 * 0.010
+    pair = [Placement("box", x_m, 0.0, 0.0, 0.010, 0.005) for x_m in (0.0, side_m - overlap_m)]
+    scene = replace(rows.scenes[0], placements=tuple(pair))
+    overlapping = replace(rows, scenes=[scene], meshes=stamp([scene.placements]))
+    pq.write_table(scene_table(overlapping), tmp_path / "train-00000-of-00001.parquet")
+    (record,) = load(str(tmp_path))
+    assert check_scene(record).startswith("overlap: two of 2 bodies overlap")
