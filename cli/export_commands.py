@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -172,13 +172,13 @@ def _export_files(
 
     out, overwrite = str(job.out), job.overwrite
     if job.dry_run:
-        view = forecast_files(objects, ending, scale, physics=physics, out=out, overwrite=overwrite)
-        sink.document({"out": out, **view.to_dict()})
+        view = forecast_files(objects, out, ending, scale=scale, physics=physics, overwrite=overwrite)
+        sink.document({"out": out, **asdict(view)})
         sink.line(
             f"would write {counted(view.files, f'{ending} files')} to {out}, about {bytes_text(view.bytes)} "
             f"(measured on {view.sampled}); nothing was written"
         )
-        return view.failures
+        return view.failed
     with sink.progress("writing", "files") as update:
         made = export_files(
             *(objects, out, ending),
@@ -188,17 +188,18 @@ def _export_files(
             workers=process_count(job.workers),
             on_progress=update,
         )
-    sink.document({"out": out, **made.to_dict()})
-    if len(made.files) <= _ROWS_SHOWN:
-        rows = []
-        for file in made.files:
-            size = " x ".join(f"{side:.1f}" for side in file.size_mm)
-            rows.append((file.file, size, f"{file.volume_mm3:,.0f}", file.bytes, file.state))
+    sink.document({"out": out, **asdict(made)})
+    if made.files and len(made.files) <= _ROWS_SHOWN:
+        sizes = [" x ".join(f"{side:.1f}" for side in file.size_mm) for file in made.files]
+        rows = [
+            (file.file, size, f"{file.volume_mm3:,.0f}", file.bytes, file.state)
+            for file, size in zip(made.files, sizes, strict=True)
+        ]
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
     kept = _kept(sum(file.state == "kept" for file in made.files))
     size = bytes_text(sum(file.bytes for file in made.files))
     sink.line(f"{counted(len(made.files), 'files')} in {out} ({size}), each read back as a solid{kept}")
-    return made.failures
+    return made.failed
 
 
 def _export_flat(
@@ -249,7 +250,7 @@ def _export_plates(
     else:
         with sink.progress("writing", "plates") as update:
             made = write_plates(layout, out, overwrite=job.overwrite, on_progress=update)
-    sink.document({"out": out, **made.to_dict()})
+    sink.document({"out": out, **asdict(made)})
     if made.removed:
         verb = "would remove" if job.dry_run else "removed"
         sink.talk(f"{verb} plates of the export that was there before: {', '.join(made.removed)}")
@@ -260,12 +261,12 @@ def _export_plates(
     verb = "would write" if job.dry_run else "wrote"
     ending = f"maps beside them, and {TABLE_FILE} says which object lies where"
     kept = _kept(sum(plate.state == "kept" for plate in made.plates))
-    placed, plates = counted(len(made.rows), "objects"), counted(len(made.plates), "plates")
+    placed, plates = counted(len(made.objects), "objects"), counted(len(made.plates), "plates")
     sink.line(
         f"{verb} {placed} on {plates} of {spec.text} to {out} (no packing needs fewer than "
         f"{made.least_plates}){kept}; {'nothing was written' if job.dry_run else ending}"
     )
-    return made.failures
+    return made.failed
 
 
 def _kept(count: int) -> str:

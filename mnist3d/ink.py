@@ -8,11 +8,11 @@ built from the mask can be held to them.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, Literal, NoReturn, TypeAlias
+from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     Levels: TypeAlias = NDArray[np.uint8]
 
 __all__ = [
-    *("binarise", "clean", "count_bodies_and_holes", "grown", "ink_of_levels", "join_bodies"),
-    *("levels_and_threshold", "margin", "otsu_threshold", "paper_is_dark", "repair_corners"),
+    *("SMALL_PX", "clean", "count_bodies_and_holes", "grown", "ink_of_levels", "join_bodies"),
+    *("levels_and_threshold", "margin", "otsu_threshold", "paper_is_dark", "refuse", "repair_corners"),
 ]
 
 MIN_SIDE_PX = 8
@@ -57,42 +57,17 @@ _SENTENCES = {
     "paper, with less than {:.0%} of the margin ink; next: say ink='light' if the ink is the lighter part, "
     "or leave room around the digit",
     "only-specks": "no piece of ink is as large as {} mm^2 (min_speck_mm2); expected a digit",
+    "topology": "no lattice keeps the {} bodies and {} holes of the ink; the finest has {} and {}",
+    "layers": "the layers of the ink, stacked, have {} bodies and {} holes; the ink has {} and {}; next: "
+    "leave the digit out, or try method='fast'",
+    "vertex-budget": "the digit needs {:,} vertices to keep its {} bodies and {} holes; {:,} were asked for, "
+    "and at most {:g} times as many are given; next: ask for {:,} (target_vertices, --vertices)",
 }
 
 
-def _refuse(reason: str, *found: Any, sentence: str = "") -> NoReturn:
+def refuse(reason: str, *found: Any, sentence: str = "") -> NoReturn:
+    """Raise the ItemError of a reason, or of one of its sentences, with what was found."""
     raise ItemError(reason, _SENTENCES[sentence or reason].format(*found))
-
-
-def binarise(
-    pixels: NDArray[Any],
-    spec: SolidSpec,
-    *,
-    ink: Literal["auto", "dark", "light"] = "auto",
-    resample: bool = False,
-) -> Mask:
-    """Find the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
-
-    Parameters and errors as of :func:`mnist3d.solid.solidify`.
-    """
-    if ink not in ("auto", "dark", "light"):
-        message = f"ink is {ink!r}; expected 'auto', 'dark' or 'light'"
-        raise InputError(message)
-    # A threshold says which side of it is ink.
-    levels, threshold = levels_and_threshold(
-        pixels, ink if spec.threshold is None or ink != "auto" else "dark"
-    )
-    if resample:
-        from mnist3d.sources.canvas import fit
-
-        # Other levels have another threshold.
-        levels, threshold = fit(levels), None
-    elif max(levels.shape) < SMALL_PX:
-        height_px, width_px = levels.shape
-        size_mm = max(height_px, width_px) * spec.pixel_pitch_mm
-        _refuse("too-small", width_px, height_px, size_mm, SMALL_PX)
-    mask = clean(ink_of_levels(levels, threshold if spec.threshold is None else spec.threshold), spec)
-    return join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm) if spec.join_bodies else mask
 
 
 def ink_of_levels(levels: Levels, threshold: float | None = None) -> Mask:
@@ -103,13 +78,13 @@ def ink_of_levels(levels: Levels, threshold: float | None = None) -> Mask:
     """
     darkest, lightest = int(levels.min()), int(levels.max())
     if threshold is None and lightest == darkest:
-        _refuse("no-ink" if darkest > 127 else "all-ink", darkest, sentence="one-level")
+        refuse("no-ink" if darkest > 127 else "all-ink", darkest, sentence="one-level")
     mask = levels <= (otsu_threshold(levels) if threshold is None else threshold)
     if not mask.any():
-        _refuse("no-ink")
+        refuse("no-ink")
     paper = float(1 - margin(mask).mean())
     if mask.all() or paper <= 1 - PAPER_SHARE:
-        _refuse("all-ink", 1 - paper, PAPER_SHARE)
+        refuse("all-ink", 1 - paper, PAPER_SHARE)
     return mask
 
 
@@ -128,7 +103,7 @@ def paper_is_dark(levels: Levels, threshold: int, where: str) -> bool:
     """
     light = float((margin(levels) > threshold).mean())
     if 1 - PAPER_SHARE < light < PAPER_SHARE:
-        _refuse("unclear-ink", where, light)
+        refuse("unclear-ink", where, light)
     return light <= 1 - PAPER_SHARE
 
 
@@ -149,17 +124,17 @@ def levels_and_threshold(pixels: NDArray[Any], ink: str) -> tuple[Levels, int | 
 def _as_levels(pixels: NDArray[Any]) -> Levels:
     image = np.asarray(pixels)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE_PX:
-        _refuse("bad-shape", image.shape, MIN_SIDE_PX)
+        refuse("bad-shape", image.shape, MIN_SIDE_PX)
     if image.dtype == np.uint8:
         return image
     if image.dtype == np.bool_:
         return np.where(image, np.uint8(255), np.uint8(0))
     if image.dtype.kind not in "iuf":
-        _refuse("bad-dtype", image.dtype)
+        refuse("bad-dtype", image.dtype)
     if not np.isfinite(image).all():
-        _refuse("not-finite", int((~np.isfinite(image)).sum()))
+        refuse("not-finite", int((~np.isfinite(image)).sum()))
     if image.min() < 0 or image.max() > 255:
-        _refuse("bad-range", image.min(), image.max())
+        refuse("bad-range", image.min(), image.max())
     if image.dtype.kind == "f" and image.max() <= 1:
         image = image.astype(np.float64) * 255
     return np.round(image).astype(np.uint8)
@@ -200,7 +175,7 @@ def clean(mask: Mask, spec: SolidSpec) -> Mask:
         inked = _without_small(inked, speck_px)
         cleaned[window] = _without_attached_specks(inked, speck_px)[1:-1, 1:-1]
     if not cleaned.any():
-        _refuse("no-ink", spec.min_speck_mm2, sentence="only-specks")
+        refuse("no-ink", spec.min_speck_mm2, sentence="only-specks")
     return cleaned
 
 

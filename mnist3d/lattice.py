@@ -143,9 +143,8 @@ class Lattice:
         """Return a lattice with nodes added until it shows all that is narrow."""
         lattice = self
         while True:
-            error_px = np.abs(
-                lattice._between_nodes(*lattice.narrow) - lattice.distance_px[tuple(lattice.narrow)]
-            )
+            shown_px = lattice._between_nodes(*lattice.narrow)
+            error_px = np.abs(shown_px - lattice.distance_px[tuple(lattice.narrow)])
             missed = lattice.narrow[:, error_px > NARROW_ERROR_PX]
             if not missed.size:
                 return lattice
@@ -156,16 +155,8 @@ class Lattice:
         # Where nothing more can be added line by line, every pixel becomes a node; that is the finest.
         if (len(rows), len(columns)) == self.s_px.shape:
             rows, columns = (np.arange(side, dtype=np.float64) for side in self.ink.shape)
-        return self.sampled(rows, columns)
-
-    def sampled(self, rows_px: Doubles, columns_px: Doubles) -> Lattice:
-        """Return a lattice with these nodes."""
-        s, ridge = (
-            _blurred(self.distance_px, rows_px, columns_px, blur)
-            for blur in (BLUR_PER_PITCH, RIDGE_BLUR_PER_PITCH)
-        )
-        share = np.clip(s / np.float32(RIDGE_DEPTH_PER_PITCH * self.pitch_px) - 1, 0, 1)
-        return replace(self, rows_px=rows_px, columns_px=columns_px, s_px=s + share * (ridge - s))
+        s_px = _sampled(self.distance_px, rows, columns, self.pitch_px)
+        return replace(self, rows_px=rows, columns_px=columns, s_px=s_px)
 
     def _corner_contacts(self, inside: Mask) -> Places:
         """Return the pixels, shape (2, N), between nodes of which two touch at a corner alone.
@@ -211,11 +202,8 @@ def lattice_of(ink: Mask, spec: SolidSpec) -> Lattice:
     pitch_px = _first_pitch_px(distance, spec)
     rows, columns = (np.arange(0.0, side - 1, pitch_px) for side in distance.shape)
     corner_px = top - margin_px, left - margin_px
-    return (
-        Lattice(crop, corner_px, distance, narrow, rows, columns, pitch_px, distance)
-        .sampled(rows, columns)
-        .fitted()
-    )
+    s_px = _sampled(distance, rows, columns, pitch_px)
+    return Lattice(crop, corner_px, distance, narrow, rows, columns, pitch_px, s_px).fitted()
 
 
 def erode(lattice: Lattice, height_px: Singles, spec: SolidSpec) -> Singles:
@@ -332,6 +320,13 @@ def _refined(nodes: Doubles, lines: Places, count: int) -> Doubles:
     # Between pixels a node needs a blur of two pixels to mean what lies there.
     others = np.where(away < 2, np.round(nodes), nodes)[away >= 1]
     return np.unique(np.concatenate([others, wanted]))
+
+
+def _sampled(distance: Singles, rows: Doubles, columns: Doubles, pitch_px: float) -> Singles:
+    """Return the distances from the outline at nodes; those near a ridge are blurred more."""
+    s, ridge = (_blurred(distance, rows, columns, blur) for blur in (BLUR_PER_PITCH, RIDGE_BLUR_PER_PITCH))
+    share = np.clip(s / np.float32(RIDGE_DEPTH_PER_PITCH * pitch_px) - 1, 0, 1)
+    return np.asarray(s + share * (ridge - s))
 
 
 def _blurred(values: Singles, rows: Doubles, columns: Doubles, sigma_per_pitch: float) -> Singles:

@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mnist3d.ink import count_bodies_and_holes
+from mnist3d.ink import count_bodies_and_holes, refuse
 from mnist3d.lattice import stack
 from mnist3d.side_view import erosion_radius_px
 from mnist3d.surface import Surface, bodies_and_holes, decimate, isosurface, scale, smooth
-from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,11 +36,7 @@ def literal_solid(ink: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool = 
     counts = count_bodies_and_holes(ink)
     found = bodies_and_holes(len(surface.vertices_px), surface.faces)
     if found != counts:
-        message = (
-            f"the layers of the ink, stacked, have {found[0]} bodies and {found[1]} holes; the ink has "
-            f"{counts[0]} and {counts[1]}; next: leave the digit out, or try method='fast'"
-        )
-        raise ItemError(reason="topology", message=message)
+        refuse("topology", *found, *counts, sentence="layers")
     smoothed = smooth(surface, spec.literal_smoothing_iterations, spec.smoothing_factor)
     mesh = scale(smoothed, (ink.shape[0], ink.shape[1]), spec)
     return decimate(mesh, spec.target_vertices) if decimated else mesh

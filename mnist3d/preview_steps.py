@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d.lattice import Lattice, Mirrored
-from mnist3d.solid import binarise, scale, solidify
-from mnist3d.surface import Surface
+from mnist3d.solid import binarise, solidify
+from mnist3d.surface import Surface, scale
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M

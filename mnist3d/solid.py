@@ -12,22 +12,28 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Literal
 
-from mnist3d.ink import binarise, count_bodies_and_holes
+from mnist3d.ink import (
+    SMALL_PX,
+    clean,
+    count_bodies_and_holes,
+    ink_of_levels,
+    join_bodies,
+    levels_and_threshold,
+    refuse,
+)
 from mnist3d.lattice import Lattice, Mirrored, erode, lattice_of, mirror, stack
 from mnist3d.literal import literal_solid
 from mnist3d.spec import SolidSpec
 from mnist3d.surface import BUDGET_SLACK, Surface, bodies_and_holes, decimate, marching_cubes, scale, smooth
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
+    import numpy as np
     from numpy.typing import NDArray
 
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = [
-    *("SolidSpec", "solidify"),
-    *("binarise", "erode", "stack", "mirror", "marching_cubes", "smooth", "scale", "decimate"),
-]
+__all__ = ["SolidSpec", "binarise", "solidify"]
 
 
 def solidify(
@@ -92,14 +98,40 @@ def solidify(
             break
         finer = lattice.finer(layers[0] > 0)
         if finer is None:
-            message = (
-                f"no lattice keeps the {counts[0]} bodies and {counts[1]} holes of the ink; the finest has "
-                f"{found[0]} and {found[1]}"
-            )
-            raise ItemError(reason="topology", message=message)
+            refuse("topology", *counts, *found)
         lattice = finer
     on_surface(lattice, volume, surface)
     mesh = scale(smoothed, (image.shape[0], image.shape[1]), spec)
     # Who asks for a pitch has asked for its vertices, too.
     within = spec.lattice_pitch_mm is not None or len(mesh.vertices_m) <= BUDGET_SLACK * spec.target_vertices
     return mesh if within else decimate(mesh, spec.target_vertices)
+
+
+def binarise(
+    pixels: NDArray[Any],
+    spec: SolidSpec,
+    *,
+    ink: Literal["auto", "dark", "light"] = "auto",
+    resample: bool = False,
+) -> NDArray[np.bool_]:
+    """Find the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
+
+    Parameters and errors as of :func:`solidify`.
+    """
+    if ink not in ("auto", "dark", "light"):
+        message = f"ink is {ink!r}; expected 'auto', 'dark' or 'light'"
+        raise InputError(message)
+    # A threshold says which side of it is ink.
+    said = "dark" if ink == "auto" and spec.threshold is not None else ink
+    levels, threshold = levels_and_threshold(pixels, said)
+    if resample:
+        from mnist3d.sources.canvas import fit
+
+        # Other levels have another threshold.
+        levels, threshold = fit(levels), None
+    elif max(levels.shape) < SMALL_PX:
+        height_px, width_px = levels.shape
+        size_mm = max(height_px, width_px) * spec.pixel_pitch_mm
+        refuse("too-small", width_px, height_px, size_mm, SMALL_PX)
+    mask = clean(ink_of_levels(levels, threshold if spec.threshold is None else spec.threshold), spec)
+    return join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm) if spec.join_bodies else mask

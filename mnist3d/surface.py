@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from tactile_toolkit.errors import ItemError
+from mnist3d.ink import refuse
 from tactile_toolkit.mesh.crossings import self_crossing
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
@@ -65,8 +64,8 @@ class Surface:
     vertices_px: Vertices
     faces: Faces
     corner_px: tuple[int, int, int] = (0, 0, 0)
-    rim: Places = field(default_factory=partial(np.zeros, 0, np.intp))
-    still: Places = field(default_factory=partial(np.zeros, 0, np.intp))
+    rim: Places = field(default_factory=lambda: np.zeros(0, np.intp))
+    still: Places = field(default_factory=lambda: np.zeros(0, np.intp))
     least_px: float = -math.inf
 
 
@@ -221,12 +220,8 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     solid = passes[-1]
     found = solid.num_vert()
     if found > most:
-        message = (
-            f"the digit needs {found:,} vertices to keep its {counts[0]} bodies and {counts[1]} holes; "
-            f"{target_vertices:,} were asked for, and at most {BUDGET_SLACK:g} times as many are given; "
-            f"next: ask for {math.ceil(found / BUDGET_SLACK):,} (target_vertices, --vertices)"
-        )
-        raise ItemError(reason="vertex-budget", message=message)
+        enough = math.ceil(found / BUDGET_SLACK)
+        refuse("vertex-budget", found, *counts, target_vertices, BUDGET_SLACK, enough)
     return _mesh_of(solid)
 
 

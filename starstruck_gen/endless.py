@@ -41,13 +41,10 @@ class SceneTable(ShardedTable):
     def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
         # There are no files: all that the base asks of shards is answered below.
         super().__init__(())
-        self.__setstate__({"spec": spec, "split": split, "size": size, "seed": seed})
+        self.__dict__.update(spec=spec, split=split, size=size, seed=seed)
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {"spec": self.spec, "split": self.split, "size": self.size, "seed": self.seed}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.spec, self.split, self.size, self.seed)
 
     def __len__(self) -> int:
         return self.size
@@ -70,10 +67,6 @@ class SceneTable(ShardedTable):
     def locate(self, row: int) -> tuple[RowGroup, int]:
         """Return a row as a group of its own; nothing of it is made yet."""
         return _MadeRow(self, row), 0
-
-    def made(self, start: int, count: int) -> Any:
-        """Make some rows at once, as an Arrow table."""
-        return scene_table(make_rows(self.spec, self.split, self.seed, start, count))
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one column of all rows, of those that need no scene."""
@@ -106,7 +99,8 @@ class _MadeRow(RowGroup):
     @cached_property
     def table(self) -> Any:
         """The row as an Arrow table, for pickling."""
-        return self._origin.made(self.first_row, 1)
+        origin = self._origin
+        return scene_table(make_rows(origin.spec, origin.split, origin.seed, self.first_row, 1))
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
@@ -55,19 +54,12 @@ def empty_plate(cell_m: tuple[float, float], px_per_mm: float) -> Image:
     """Return the plate, larger by SUPERSAMPLING; InputError as :func:`draw_scene`."""
     from PIL import Image
 
-    sides = (cell_m[0] * 1e3 * px_per_mm, cell_m[1] * 1e3 * px_per_mm)
-    if not all(map(math.isfinite, sides)):
-        message = (
-            f"a picture of a cell of {cell_m!r} m with {px_per_mm!r} pixels per mm; expected finite numbers"
-        )
+    sides = np.round(np.array(cell_m) * 1e3 * px_per_mm)
+    most = _MOST_PIXELS // SUPERSAMPLING**2
+    if not (np.isfinite(sides).all() and sides.min() >= 1 and sides.prod() <= most):
+        message = f"a picture of {sides[0]:g} x {sides[1]:g} pixels; expected 1 to {most:,} pixels"
         raise InputError(message)
-    width, height = round(sides[0]), round(sides[1])
-    if min(width, height) < 1 or width * height * SUPERSAMPLING**2 > _MOST_PIXELS:
-        message = (
-            f"a picture of {width} x {height} pixels; expected 1 to "
-            f"{_MOST_PIXELS // SUPERSAMPLING**2:,} pixels"
-        )
-        raise InputError(message)
+    width, height = sides.astype(int).tolist()
     return Image.new("RGB", (width * SUPERSAMPLING, height * SUPERSAMPLING), _PLATE)
 
 

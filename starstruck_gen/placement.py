@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -104,7 +103,7 @@ def outlines_clear(one: Placement, other: Placement, clearance_m: float) -> bool
     return bool((first ^ second).is_empty() and first.min_gap(second, 2 * least_mm) > least_mm)
 
 
-CLEAR: Mapping[str, Clear] = MappingProxyType({"circles": circles_clear, "exact": outlines_clear})
+CLEAR: dict[str, Clear] = {"circles": circles_clear, "exact": outlines_clear}
 """Collision rules by their name in the specification."""
 
 

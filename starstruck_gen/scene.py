@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
@@ -120,8 +120,7 @@ class Scene:
         """
         given: object = values  # JSON may hold anything
         if not isinstance(given, Mapping):
-            message = f"not a scene: found {_shown(values)}; expected an object such as Scene.to_json writes"
-            raise InputError(message)
+            _refuse("it", given, "an object such as Scene.to_json writes")
         try:
             scene = cls(
                 placements=tuple(
@@ -166,34 +165,28 @@ class Scene:
 
 def _placement(values: Any, where: str) -> Placement:
     if not isinstance(values, Mapping):
-        expected = f"an object with {', '.join(Placement._fields)}"
-        message = f"not a scene: {where} is {_shown(values)}; expected {expected}"
-        raise InputError(message)
-    shape = values["shape"]
-    if not isinstance(shape, str):
-        message = f"not a scene: shape of {where} is {_shown(shape)}; expected a name such as 'star'"
-        raise InputError(message)
-    outline(shape)  # refuses a shape that is not known
+        _refuse(where, values, f"an object with {', '.join(Placement._fields)}")
+    if not isinstance(values["shape"], str):
+        _refuse(f"shape of {where}", values["shape"], "a name such as 'star'")
+    outline(values["shape"])  # refuses a shape that is not known
     numbers = {}
     for name in Placement._fields[1:]:
-        number = plain_number(values[name], float)
+        number = numbers[name] = plain_number(values[name], float)
         positive = name in ("radius_m", "height_m")
         if not isinstance(number, float) or not math.isfinite(number) or (positive and number <= 0):
-            expected = f"a {'positive' if positive else 'finite'} number"
-            message = f"not a scene: {name} of {where} is {_shown(values[name])}; expected {expected}"
-            raise InputError(message)
-        numbers[name] = number
-    return Placement(shape=shape, **numbers)
+            _refuse(f"{name} of {where}", values[name], f"a {'positive' if positive else 'finite'} number")
+    return Placement(shape=values["shape"], **numbers)
 
 
 def _count(what: str, value: Any) -> int:
     number: int = plain_number(value)
     if not is_whole(number) or number < 0:
-        message = f"not a scene: {what} is {_shown(value)}; expected a whole number from 0"
-        raise InputError(message)
+        _refuse(what, value, "a whole number from 0")
     return number
 
 
-def _shown(value: object) -> str:
-    text = repr(value)
-    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+def _refuse(what: str, found: object, expected: str) -> NoReturn:
+    text = repr(found)
+    shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
+    message = f"not a scene: {what} is {shown}; expected {expected}"
+    raise InputError(message)

@@ -96,14 +96,6 @@ class Proportions:
         """Return JSON values."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
-    def changed(self) -> dict[str, Any]:
-        """Return the numbers that are not the defaults of the kind."""
-        return {
-            entry.name: value
-            for entry in fields(self)
-            if (value := getattr(self, entry.name)) != entry.default
-        }
-
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Proportions:
         """Rebuild proportions from :meth:`to_dict`; what is missing takes its default.
@@ -333,7 +325,8 @@ def shape_key(proportions: Proportions) -> str:
 
     Only numbers that differ from those of the kind are written, exactly; equal proportions have equal keys.
     """
-    numbers = ",".join(f"{name}={value!r}" for name, value in proportions.changed().items())
+    given = ((entry, getattr(proportions, entry.name)) for entry in fields(proportions))
+    numbers = ",".join(f"{entry.name}={value!r}" for entry, value in given if value != entry.default)
     return f"{proportions.name}({numbers})" if numbers else proportions.name
 
 

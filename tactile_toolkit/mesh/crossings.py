@@ -90,12 +90,10 @@ def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
         return everything
     if not len(odd):
         return odd
-    low_x, high_x = np.minimum(np.minimum(ax, bx), cx), np.maximum(np.maximum(ax, bx), cx)
-    low_y, high_y = np.minimum(np.minimum(ay, by), cy), np.maximum(np.maximum(ay, by), cy)
+    sides = [np.stack([np.minimum.reduce(at), np.maximum.reduce(at)]) for at in ((ax, bx, cx), (ay, by, cy))]
     near = np.zeros(len(faces), dtype=bool)
     for face in odd:
-        beside = np.flatnonzero((low_x <= high_x[face]) & (high_x >= low_x[face]))
-        near[beside] |= (low_y[beside] <= high_y[face]) & (high_y[beside] >= low_y[face])
+        near |= np.logical_and.reduce([(at[0] <= at[1, face]) & (at[1] >= at[0, face]) for at in sides])
     return np.flatnonzero(near)
 
 

@@ -13,13 +13,13 @@ if TYPE_CHECKING:
     import trimesh
     from numpy.typing import NDArray
 
-    from tactile_toolkit.mesh.records import SolidRecord
+    from tactile_toolkit.read.dataset import Record
 
 __all__ = ["Mesh", "MeshLike", "MM_PER_M", "as_mesh"]
 
 MM_PER_M = 1000.0
 
-MeshLike: TypeAlias = "Mesh | SolidRecord | trimesh.Trimesh"
+MeshLike: TypeAlias = "Mesh | Record | trimesh.Trimesh"
 """Whatever :func:`as_mesh` takes."""
 
 

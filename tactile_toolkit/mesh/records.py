@@ -54,7 +54,8 @@ class SolidRecord(Record):
         """The mesh, metres. Vertices stay as they are stored: none is merged, dropped or moved."""
         # Nearly all of the 76 µs of a mesh are trimesh's own, which takes no float32 as it is
         # (benchmarks/README.md).
-        return self._once("mesh", lambda: Mesh(self.vertices_m, self.faces).to_trimesh())
+        found: trimesh.Trimesh = self._once("mesh", lambda: Mesh(self.vertices_m, self.faces).to_trimesh())
+        return found
 
     @property
     def volume_m3(self) -> float:

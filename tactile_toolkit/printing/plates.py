@@ -7,7 +7,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -64,34 +64,20 @@ class PlateFile:
     bytes: int
     state: str
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {**asdict(self), "share": round(self.share, 4)}
-
 
 @dataclass(frozen=True, slots=True)
 class PlateExport:
-    """What lies on which plate: the plates, the rows of the table, and the least number of plates for these.
+    """What lies on which plate: the plates, the least number of them for these, and the rows of the table.
 
-    ``failures`` are objects that were left out and plates that could not be written; ``removed``, files of
-    the export that was here before, which this one has not.
+    ``failed`` are objects that were left out and plates that could not be written; ``removed``, files of the
+    export that was here before, which this one has not.
     """
 
     plates: tuple[PlateFile, ...]
-    rows: tuple[dict[str, Any], ...]
     least_plates: int
-    failures: tuple[Failure, ...]
+    objects: tuple[dict[str, Any], ...]
+    failed: tuple[Failure, ...]
     removed: tuple[str, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {
-            "plates": [plate.to_dict() for plate in self.plates],
-            "least_plates": self.least_plates,
-            "objects": list(self.rows),
-            "failed": [failure.to_dict() for failure in self.failures],
-            "removed": list(self.removed),
-        }
 
 
 def write_plates(
@@ -119,28 +105,25 @@ def write_plates(
     rows = tuple(row for row in _rows(layout) if row["file"] in written)
     # Last: what it lists is there and was checked.
     export([_table_product(rows, unknown)], out, overwrite=True)
-    return PlateExport(tuple(plates), rows, layout.least_plates, (*layout.failures, *failures), unknown)
+    return PlateExport(tuple(plates), layout.least_plates, rows, (*layout.failures, *failures), unknown)
 
 
-def forecast_plates(layout: Layout, out: str | None = None, *, overwrite: bool = False) -> PlateExport:
-    """Say what :func:`write_plates` would write; without ``out``, no files are in the way.
+def forecast_plates(layout: Layout, out: str, *, overwrite: bool = False) -> PlateExport:
+    """Forecast what :func:`write_plates` would write.
 
     Raises InputError where plates of another export stand in the folder.
     """
-    rows = tuple(_rows(layout))
-    unknown: tuple[str, ...] = ()
-    if out is not None:
-        unknown = _unknown_files(layout, local_folder(out))
-        if not overwrite:
-            require_free(_products(layout), out)
-            require_free([_table_product(rows, unknown)], out)
+    rows, unknown = tuple(_rows(layout)), _unknown_files(layout, local_folder(out))
+    if not overwrite:
+        require_free(_products(layout), out)
+        require_free([_table_product(rows, unknown)], out)
     sample = [placed for plate in layout.plates for placed in plate][:_SAMPLED]
     each = sum(len(_packed([_item(placed, layout)], layout)) for placed in sample) / max(len(sample), 1)
     plates = tuple(
         _plate_file(layout, number, round(each * len(plate)), "planned")
         for number, plate in enumerate(layout.plates, 1)
     )
-    return PlateExport(plates, rows, layout.least_plates, layout.failures, unknown)
+    return PlateExport(plates, layout.least_plates, rows, layout.failures, unknown)
 
 
 def _products(layout: Layout) -> list[Product[PlateFile]]:
@@ -169,7 +152,7 @@ def _made(layout: Layout, number: int) -> Made[PlateFile]:
 
 
 def _plate_file(layout: Layout, number: int, size_bytes: int, state: str) -> PlateFile:
-    names, share = _names(layout)[number - 1], layout.shares[number - 1]
+    names, share = _names(layout)[number - 1], round(layout.shares[number - 1], 4)
     return PlateFile(*names, len(layout.plates[number - 1]), share, size_bytes, state)
 
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -56,42 +55,26 @@ class WrittenFile:
         """Width, depth and height."""
         return self.width_mm, self.depth_mm, self.height_mm
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {name: round(v, 3) if isinstance(v, float) else v for name, v in asdict(self).items()}
-
 
 @dataclass(frozen=True, slots=True)
 class FileExport:
     """What :func:`export_files` did: files in the order of the objects, and objects without one."""
 
     files: tuple[WrittenFile, ...]
-    failures: tuple[Failure, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return {
-            "files": [file.to_dict() for file in self.files],
-            "failed": [failure.to_dict() for failure in self.failures],
-        }
+    failed: tuple[Failure, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class FileForecast:
     """What :func:`export_files` would write: how many files, and about how many bytes in all.
 
-    So many objects were ``sampled``; ``failures`` are those of them that are not solids.
+    So many objects were ``sampled``; ``failed`` are those of them that are not solids.
     """
 
     files: int
     bytes: int
     sampled: int
-    failures: tuple[Failure, ...] = ()
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        failed = [failure.to_dict() for failure in self.failures]
-        return {"files": self.files, "bytes": self.bytes, "sampled": self.sampled, "failed": failed}
+    failed: tuple[Failure, ...] = ()
 
 
 def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
@@ -104,8 +87,8 @@ def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Mad
         files, read = model_files(item.name, mesh, ending, physics), read_model
     named = (item.name, list(files)[-1], item.split, item.label, item.id)
     width_mm, depth_mm, height_mm = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
-    sizes = (width_mm, depth_mm, height_mm, verdict.volume_mm3, sum(map(len, files.values())))
-    record = partial(WrittenFile, *named, *sizes)
+    sizes = (round(size, 3) for size in (width_mm, depth_mm, height_mm, verdict.volume_mm3))
+    record = partial(WrittenFile, *named, *sizes, sum(map(len, files.values())))
     return Made(files, record, lambda path: require_same_solid(read(path), mesh, verdict))
 
 
@@ -141,20 +124,19 @@ def export_files(
 
 def forecast_files(
     objects: Sequence[PrintObject],
+    out: str,
     kind: str = "stl",
-    scale: float = 1.0,
     *,
+    scale: float = 1.0,
     physics: Physics | None = None,
-    out: str | None = None,
     overwrite: bool = False,
 ) -> FileForecast:
-    """Say what :func:`export_files` would write; without ``out``, no files are in the way.
+    """Forecast what :func:`export_files` would write.
 
     Raises InputError as there, as far as it can be told without writing.
     """
     products = _products(objects, kind, scale, physics)
-    if out is not None:
-        require_free([] if overwrite else products, out)
+    require_free([] if overwrite else products, out)
     positions = np.unique(np.linspace(0, len(products) - 1, _SAMPLED).astype(int))
     sizes, failures = [], []
     for product in (products[position] for position in positions):

@@ -68,7 +68,7 @@ def test_what_is_not_there_is_named(digits: mnist3d.MeshDataset) -> None:
 
 def test_digits_stand_as_they_were_stored(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
     made = export_files(chosen(digits), str(tmp_path), "stl")
-    assert (len(made.files), made.failures) == (20, ())
+    assert (len(made.files), made.failed) == (20, ())
     for record, file in zip(digits, made.files, strict=True):
         back = read_mesh(tmp_path / file.file)
         low_m = record.vertices_m.min(axis=0) * (0, 0, 1)

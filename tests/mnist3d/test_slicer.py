@@ -199,7 +199,7 @@ def test_a_plate_slices_where_it_lies(digits: mnist3d.MeshDataset, tmp_path: Pat
 def test_the_usual_margin_leaves_room_for_a_skirt(spec: PlateSpec, fits: bool, tmp_path: Path) -> None:
     width_mm, depth_mm = (side - 1 for side in spec.inner_mm)
     layout = arrange(measure(named([box(width_mm, depth_mm)]), spec))
-    assert not write_plates(layout, str(tmp_path)).failures
+    assert not write_plates(layout, str(tmp_path)).failed
     path = tmp_path / "plate-01.3mf"
     distance = ("--skirts", "1", "--skirt-distance", "6")
     sliced = slice_file(path, tmp_path, "--dont-arrange", *distance)

@@ -14,8 +14,8 @@ from scipy import ndimage
 from mnist3d import lattice
 from mnist3d.lattice import lattice_of, signed_distance_px, stack
 from mnist3d.literal import erode, erosion_radii_px, mirror
-from mnist3d.solid import SolidSpec, binarise, decimate, scale, smooth, solidify
-from mnist3d.surface import Surface, isosurface
+from mnist3d.solid import SolidSpec, binarise, solidify
+from mnist3d.surface import Surface, decimate, isosurface, scale, smooth
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import inspect
 from tests.mnist3d.drawings import six

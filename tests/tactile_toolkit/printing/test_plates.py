@@ -233,7 +233,7 @@ def test_a_file_that_leaves_the_plate_by_either_side_is_removed(
 ) -> None:
     shapes = iter([box(5, 5), *[box(*sides_mm)] * 9])
     layout = lay_out([PrintObject("odd", "", "", 1, lambda: next(shapes))], SMALL)
-    (failure,) = write_plates(layout, str(tmp_path)).failures
+    (failure,) = write_plates(layout, str(tmp_path)).failed
     assert failure.problem == "off-plate"
     assert [path.name for path in tmp_path.iterdir()] == ["plates.csv"], "its map was written before it"
 
@@ -272,7 +272,7 @@ def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> Non
     made = write_plates(lay_out(named(FEW), SMALL), str(tmp_path))
     rows = list(csv.DictReader(io.StringIO((tmp_path / "plates.csv").read_text())))
     assert sorted(int(row["id"]) for row in rows) == list(range(len(FEW)))
-    assert len(made.rows) == len(rows)
+    assert len(made.objects) == len(rows)
     names = {path.name for path in tmp_path.iterdir()}
     numbers = range(1, len(made.plates) + 1)
     assert names == {"plates.csv", *(f"plate-{n:02d}.{kind}" for n in numbers for kind in ("3mf", "png"))}
@@ -373,8 +373,8 @@ def test_going_on_keeps_plates_and_overwriting_leaves_no_stale_ones(tmp_path: Pa
 
 def test_what_is_no_solid_is_left_out_and_named(tmp_path: Path) -> None:
     made = write_plates(lay_out(named([box(5, 5), open_box(5, 5)]), SMALL), str(tmp_path))
-    assert [row["id"] for row in made.rows] == [0]
-    (failure,) = made.failures
+    assert [row["id"] for row in made.objects] == [0]
+    (failure,) = made.failed
     assert (failure.name, failure.problem) == ("test-1-00001", "not-manifold")
 
 
@@ -384,10 +384,10 @@ def test_a_plate_that_reads_back_otherwise_is_removed_and_not_in_the_table(tmp_p
     layout = lay_out([PrintObject("odd", "", "", 1, lambda: next(shapes))], SMALL)
     (tmp_path / "plate-01.png").write_bytes(b"old")
     made = write_plates(layout, str(tmp_path), overwrite=True)
-    (failure,) = made.failures
+    (failure,) = made.failed
     assert (failure.name, failure.problem) == ("plate-01.3mf", "off-plate")
     assert "odd reaches beyond the plate or its margin; the file was removed" in failure.detail
-    assert made.rows == ()
+    assert made.objects == ()
     assert [path.name for path in tmp_path.iterdir()] == ["plates.csv"]
 
 
@@ -415,12 +415,12 @@ def test_forecast_says_what_stands_in_the_way(tmp_path: Path) -> None:
         forecast_plates(lay_out(named(FEW), SMALL), str(tmp_path / "folders"))
 
 
-def test_forecast_says_what_will_be_written() -> None:
+def test_forecast_says_what_will_be_written(tmp_path: Path) -> None:
     layout = lay_out(named(FEW), SMALL)
-    view = forecast_plates(layout)
+    view = forecast_plates(layout, str(tmp_path / "forecast"))
     assert [plate.objects for plate in view.plates] == [len(plate) for plate in layout.plates]
     assert {plate.state for plate in view.plates} == {"planned"}
-    assert len(view.rows) == len(FEW)
+    assert len(view.objects) == len(FEW)
 
 
 def test_bodies_that_lie_apart_stay_together() -> None:

@@ -35,7 +35,7 @@ def test_mujoco_weighs_a_body_as_it_is_and_lets_it_rest_on_its_flat_side(tmp_pat
     mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra simulators")
     solids = [*SHAPES, *digits()]
     made = export_files(named(solids), str(tmp_path), "mjcf", physics=Physics(1100, 0.7))
-    assert made.failures == ()
+    assert made.failed == ()
     for solid, file in zip(solids, made.files, strict=True):
         text = (tmp_path / file.file).read_text()
         floor = '<worldbody><geom type="plane" size="0 0 0.05"/>'
@@ -155,13 +155,13 @@ def test_models_are_kept_replaced_and_resumed_as_other_files(kind: str, tmp_path
     export_files(named(turned), str(tmp_path / "parts"), kind, overwrite=True)
     export_files(named(SHAPES), str(tmp_path / "parts"), kind, overwrite=True)
     assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole"), "a part too many stayed"
-    view = forecast_files(named(SHAPES), kind)
+    view = forecast_files(named(SHAPES), str(tmp_path / "forecast"), kind)
     assert view.bytes == sum(file.bytes for file in made.files)
 
 
 def test_what_cannot_be_a_body_is_named(tmp_path: Path):
     made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), "urdf")
-    assert [failure.name for failure in made.failures] == ["test-1-00001"]
+    assert [failure.name for failure in made.failed] == ["test-1-00001"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["test-0-00000", "test-0-00000.urdf"]
     for values in ({"density_kg_m3": 0}, {"friction": float("nan")}, {"density_kg_m3": "heavy"}):
         with pytest.raises(InputError, match="expected a number above 0"):

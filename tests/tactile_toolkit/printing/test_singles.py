@@ -28,7 +28,7 @@ SHAPES = [box(20, 10), ell(30, 8), ring(12, 6)]
 def test_every_format_comes_back_as_the_solid_on_the_plate(ending: str, tmp_path: Path) -> None:
     raised = [Mesh(mesh.vertices_m + np.array([0.1, 0.2, 0.05]), mesh.faces) for mesh in SHAPES]
     made = export_files(named(raised), str(tmp_path / "out"), ending[1:])
-    assert made.failures == ()
+    assert made.failed == ()
     names = [f"test-{number}-{number:05d}{ending}" for number in range(3)]
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == names
     for shape, file in zip(raised, made.files, strict=True):
@@ -57,7 +57,7 @@ def test_corners_that_a_data_set_stores_twice_are_joined() -> None:
 def test_what_is_no_solid_is_named_and_does_not_stop_the_others(tmp_path: Path) -> None:
     made = export_files(named([box(5, 5), open_box(5, 5), ring(4, 2)]), str(tmp_path))
     assert [file.id for file in made.files] == [0, 2]
-    (failure,) = made.failures
+    (failure,) = made.failed
     assert (failure.name, failure.problem) == ("test-1-00001", "not-manifold")
     assert len(list(tmp_path.iterdir())) == 2
 
@@ -74,7 +74,7 @@ def test_what_is_no_solid_is_named_and_does_not_stop_the_others(tmp_path: Path) 
 )
 def test_damaged_meshes_are_named_not_crashed_on(damage, problem: str, tmp_path: Path) -> None:
     made = export_files(named([damage(box(5, 5))]), str(tmp_path))
-    assert [failure.problem for failure in made.failures] == [problem]
+    assert [failure.problem for failure in made.failed] == [problem]
     assert list(tmp_path.iterdir()) == []
 
 
@@ -85,10 +85,10 @@ def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> N
     assert check_manifold(standing(away)).problem is None
     made = export_files(named([away, box(5, 5)]), str(tmp_path), "stl")
     assert [path.name for path in tmp_path.iterdir()] == ["test-1-00001.stl"]
-    (failure,) = made.failures
+    (failure,) = made.failed
     assert "read back from disk" in failure.detail
     assert "the file was removed" in failure.detail
-    assert export_files(named([away]), str(tmp_path / "exact"), "3mf").failures == ()
+    assert export_files(named([away]), str(tmp_path / "exact"), "3mf").failed == ()
 
 
 def test_a_failed_check_keeps_what_stood_there(tmp_path: Path) -> None:
@@ -133,7 +133,7 @@ def test_other_content_is_refused_before_anything_is_written(tmp_path: Path) -> 
 def test_what_stood_under_the_name_of_a_failed_object_is_removed(tmp_path: Path) -> None:
     export_files(named([box(5, 5), box(7, 7)]), str(tmp_path))
     made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), overwrite=True)
-    (failure,) = made.failures
+    (failure,) = made.failed
     assert "test-1-00001.stl of an earlier export was removed" in failure.detail
     assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
 
@@ -142,15 +142,15 @@ def test_forecast_says_what_stands_in_the_way_and_what_is_no_solid(tmp_path: Pat
     export_files(named(SHAPES), str(tmp_path), scale=2)
     before = folder_bytes(tmp_path)
     with pytest.raises(InputError, match="--overwrite"):
-        forecast_files(named(SHAPES), out=str(tmp_path))
-    view = forecast_files(named([box(5, 5), open_box(5, 5)]), out=str(tmp_path), overwrite=True)
-    assert (view.files, [failure.name for failure in view.failures]) == (1, ["test-1-00001"])
+        forecast_files(named(SHAPES), str(tmp_path))
+    view = forecast_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), overwrite=True)
+    assert (view.files, [failure.name for failure in view.failed]) == (1, ["test-1-00001"])
     assert folder_bytes(tmp_path) == before
 
 
 def test_forecast_is_near_the_truth_and_writes_nothing(tmp_path: Path) -> None:
     objects = named(SHAPES * 10)
-    view = forecast_files(objects, "stl")
+    view = forecast_files(objects, str(tmp_path / "forecast"), "stl")
     made = export_files(objects, str(tmp_path))
     assert view.files == len(made.files) == 30
     assert view.bytes == pytest.approx(sum(file.bytes for file in made.files), rel=0.3)
