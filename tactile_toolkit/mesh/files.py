@@ -115,17 +115,14 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
 
     ``name`` is what slicers call the object, where the format holds names (3MF).
     """
-    vertices_mm = mesh.vertices_mm
-    if ending == ".stl":
-        return _pack_stl(vertices_mm[mesh.faces])
     if ending == ".3mf":
-        return write_build([BuildItem(name, vertices_mm, mesh.faces)])
+        return write_build([BuildItem(name, mesh.vertices_mm, mesh.faces)])
     # glTF, whose binary form GLB is, fixes the metre; the others name no unit, and slicers take millimetres.
     if ending == ".glb":
         return _pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)
     import trimesh
 
-    packed = trimesh.Trimesh(vertices_mm, mesh.faces, process=False).export(file_type=ending[1:])
+    packed = trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False).export(file_type=ending[1:])
     return packed.encode() if isinstance(packed, str) else bytes(packed)
 
 
@@ -174,14 +171,13 @@ def _read_with_trimesh(data: bytes, ending: str) -> tuple[NDArray[np.float64], N
     return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
 
 
-_STL_HEADER_BYTES = 84
-_STL_TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
 
 
 def _require_whole_stl(data: bytes) -> None:
     """Refuse a file that is cut short: trimesh takes what is left of it for the whole or for nothing."""
     count = int.from_bytes(data[80:_STL_HEADER_BYTES], "little")
-    expected = _STL_HEADER_BYTES + count * _STL_TRIANGLE.itemsize
+    expected = _STL_HEADER_BYTES + count * _STL_TRIANGLE_BYTES
     if len(data) == expected:
         return
     # After the length: many programs begin binary files with "solid", too.
@@ -230,14 +226,3 @@ def _pack_glb(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> bytes:
         struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(buffer), b"BIN\0") + buffer
     )
     return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-
-
-def _pack_stl(corners_mm: NDArray[np.float64]) -> bytes:
-    """Pack triangles, shape (F, 3, 3), counter-clockwise seen from outside, into a binary file."""
-    normals = np.cross(corners_mm[:, 1] - corners_mm[:, 0], corners_mm[:, 2] - corners_mm[:, 0])
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    triangles = np.zeros(len(corners_mm), _STL_TRIANGLE)
-    triangles["normal"] = normals / np.where(lengths > 0, lengths, 1)
-    triangles["corners"] = corners_mm
-    # Any words but "solid", which begins the text form.
-    return b"millimetres".ljust(80) + len(corners_mm).to_bytes(4, "little") + triangles.tobytes()

@@ -86,9 +86,10 @@ def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Mad
     else:
         files, read = model_files(item.name, mesh, ending, physics), read_model
     named = (item.name, list(files)[-1], item.split, item.label, item.id)
-    width_mm, depth_mm, height_mm = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
-    sizes = (round(size, 3) for size in (width_mm, depth_mm, height_mm, verdict.volume_mm3))
-    record = partial(WrittenFile, *named, *sizes, sum(map(len, files.values())))
+    sides_mm = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
+    width_mm, depth_mm, height_mm = (round(side_mm, 3) for side_mm in sides_mm)
+    sizes = (width_mm, depth_mm, height_mm, round(verdict.volume_mm3, 3), sum(map(len, files.values())))
+    record = partial(WrittenFile, *named, *sizes)
     return Made(files, record, lambda path: require_same_solid(read(path), mesh, verdict))
 
 
