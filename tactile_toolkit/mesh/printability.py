@@ -129,12 +129,12 @@ class PrintReport:
     bodies: int
     genus: int
     volume_mm3: float
-    mass_g: float = math.nan
-    size_mm: tuple[float, float, float] = (math.nan, math.nan, math.nan)
-    thinnest_wall_mm: float = math.nan
-    overhang_mm2: float = math.nan
-    contact_mm2: float = math.nan
-    warnings: tuple[str, ...] = ()
+    mass_g: float
+    size_mm: tuple[float, float, float]
+    thinnest_wall_mm: float
+    overhang_mm2: float
+    contact_mm2: float
+    warnings: tuple[str, ...]
 
     def to_row(self) -> dict[str, Any]:
         """Give the report as a flat row with the columns of :data:`REPORT_COLUMNS`.
@@ -219,9 +219,17 @@ def unreadable(detail: str) -> PrintReport:
 _OFF_VERTICES = 1e-7
 
 
+# NaN, so that reports stay columns of numbers.
+_NOT_MEASURED: dict[str, Any] = {
+    **dict.fromkeys(("mass_g", "thinnest_wall_mm", "overhang_mm2", "contact_mm2"), math.nan),
+    **{"size_mm": (math.nan,) * 3, "warnings": ()},
+}
+
+
 def _report(check: ManifoldCheck, vertices: int, faces: int, **measured: Any) -> PrintReport:
     named = (check.problem is None, check.status, check.problem, check.detail)
-    return PrintReport(*named, vertices, faces, check.bodies, check.genus, check.volume_mm3, **measured)
+    counts = (vertices, faces, check.bodies, check.genus)
+    return PrintReport(*named, *counts, check.volume_mm3, **{**_NOT_MEASURED, **measured})
 
 
 def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile) -> float:
