@@ -120,7 +120,7 @@ class Scene:
         """
         given: object = values  # JSON may hold anything
         if not isinstance(given, Mapping):
-            _refuse("it", given, "an object such as Scene.to_json writes")
+            _refuse("found", given, "an object such as Scene.to_json writes")
         try:
             scene = cls(
                 placements=tuple(
@@ -165,28 +165,28 @@ class Scene:
 
 def _placement(values: Any, where: str) -> Placement:
     if not isinstance(values, Mapping):
-        _refuse(where, values, f"an object with {', '.join(Placement._fields)}")
+        _refuse(f"{where} is", values, f"an object with {', '.join(Placement._fields)}")
     if not isinstance(values["shape"], str):
-        _refuse(f"shape of {where}", values["shape"], "a name such as 'star'")
+        _refuse(f"shape of {where} is", values["shape"], "a name such as 'star'")
     outline(values["shape"])  # refuses a shape that is not known
     numbers = {}
     for name in Placement._fields[1:]:
         number = numbers[name] = plain_number(values[name], float)
         positive = name in ("radius_m", "height_m")
         if not isinstance(number, float) or not math.isfinite(number) or (positive and number <= 0):
-            _refuse(f"{name} of {where}", values[name], f"a {'positive' if positive else 'finite'} number")
+            _refuse(f"{name} of {where} is", values[name], f"a {'positive' if positive else 'finite'} number")
     return Placement(shape=values["shape"], **numbers)
 
 
 def _count(what: str, value: Any) -> int:
     number: int = plain_number(value)
     if not is_whole(number) or number < 0:
-        _refuse(what, value, "a whole number from 0")
+        _refuse(f"{what} is", value, "a whole number from 0")
     return number
 
 
 def _refuse(what: str, found: object, expected: str) -> NoReturn:
     text = repr(found)
     shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
-    message = f"not a scene: {what} is {shown}; expected {expected}"
+    message = f"not a scene: {what} {shown}; expected {expected}"
     raise InputError(message)
