@@ -6,7 +6,6 @@ table prints the name of the last one as ``printed_train`` a second time).
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,28 +21,18 @@ __all__ = ["PUBLISHED_SIZES", "SPLITS", "SplitPlan", "SplitSpec", "plan_splits"]
 _PER_CLASS = sum(PUBLISHED_SIZES.values())
 _CLASSES = 10
 
-# 1 MB of each column: what is computed of a part stays in the processor's cache.
-_PART = 1 << 17
-_BUCKETS = 256
-_BUCKET_SHIFT = np.uint64(56)
-# From here on ids of 32 bits where they fit: those of 10^8 digits take 0.4 GB instead of 0.8.
-_SMALL_SOURCE = 1 << 24
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplitPlan:
     """The division of a source's digits: ids and labels of each split, shape (n,).
 
-    They are in row order, a seeded shuffle that mixes the classes. Ids are int64, or uint32 where the source
-    has more than 16 million digits; labels are uint8.
+    They are in row order, a seeded shuffle that mixes the classes.
     """
 
-    ids: dict[str, NDArray[np.integer[Any]]]
-    labels: dict[str, NDArray[np.uint8]]
+    ids: dict[str, NDArray[np.int64]]
+    labels: dict[str, NDArray[np.int64]]
 
-    def rows(
-        self, split: str, per_class: int | None = None, limit: int | None = None
-    ) -> NDArray[np.integer[Any]]:
+    def rows(self, split: str, per_class: int | None = None, limit: int | None = None) -> NDArray[np.int64]:
         """Return the ids to make of a split: the first ``per_class`` of each class, then ``limit`` rows."""
         ids, labels = self.ids[split], self.labels[split]
         if per_class is not None:
@@ -80,81 +69,27 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
     split_of = divide(catalog, spec)
     plan = SplitPlan({}, {})
     for number, split in enumerate(SPLITS):
-        plan.ids[split], plan.labels[split] = _in_row_order(catalog, split_of == number, spec.seed)
+        chosen = np.flatnonzero(split_of == number)
+        # A key of its own orders the rows, so that the rank that chose the split does not show in them.
+        order = chosen[np.argsort(_keys(catalog.ids[chosen], spec.seed, stream=1))]
+        plan.ids[split], plan.labels[split] = catalog.ids[order], catalog.labels[order]
     return plan
 
 
-def _parts(catalog: DigitCatalog) -> Iterator[tuple[slice, DigitCatalog]]:
-    """Yield a catalog part by part, so that what is computed of it stays small beside it."""
-    for start in range(0, len(catalog), _PART):
-        place = slice(start, min(start + _PART, len(catalog)))
-        yield place, catalog.part(place.start, place.stop)
+def _undivided(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
+    return np.full(len(catalog), SPLITS.index("train"))
 
 
-def _in_row_order(
-    catalog: DigitCatalog, chosen: NDArray[np.bool_], seed: int
-) -> tuple[NDArray[np.integer[Any]], NDArray[np.uint8]]:
-    """Return ids and labels of some digits in the order of their rows."""
-
-    # A key of its own orders the rows, so that the rank that chose the split does not show in them.
-    def keys(ids: NDArray[np.integer[Any]]) -> NDArray[np.uint64]:
-        return _keys(ids, seed, stream=1)
-
-    # Keys of 10^8 digits and their order would take 1.6 GB. So digits are shared out by how their keys begin,
-    # and what begins alike is put in order on its own.
-    counts = np.zeros(_BUCKETS, np.int64)
-    for place, part in _parts(catalog):
-        counts += np.bincount(keys(part.ids[chosen[place]]) >> _BUCKET_SHIFT, minlength=_BUCKETS)
-    stops = np.cumsum(counts)
-    free = stops - counts
-    ids = np.empty(stops[-1], _id_type(catalog))
-    labels = np.empty(stops[-1], np.uint8)
-    for place, part in _parts(catalog):
-        found = np.flatnonzero(chosen[place])
-        buckets = (keys(part.ids[found]) >> _BUCKET_SHIFT).astype(np.uint8)
-        found = found[np.argsort(buckets, kind="stable")]
-        taken = np.bincount(buckets, minlength=_BUCKETS)
-        places = np.repeat(free + taken - np.cumsum(taken), taken) + np.arange(len(found))
-        ids[places], labels[places] = part.ids[found], _small_labels(part)[found]
-        free += taken
-    for bucket in map(slice, stops - counts, stops):
-        order = np.argsort(keys(ids[bucket]))
-        ids[bucket], labels[bucket] = ids[bucket][order], labels[bucket][order]
-    return ids, labels
-
-
-def _small_labels(part: DigitCatalog) -> NDArray[np.uint8]:
-    """Return the labels of a part in a byte each; one that is no digit stays none."""
-    return np.minimum(part.labels.astype(np.uint64), np.uint64(255)).astype(np.uint8)
-
-
-def _id_type(catalog: DigitCatalog) -> type[np.integer[Any]]:
-    last = catalog.part(len(catalog) - 1, len(catalog)).ids if len(catalog) else np.zeros(1)
-    is_small = len(catalog) <= _SMALL_SOURCE or last[0] > np.iinfo(np.uint32).max
-    return np.int64 if is_small else np.uint32
-
-
-def _undivided(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.uint8]:
-    return np.full(len(catalog), SPLITS.index("train"), np.uint8)
-
-
-def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.uint8]:
-    """Return the index of each digit's split, or how many splits there are where it is in none."""
-    split_of = np.full(len(catalog), len(SPLITS), np.uint8)
-    labels = np.empty(len(catalog), np.uint8)
-    for place, part in _parts(catalog):
-        labels[place] = _small_labels(part)
+def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
+    """Return the index of each digit's split, -1 where it is in none."""
+    split_of = np.full(len(catalog), -1)
     for label in range(_CLASSES):
-        is_member = labels == label
-        ids = np.concatenate([part.ids[is_member[place]] for place, part in _parts(catalog)] or [labels])
-        keys = _keys(ids, spec.seed, stream=0)
-        sizes = _sizes_of(label, len(ids), spec)
-        stops = np.cumsum([sizes[split] for split in SPLITS])
+        members = np.flatnonzero(catalog.labels == label)
         # The first of each class by their keys go to the first split, the next to the second.
-        within = stops[stops < len(ids)]
-        # Not sorted: which keys are the lowest counts here; in which order they come, later.
-        bounds = np.partition(keys, within)[within] if len(within) else keys[:0]
-        split_of[is_member] = np.searchsorted(bounds, keys, side="right")
+        order = members[np.argsort(_keys(catalog.ids[members], spec.seed, stream=0))]
+        sizes = _sizes_of(label, len(members), spec)
+        home = np.repeat(np.arange(len(SPLITS)), [sizes[split] for split in SPLITS])
+        split_of[order[: len(home)]] = home
     return split_of
 
 
@@ -191,14 +126,11 @@ def _published_sizes(available: int) -> dict[str, int]:
     return sizes
 
 
-def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.uint8]:
+def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
     """Return the index of each digit's split, whole writers at a time."""
     sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
     shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
-    found = [np.unique(part.writers, return_counts=True) for _, part in _parts(catalog)]
-    writers, inverse = np.unique(
-        np.concatenate([each for each, _ in found] or [np.zeros(0, np.int64)]), return_inverse=True
-    )
+    writers, inverse, counts = np.unique(catalog.writers, return_inverse=True, return_counts=True)
     if NO_WRITER in writers:
         message = (
             "splits by writer need the writer of every digit, and the source does not know them; next: name "
@@ -208,13 +140,7 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.uint8]:
     if shares.sum() == 0:
         message = "all split sizes are 0; expected at least one split with digits"
         raise InputError(message)
-    counts = np.zeros(len(writers), np.int64)
-    np.add.at(counts, inverse, np.concatenate([each for _, each in found] or [np.zeros(0, np.int64)]))
-    home = _share_writers(writers, counts, shares / shares.sum(), spec.seed).astype(np.uint8)
-    split_of = np.empty(len(catalog), np.uint8)
-    for place, part in _parts(catalog):
-        split_of[place] = home[np.searchsorted(writers, part.writers)]
-    return split_of
+    return _share_writers(writers, counts, shares / shares.sum(), spec.seed)[inverse]
 
 
 def _share_writers(

@@ -59,10 +59,6 @@ class DigitCatalog:
         """Count the digits of the source."""
         return len(self.ids)
 
-    def part(self, start: int, stop: int) -> DigitCatalog:
-        """Return what it says of the digits from one place to another, in the order of their ids."""
-        return DigitCatalog(self.ids[start:stop], self.labels[start:stop], self.writers[start:stop])
-
 
 class DigitSource(Protocol):
     """A collection of labelled digit images.

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import gzip
 import hashlib
-import socket
-import ssl
 import struct
 import sys
-import tempfile
 import zlib
 from contextlib import redirect_stdout
 from dataclasses import dataclass
@@ -17,7 +14,7 @@ from http.client import HTTPException
 from itertools import product
 from math import prod
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 from urllib.error import URLError
 
 import numpy as np
@@ -39,7 +36,6 @@ LABELS_MAGIC = 0x801
 _PREFIXES = {"train": "train", "test": "t10k"}
 _FOLDERS = (".", "MNIST/raw", "raw")
 _KINDS = {"images": "idx3-ubyte", "labels": "idx1-ubyte"}
-_TIMEOUT_S = 60.0  # torchvision sets none: a server that stalls would hold the command for ever
 
 Part = tuple[NDArray[np.uint8], NDArray[np.uint8]]
 """Images of shape (N, 28, 28), white on black, and labels of shape (N,)."""
@@ -117,30 +113,27 @@ class MnistSource:
     def _parts(self) -> list[Part]:
         parts = []
         for prefix in _chosen(self.root, self.part):
-            pair = []
-            for kind in _KINDS:
-                path = _find(self.root, prefix, kind)
-                if path is None:
-                    there = Path(self.root)
-                    names = sorted(each.name for each in there.iterdir())[:8] if there.is_dir() else None
-                    message = (
-                        f"{self.root}: found {'no such folder' if names is None else names}, expected "
-                        f"{prefix}-{kind}-{_KINDS[kind]} or the same with .gz, there or in MNIST/raw; next: "
-                        "check the folder, or fetch the files with --download"
-                    )
-                    raise InputError(message)
-                pair.append(path)
-            images, labels = pair
-            parts.append(_read_pair(images, labels, _stamp(images), _stamp(labels)))
+            images, labels = (self._file(prefix, kind) for kind in _KINDS)
+            parts.append(_read_pair(images, labels, images.stat().st_mtime_ns, labels.stat().st_mtime_ns))
         return parts
+
+    def _file(self, prefix: str, kind: str) -> Path:
+        path, folder = _find(self.root, prefix, kind), Path(self.root)
+        if path is not None:
+            return path
+        names = sorted(each.name for each in folder.iterdir())[:8] if folder.is_dir() else "no such folder"
+        message = (
+            f"{self.root}: found {names}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, "
+            "there or in MNIST/raw; next: check the folder, or fetch the files with --download"
+        )
+        raise InputError(message)
 
 
 def download_mnist(root: str) -> None:
     """Fetch the four files of MNIST into ``root/MNIST/raw`` with torchvision, unless they are in `root`.
 
-    Only whole, checked files are put there; an interrupted download leaves nothing behind. Raises
-    MissingExtraError without torchvision, HubError when the servers cannot be reached or send damaged files,
-    and StorageError when the folder cannot be written.
+    Raises MissingExtraError without torchvision, HubError when the servers cannot be reached or send damaged
+    files, and StorageError when the folder cannot be written.
     """
     if all(_find(root, prefix, kind) for prefix, kind in product(_PREFIXES.values(), _KINDS)):
         return
@@ -150,49 +143,21 @@ def download_mnist(root: str) -> None:
         feature = "Downloading MNIST"
         raise MissingExtraError(feature, "torchvision", "torch") from None
     try:
-        Path(root).mkdir(parents=True, exist_ok=True)
-        # Within the folder, so that a rename puts the files in place; hidden, so that a killed download is
-        # not read.
-        with tempfile.TemporaryDirectory(prefix=".mnist-", dir=root) as half_done:
-            _fetch(MNIST, half_done)
-            target = Path(root, "MNIST", "raw")
-            target.mkdir(parents=True, exist_ok=True)
-            for path in Path(half_done, "MNIST", "raw").iterdir():
-                path.replace(target / path.name)
+        # torchvision writes to stdout, which belongs to the results of a command.
+        with redirect_stdout(sys.stderr):
+            MNIST(root, download=True)
+    except (RuntimeError, HTTPException, URLError, TimeoutError, ConnectionError, EOFError) as error:
+        message = (
+            f"MNIST could not be downloaded ({' '.join(str(error).split())}), expected its four files from "
+            f"{list(MNIST.mirrors)}; next: check the network and try again, or copy the files into the folder"
+        )
+        raise HubError(message) from error
     except OSError as error:
         message = (
             f"{root}: MNIST could not be stored there ({error.strerror or error}), expected a folder that "
             "can be written, with 70 MB of room; next: make room or choose another folder"
         )
         raise StorageError(message) from error
-
-
-def _fetch(dataset: Any, folder: str) -> None:
-    # The default of the process is the only handle: torchvision's download takes no timeout.
-    patience = socket.getdefaulttimeout()
-    socket.setdefaulttimeout(_TIMEOUT_S)
-    try:
-        # torchvision talks on stdout, which belongs to the results of a command.
-        with redirect_stdout(sys.stderr):
-            dataset(folder, download=True)
-    except (
-        RuntimeError,
-        URLError,
-        HTTPException,
-        ssl.SSLError,
-        TimeoutError,
-        ConnectionError,
-        EOFError,
-    ) as error:
-        reason = " ".join(str(error).split())
-        message = (
-            f"MNIST could not be downloaded ({reason}), expected its four files from "
-            f"{list(dataset.mirrors)}; nothing was kept; next: check the network and try again, or "
-            "copy the files into the folder"
-        )
-        raise HubError(message) from error
-    finally:
-        socket.setdefaulttimeout(patience)
 
 
 def _chosen(root: str, part: str) -> list[str]:
@@ -216,15 +181,8 @@ def _find(root: str, prefix: str, kind: str) -> Path | None:
     return next((path for path in paths if path.is_file()), None)
 
 
-def _stamp(path: Path) -> tuple[int, int]:
-    status = path.stat()
-    return status.st_size, status.st_mtime_ns
-
-
 @lru_cache(maxsize=4)
-def _read_pair(
-    images_path: Path, labels_path: Path, images_stamp: tuple[int, int], labels_stamp: tuple[int, int]
-) -> Part:
+def _read_pair(images_path: Path, labels_path: Path, _images_ns: int, _labels_ns: int) -> Part:
     images = read_idx(images_path, IMAGES_MAGIC)
     labels = read_idx(labels_path, LABELS_MAGIC)
     if images.shape[1:] != (28, 28):

@@ -7,11 +7,10 @@ from operator import index
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d.sources import DigitCatalog, DigitImage
+from mnist3d.sources.handwriting.digits import ALLOGRAPHS
 from mnist3d.sources.handwriting.hand import (
-    ALLOGRAPHS,
     POSTURES,
     Hand,
     KeyedRng,
@@ -38,37 +37,6 @@ _HAND, _FASHION, _HABIT, _DIGIT, _INK = range(5)
 """First words of the keys of the random streams."""
 _SIZE_JITTER = 0.06
 """Relative deviation of height and pen width between the digits of a writer whose jitter is 1."""
-
-
-class _DrawnCatalog(DigitCatalog):
-    """A catalog that follows from the ids, those from ``first`` on; its arrays of 10^8 would take 2.4 GB."""
-
-    __slots__ = ("_count", "_first")
-    _count: int
-    _first: int
-
-    def __init__(self, first: int, count: int) -> None:
-        object.__setattr__(self, "_first", first)
-        object.__setattr__(self, "_count", count)
-
-    def __len__(self) -> int:
-        return self._count
-
-    @property
-    def ids(self) -> NDArray[np.int64]:
-        return np.arange(self._first, self._first + self._count, dtype=np.int64)
-
-    @property
-    def labels(self) -> NDArray[np.int64]:
-        return self.ids % _PER_WRITER // _PER_CLASS
-
-    @property
-    def writers(self) -> NDArray[np.int64]:
-        return self.ids // _PER_WRITER
-
-    def part(self, start: int, stop: int) -> DigitCatalog:
-        chosen = range(self._count)[start:stop]
-        return _DrawnCatalog(self._first + chosen.start, len(chosen))
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +91,8 @@ class SyntheticSource:
         DigitCatalog
             Ids 0 to count - 1 in order, labels in runs of 14, writers in runs of 140.
         """
-        return _DrawnCatalog(0, self.count)
+        ids = np.arange(self.count, dtype=np.int64)
+        return DigitCatalog(ids, ids % _PER_WRITER // _PER_CLASS, ids // _PER_WRITER)
 
     def hand(self, writer: int) -> Hand:
         """Return the traits of a writer, counted from 0; they are the same in all the writer's digits."""

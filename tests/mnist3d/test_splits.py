@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 
 from mnist3d import splits
 from mnist3d.sources import NO_WRITER, DigitCatalog
-from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import PUBLISHED_SIZES, SPLITS, SplitSpec, plan_splits
 from tactile_toolkit.errors import InputError
 
@@ -182,37 +181,10 @@ def listed_plan(source: DigitCatalog, seed: int) -> dict[str, list[int]]:
     return {split: ordered(ids, 1) for split, ids in rows.items()}
 
 
-@given(source=catalogs, seed=st.integers(0, 2**32), part=st.integers(1, 400), small=st.booleans())
-def test_a_plan_of_arrays_is_the_plan_of_lists(source, seed, part, small):
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(splits, "_PART", part)
-        patch.setattr(splits, "_SMALL_SOURCE", 1 << 24 if small else 0)
-        plan = plan_splits(source, SplitSpec(seed))
+@given(source=catalogs, seed=st.integers(0, 2**32))
+def test_a_plan_of_arrays_is_the_plan_of_lists(source, seed):
+    plan = plan_splits(source, SplitSpec(seed))
     assert {split: plan.ids[split].tolist() for split in SPLITS} == listed_plan(source, seed)
-    fits = not small and (not len(source) or int(source.ids[-1]) < 2**32) and len(source) > 0
-    assert {ids.dtype for ids in plan.ids.values()} == {np.dtype(np.uint32 if fits else np.int64)}
-
-
-@given(source=catalogs, seed=st.integers(0, 99), part=st.integers(1, 400))
-def test_parts_of_any_size_give_one_plan_of_writers(source, seed, part):
-    writers = source.ids // 7
-    known = DigitCatalog(source.ids, source.labels, writers)
-    whole = plan_splits(known, SplitSpec(seed, by="writer"))
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(splits, "_PART", part)
-        again = plan_splits(known, SplitSpec(seed, by="writer"))
-    for split in SPLITS:
-        assert again.ids[split].tolist() == whole.ids[split].tolist()
-        assert again.labels[split].tolist() == whole.labels[split].tolist()
-
-
-@given(count=st.integers(1, 3000), start=st.integers(0, 3000), length=st.integers(0, 3000))
-def test_a_part_of_a_drawn_catalog_is_cut_out_of_it(count, start, length):
-    whole = SyntheticSource(count=count).catalog()
-    part = whole.part(start, start + length)
-    assert len(part) == len(part.ids)
-    for name in ("ids", "labels", "writers"):
-        assert getattr(part, name).tolist() == getattr(whole, name)[start : start + length].tolist()
 
 
 def test_unknown_writers_cannot_be_split():

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.sources.handwriting import digits
-from mnist3d.sources.handwriting.strokes import Shape, Vary
+from mnist3d.sources.handwriting.digits import ALLOGRAPHS
+from mnist3d.sources.handwriting.strokes import Vary
 
 __all__ = [
-    "ALLOGRAPHS",
     "POSTURES",
     "Hand",
     "KeyedRng",
@@ -138,75 +137,6 @@ def hand_of(rng: KeyedRng) -> Hand:
         fidelity=rng.uniform(0.7, 1.0),
     )
 
-
-ALLOGRAPHS: tuple[tuple[tuple[Shape, float], ...], ...] = (
-    (
-        (digits.zero_narrow, 0.30),
-        (digits.zero_round, 0.30),
-        (digits.zero_overlapping, 0.22),
-        (digits.zero_open, 0.10),
-        (digits.zero_flat, 0.08),
-    ),
-    (
-        (digits.one_plain, 0.78),
-        (digits.one_with_flag, 0.10),
-        (digits.one_with_upstroke, 0.07),
-        (digits.one_with_foot, 0.05),
-    ),
-    (
-        (digits.two_round, 0.32),
-        (digits.two_looped, 0.30),
-        (digits.two_angular, 0.20),
-        (digits.two_swept, 0.18),
-    ),
-    (
-        (digits.three_round, 0.50),
-        (digits.three_looped, 0.30),
-        (digits.three_flat_topped, 0.20),
-    ),
-    (
-        (digits.four_open, 0.50),
-        (digits.four_closed, 0.10),
-        (digits.four_one_stroke, 0.26),
-        (digits.four_low_stem, 0.14),
-    ),
-    (
-        (digits.five_with_bar, 0.46),
-        (digits.five_one_stroke, 0.40),
-        (digits.five_round, 0.14),
-    ),
-    (
-        (digits.six_curved, 0.40),
-        (digits.six_straight, 0.25),
-        (digits.six_curled, 0.12),
-        (digits.six_low, 0.23),
-    ),
-    (
-        (digits.seven_plain, 0.30),
-        (digits.seven_crossed, 0.22),
-        (digits.seven_serif, 0.18),
-        (digits.seven_curved, 0.17),
-        (digits.seven_hooked, 0.13),
-    ),
-    (
-        (digits.eight_s_first, 0.40),
-        (digits.eight_two_rings, 0.10),
-        (digits.eight_open, 0.28),
-        (digits.eight_unclosed, 0.22),
-    ),
-    (
-        (digits.nine_straight, 0.50),
-        (digits.nine_curved, 0.27),
-        (digits.nine_g_shaped, 0.08),
-        (digits.nine_open, 0.15),
-    ),
-)
-"""For each digit the shapes and the share of writers who prefer them.
-
-The shapes are those seen in MNIST and in collections of pen strokes. Means, spreads and shares were chosen so
-that digits drawn by them come near to real ones (half of the MNIST test images and a few hundred pen digits;
-``benchmarks/recognition.py``), with mostly bare 1s and open 4s, as North Americans write.
-"""
 
 POSTURES = (
     (0.93, 0.12, 1.1),
