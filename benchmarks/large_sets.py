@@ -76,13 +76,14 @@ def fabricate_groups(folder: Path, groups: int) -> None:
     import pyarrow as pa
 
     from mnist3d import SolidSpec
-    from mnist3d.generation import GenerateSpec, plan_build
+    from mnist3d.generation import DigitMaking, GenerateSpec
     from mnist3d.sources.synthetic import SyntheticSource
+    from tactile_toolkit.making import plan_build
     from tactile_toolkit.store.parquet import encode_parquet
     from tactile_toolkit.store.shards import ShardName
 
     small = SolidSpec(target_vertices=600)
-    plan = plan_build(GenerateSpec(SyntheticSource(), small, limit=1), ("train",))
+    plan = plan_build(DigitMaking(GenerateSpec(SyntheticSource(), small, limit=1)), ("train",))
     rows = pa.concat_tables([plan.tasks[0].make().table] * GROUPS_OF_SHARD).combine_chunks()
     first, *others = [
         folder / ShardName("train", index, groups // GROUPS_OF_SHARD).data_path
@@ -101,8 +102,8 @@ def fabricate(folder: Path, shards: int) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    from mnist3d.columns import REPORT_FILE
     from mnist3d.generation import GenerateSpec, generate
-    from mnist3d.rows import REPORT_FILE
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import write_manifest
@@ -192,7 +193,7 @@ def fabricate_reports(folder: Path, rows: int, shards: int) -> None:
     import numpy as np
     import pyarrow as pa
 
-    from mnist3d.rows import report_table
+    from mnist3d.columns import report_table
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
     from tactile_toolkit.store.shards import ShardName
 
@@ -208,7 +209,7 @@ def fabricate_reports(folder: Path, rows: int, shards: int) -> None:
             pa.list_(pa.string()): lambda: [["thin_wall"] * int(few) for few in rng.random(each) < 0.3],
         }
         given = {"split": [shard.split] * each, "shard": [str(shard)] * each}
-        schema = report_table(shard, [], []).schema
+        schema = report_table(shard, []).schema
         columns = [pa.array(given.get(field.name, values[field.type]()), field.type) for field in schema]
         path = folder / shard.report_path
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -219,7 +220,7 @@ def merging(folder: Path) -> dict[str, float]:
     """The report of a set, merged from those of its shards, and what the card says of it."""
     import pyarrow.parquet  # noqa: F401
 
-    from mnist3d.rows import REPORT_FILE
+    from mnist3d.columns import REPORT_FILE
     from mnist3d.summary import summarise
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import Manifest
@@ -246,22 +247,25 @@ def merging(folder: Path) -> dict[str, float]:
 
 
 def planning_digits(_: Path) -> dict[str, float]:
-    from mnist3d.generation import GenerateSpec, plan_build
+    from mnist3d.generation import DigitMaking, GenerateSpec
     from mnist3d.sources.synthetic import SyntheticSource
-    from mnist3d.splits import SPLITS, SplitSpec
+    from mnist3d.splits import SplitSpec
+    from tactile_toolkit.making import plan_build
 
     sizes = (("train", 95 * ROWS // 1000), ("test", ROWS // 1000))
     start_s, start_cpu_s = time.perf_counter(), time.process_time()
-    plan = plan_build(GenerateSpec(SyntheticSource(count=ROWS), split=SplitSpec(sizes=sizes)), SPLITS)
+    spec = GenerateSpec(SyntheticSource(count=ROWS), split=SplitSpec(sizes=sizes))
+    plan = plan_build(DigitMaking(spec))
     elapsed_s, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
     return {"s": elapsed_s, "s of the processor": cpu_s, "MB": peak_mb(), "shards": len(plan.tasks)}
 
 
 def planning_scenes(_: Path) -> dict[str, float]:
-    from starstruck_gen.generation import GenerateSpec, plan_build
+    from starstruck_gen.generation import GenerateSpec, SceneMaking
+    from tactile_toolkit.making import plan_build
 
     start_s = time.perf_counter()
-    plan = plan_build(GenerateSpec(scenes=(("train", SCENES), ("test", SCENES // 100))), ("train", "test"))
+    plan = plan_build(SceneMaking(GenerateSpec(scenes=(("train", SCENES), ("test", SCENES // 100)))))
     return {"s": time.perf_counter() - start_s, "MB": peak_mb(), "shards": len(plan.tasks)}
 
 

@@ -28,6 +28,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from tactile_toolkit.rows import table_of
 from tactile_toolkit.run.limits import limit_threads
 
 limit_threads()
@@ -36,8 +37,8 @@ import numpy as np
 from figures import tell
 from plain_digit import NAME, plain_row
 
+from mnist3d.columns import PARQUET_STYLE, digit_schema
 from mnist3d.generation import GenerateSpec, generate, make_row
-from mnist3d.rows import PARQUET_STYLE, mesh_table
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.store.parquet import encode_parquet
 
@@ -98,8 +99,7 @@ def report_written(count: int) -> None:
 
 
 def written_row(spec: GenerateSpec, digit_id: int) -> None:
-    row, _ = make_row(digit_id, spec)
-    encode_parquet(mesh_table([row], "synthetic"), PARQUET_STYLE)
+    encode_parquet(table_of([make_row(digit_id, spec)], digit_schema()), PARQUET_STYLE)
 
 
 def processor_s(way: Callable[[int], object], digit_id: int) -> float:

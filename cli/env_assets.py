@@ -45,9 +45,11 @@ def wrench(
     Example: env-assets wrench --size 13 --out assets/wrench --stl wrench.stl
     """
     from env_assets.wrench.card import wrench_facts
-    from env_assets.wrench.generation import mesh_file_at, write_wrench
+    from env_assets.wrench.generation import write_wrench
+    from tactile_toolkit.mesh.files import file_ending
 
-    stl = None if stl is None else mesh_file_at(stl)
+    if stl is not None:
+        file_ending(stl)
     spec = WrenchSpec.for_size(size, second_size, single=single, **lengths)
     facts = wrench_facts(spec)
     if not dry_run:

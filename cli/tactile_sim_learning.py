@@ -45,16 +45,20 @@ def pairs(
 
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
-    from tactile_sim.pairs.making import make_pairs, plan_pairs
+    from tactile_sim.pairs.making import PairsMaking, make_pairs
+    from tactile_toolkit.making import plan_build
     from tactile_toolkit.run.limits import prepare_batch_process
     from tactile_toolkit.store.build import look_for
     from tactile_toolkit.store.folder import DataFolder
 
     spec = options.spec()
     if making.dry_run:
-        plan = plan_pairs(objects, real, split, spec)
-        runner = making.chosen_runner()
-        tasks, state = look_for(DataFolder(out), plan, runner, overwrite=making.overwrite)
+        tasks, state = look_for(
+            DataFolder(out),
+            plan_build(PairsMaking.of(objects, real, split, spec)),
+            making.chosen_runner(),
+            overwrite=making.overwrite,
+        )
         to_make = sum(task.size for task in state.todo)
         sink.document({"rows": to_make, "shards": len(tasks)})
         sink.line(f"would make {counted(to_make, 'rows')} in {out}; nothing was written")

@@ -315,21 +315,20 @@ def _outside_code(text: str) -> Iterator[str]:
 
 def _formats_page() -> str:
     """Write the columns of every kind of data set, from schemas and from the words of their cards."""
-    from env_assets.wrench import card as wrench
-    from env_assets.wrench.generation import wrench_schema
-    from mnist3d import card as digits
-    from mnist3d.rows import mesh_schema
+    from env_assets.wrench.columns import WrenchRow, wrench_schema
+    from mnist3d.columns import DigitRow, digit_schema
     from realtouch import card as touches
-    from starstruck_gen import card as scenes
-    from starstruck_gen.rows import scene_schema
-    from tactile_sim import card as synthetic
-    from tactile_sim.rows import touch_schema
-    from tactile_toolkit.cards.card import MESH_COLUMNS, field_table, markdown_table
+    from starstruck_gen.columns import SceneRow, scene_schema
+    from tactile_sim.columns import TouchRow, touch_schema
+    from tactile_toolkit.cards.card import field_table, markdown_table
     from tactile_toolkit.cards.facts import FolderFacts
+    from tactile_toolkit.rows import meanings
     from tactile_toolkit.touch.schema import KNOWN_COLUMNS
 
-    def table(schema: Any, columns: Mapping[str, Any]) -> str:
-        return field_table(FolderFacts((), schema), columns).replace("frame below", "frame of the mesh")
+    def table(schema: Any, row_type: type) -> str:
+        return field_table(FolderFacts((), schema), meanings(row_type)).replace(
+            "frame below", "frame of the mesh"
+        )
 
     rows = [
         (f"`{column}`", words, *touches.COLUMNS.get(column, ("", "")))
@@ -340,14 +339,14 @@ def _formats_page() -> str:
         "with a dot are flat columns, as in the published sets. How a folder is laid out: "
         "[the data set folder](../concepts/folder.md); what frames mean: [frames and units]"
         "(../concepts/frames.md).",
-        "## Digits (`mnist3d`)\n\n" + table(mesh_schema(), digits.COLUMNS),
-        "## Scenes (`starstruck`)\n\n" + table(scene_schema(), scenes.COLUMNS),
+        "## Digits (`mnist3d`)\n\n" + table(digit_schema(), DigitRow),
+        "## Scenes (`starstruck`)\n\n" + table(scene_schema(), SceneRow),
         "## Real touches (`realtouch`)\n\nA row is a round: T touches of one object; N is the number of "
         "frames of the longest clip. Sets hold clips (`sensor_video`) or images (`sensor_image`). Other "
         "columns stay as they are.\n\n"
         + markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows),
         "## Synthetic touches (`tactile-sim`)\n\n"
-        + table(touch_schema(tuple(map(str, range(10)))), synthetic.COLUMNS),
-        "## The wrench (`env-assets`)\n\n" + table(wrench_schema(), {**wrench.COLUMNS, **MESH_COLUMNS}),
+        + table(touch_schema(tuple(map(str, range(10)))), TouchRow),
+        "## The wrench (`env-assets`)\n\n" + table(wrench_schema(), WrenchRow),
     ]
     return "\n\n".join(parts) + "\n"

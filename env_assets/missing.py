@@ -10,17 +10,20 @@ import shlex
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from env_assets.wrench.kind import KIND as WRENCH
 from mnist3d.kind import KIND as DIGITS
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind, Recipe
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.files import named_failures
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
+
+if TYPE_CHECKING:
+    from tactile_toolkit.making import Recipe
 
 __all__ = ["FOREIGN", "KINDS", "AssetMaker", "require_integer"]
 
@@ -78,7 +81,7 @@ class AssetMaker:
         recipe, folder = self._recipe(kind), self.place(kind)
         manifest = read_manifest(DataFolder(str(folder))) if folder.is_dir() else None
         # Through JSON, which makes lists of tuples: only so are equal specifications equal.
-        if manifest is None or manifest.spec == json.loads(json.dumps(recipe.spec().to_dict())):
+        if manifest is None or manifest.spec == json.loads(json.dumps(recipe.making.manifest())):
             out = f"--out {shlex.quote(str(folder))}"
             command = " ".join(filter(None, (KINDS[kind].made_by, recipe.arguments(split), out)))
             return f"run `{command}`, or make the AssetProvider with generate=True"
@@ -88,7 +91,8 @@ class AssetMaker:
         )
 
     def _recipe(self, kind: str) -> Recipe:
-        return KINDS[kind].recipe(self.seed, self.per_class)
+        recipe: Recipe = KINDS[kind].recipe(self.seed, self.per_class)
+        return recipe
 
     @contextlib.contextmanager
     def lock(self, kind: str) -> Iterator[None]:

@@ -7,23 +7,11 @@ from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
+from mnist3d.columns import REPORT_FILE, DigitRow, digit_schema
 from mnist3d.kind import KIND
-from mnist3d.rows import CLASS_NAMES, REPORT_FILE, mesh_schema
 from mnist3d.sources.folder import FolderSource
 from mnist3d.summary import SplitSummary, summarise
-from tactile_toolkit.cards.card import (
-    MESH_COLUMNS,
-    MESH_TASKS,
-    between,
-    bibtex,
-    field_table,
-    first_rows,
-    json_block,
-    markdown_table,
-    megabytes,
-    skipped_text,
-    write_card_files,
-)
+from tactile_toolkit.cards.card import Card, between, bibtex, first_rows, markdown_table
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.table_card import Terms, write_table_card
 from tactile_toolkit.catalog.choose import short_name
@@ -32,22 +20,16 @@ from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
-from tactile_toolkit.printable import markdown_text, printable
+from tactile_toolkit.printable import printable
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.reports import report_columns
 
 __all__ = ["COLUMNS", "SourceWords", "words_of", "write_card"]
 
-COLUMNS = {
-    **MESH_COLUMNS,
-    "id": ("", "number of the digit in its source, unique over all splits"),
-    "label": ("", "the digit"),
-    "writer": ("", "number of the writer in the source, -1 where unknown"),
-    "volume_m3": ("m³", "enclosed volume"),
-    "source": ("", "digit source"),
-}
+COLUMNS = meanings(DigitRow)
 
 # Two pixels of the published scale: a digit is some 150 pixels tall.
 _PITCH_M = 0.0004
@@ -60,70 +42,45 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
 
     Raises IntegrityError when a shard or the printability report is missing or damaged.
     """
+    # From the manifest, never from defaults: the card may be written again by a later version.
+    spec = manifest.spec["source_spec"] if is_export(manifest) else manifest.spec
+    words = _OF_COPIES if spec is None else words_of(str(spec["source"]["name"]))
+    # Those of a folder of pictures are not the digits of MNIST 3D.
+    is_own = words.name == FolderSource.name
     if is_export(manifest):
-        made = manifest.spec["source_spec"]
-        title = "3D digits" if made is not None and _is_own(made) else "MNIST 3D"
-        write_table_card(folder, manifest, KIND, title, COLUMNS, _terms_of_tables(manifest))
+        title = "3D digits" if is_own else "MNIST 3D"
+        write_table_card(folder, manifest, KIND, title, COLUMNS, words.terms())
         return
-    facts = folder_facts(folder, manifest, mesh_schema())
+    facts = folder_facts(folder, manifest, digit_schema())
     summaries = summarise(folder, manifest)
-    spec = manifest.spec
-    words = words_of(str(spec["source"]["name"]))
-    # From the manifest, never from defaults: the card may be written anew by a later version.
     profile, solid = spec["print_profile"], spec["solid"]
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
-    title = printable(short_name(folder.address())) if _is_own(spec) else "MNIST 3D"
-    values = {
-        "title": markdown_text(title),
-        "source_text": words.describe(spec["source"]),
-        "split_rule": _split_rule(spec),
-        "solid_text": (
-            f"{solid['profile']} profile, {solid['half_thickness_mm']:g} mm half thickness, "
-            f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
-            f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
-        ),
-        "skipped": skipped_text(manifest, "for "),
-        "spec": json_block(spec),
-        "split_table": _split_table(summaries, facts),
-        "field_table": field_table(facts, COLUMNS),
-        "print_table": _print_table(summaries),
-        "report_columns": ", ".join(f"`{name}`" for name in report_columns(folder, REPORT_FILE)),
-        "nozzle_mm": f"{profile['nozzle_mm']:g}",
-        "min_wall_mm": f"{profile['min_wall_mm']:g}",
-        "overhang_deg": f"{profile['overhang_deg']:g}",
-        "limits": _limits(manifest, summaries, words),
-        "licence_text": words.licence_text,
-        "citation_text": words.citation_text,
-        "bibtex": bibtex("tactile_mnist", *(("mnist",) if words.name == "mnist" else ()), "hwd_plus"),
-    }
-    write_card_files(
-        folder,
-        facts,
-        manifest,
-        KIND.card_template,
-        values,
-        ("digits.png", _sheet(facts), "The first digit of each class that is there, seen from above"),
-        license=words.licence,
-        pretty_name=title,
-        **MESH_TASKS,
+    Card(
+        template=KIND.card_template,
+        title=printable(short_name(folder.address())) if is_own else "MNIST 3D",
+        columns=COLUMNS,
+        picture=("digits.png", _sheet(facts), "The first digit of each class that is there, seen from above"),
+        licence=words.licence,
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
-    )
-
-
-def _is_own(spec: Mapping[str, Any]) -> bool:
-    """Return whether digits were made from a folder of pictures, which are not those of MNIST 3D."""
-    return bool(spec["source"]["name"] == FolderSource.name)
-
-
-def _terms_of_tables(manifest: Manifest) -> Terms:
-    """Return the terms of the source of the digits; of copies of the published set none are known here."""
-    made = manifest.spec["source_spec"]
-    if made is None:
-        text = "The terms of the data set that these rows come from: see its page."
-        return Terms("other", text, f"{_PUBLISHED}.", bibtex("tactile_mnist", "hwd_plus"))
-    words = words_of(str(made["source"]["name"]))
-    cited = ("tactile_mnist", *(("mnist",) if words.name == "mnist" else ()), "hwd_plus")
-    return Terms(words.licence, words.licence_text, words.citation_text, bibtex(*cited))
+        figures={
+            "per class": [between(min(s.per_class), max(s.per_class)) for s in summaries],
+            "left out": [s.skipped for s in summaries],
+        },
+        values={
+            "source_text": words.describe(spec["source"]),
+            "split_rule": _split_rule(spec),
+            "solid_text": (
+                f"{solid['profile']} profile, {solid['half_thickness_mm']:g} mm half thickness, "
+                f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
+                f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
+            ),
+            "print_table": _print_table(summaries),
+            "report_columns": ", ".join(f"`{name}`" for name in report_columns(folder, REPORT_FILE)),
+            **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
+            "limits": _limits(manifest, summaries, words),
+            **words.terms().values(),
+        },
+    ).write(folder, facts, manifest, KIND)
 
 
 def _sheet(facts: FolderFacts) -> bytes | None:
@@ -131,7 +88,7 @@ def _sheet(facts: FolderFacts) -> bytes | None:
     first: dict[int, Row] = {}
     for row in islice(first_rows(facts, ["label", VERTICES, FACES]), _ROWS_SEEN):
         first.setdefault(int(row.required("label")), row)
-        if len(first) == len(CLASS_NAMES):
+        if len(first) == len(KIND.class_names):
             break
     rows = [first[label] for label in sorted(first)]
     tiles = [Tile(relief(row.array(VERTICES), row.array(FACES), _PITCH_M)) for row in rows]
@@ -140,34 +97,16 @@ def _sheet(facts: FolderFacts) -> bytes | None:
 
 def _split_rule(spec: Mapping[str, Any]) -> str:
     split = spec["split"]
-    whole = {"digit": "digit by digit", "writer": "whole writers", "none": "not divided"}[split["by"]]
+    unit = {"digit": "digit by digit", "writer": "whole writers", "none": "not divided"}[split["by"]]
     cuts = [
-        f"the first {spec[name]:,} {unit} only"
-        for name, unit in (("per_class", "of each class of a split"), ("limit", "rows of a split"))
+        f"the first {spec[name]:,} {of} only"
+        for name, of in (("per_class", "of each class of a split"), ("limit", "rows of a split"))
         if spec[name] is not None
     ]
     sizes = "all digits in `train`" if split["by"] == "none" else "published sizes"
     if split["sizes"] is not None:
-        listed = ", ".join(f"{split} {size:,}" for split, size in dict(split["sizes"]).items())
-        sizes = f"digits per class: {listed}"
-    return ", ".join([whole, f"seed {split['seed']}", sizes, *cuts])
-
-
-def _split_table(summaries: list[SplitSummary], facts: FolderFacts) -> str:
-    header = ("split", "digits", "per class", "shards", "Parquet", "unpacked", "left out")
-    rows = [
-        (
-            s.split,
-            f"{s.rows:,}",
-            between(min(s.per_class), max(s.per_class)),
-            s.shards,
-            megabytes(s.bytes),
-            megabytes(split.unpacked_bytes),
-            s.skipped,
-        )
-        for s, split in zip(summaries, facts.splits, strict=True)
-    ]
-    return markdown_table(header, rows)
+        sizes = "digits per class: " + ", ".join(f"{name} {size:,}" for name, size in split["sizes"].items())
+    return ", ".join([unit, f"seed {split['seed']}", sizes, *cuts])
 
 
 def _print_table(summaries: list[SplitSummary]) -> str:
@@ -178,9 +117,7 @@ def _print_table(summaries: list[SplitSummary]) -> str:
     rows = [
         (
             s.split,
-            spread(s.height_mm),
-            spread(s.volume_mm3),
-            spread(s.thinnest_wall_mm),
+            *map(spread, (s.height_mm, s.volume_mm3, s.thinnest_wall_mm)),
             ", ".join(f"{count:,} x {bodies}" for bodies, count in s.bodies.items()) or "-",
             ", ".join(f"{count:,} {word}" for word, count in s.warnings.items()) or "none",
         )
@@ -195,14 +132,14 @@ def _limits(manifest: Manifest, summaries: list[SplitSummary], words: SourceWord
     warned = sum(count for s in summaries for count in s.warnings.values())
     in_one = "None of the digits is in several pieces"
     in_pieces = f"{pieces:,} of {rows:,} digits are in several pieces that print apart" if pieces else in_one
-    cut = manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None
     lines = [
         words.limit,
         f"{in_pieces}; `--join-bodies` makes bridges.",
         f"The print profile raises {warned:,} warnings; one says what to look at, not that it fails.",
         "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
-        *(["This is a cut of the full splits; it is not meant for comparing results."] if cut else []),
     ]
+    if manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None:
+        lines.append("This is a cut of the full splits; it is not meant for comparing results.")
     return "\n".join(f"- {line}" for line in lines)
 
 
@@ -215,7 +152,7 @@ class SourceWords:
     licence: str  # the Hub's word for the licence of meshes made of it
     licence_text: str
     limit: str
-    citation_text: str
+    citation_end: str
 
     def describe(self, fingerprint: Mapping[str, Any]) -> str:
         """Fill the text with the fingerprint of the source."""
@@ -225,11 +162,15 @@ class SourceWords:
             fields["marks"] = ", ".join(f"`{part['images_sha256']:.12}`" for part in fields["parts"])
         return f"`{self.name}`: {self.text.format(**fields)}"
 
+    def terms(self) -> Terms:
+        """Return whose the meshes are."""
+        citation = (
+            "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the "
+            f"handwriting of HWD+ (Beaulac and Rosenthal 2022){self.citation_end}."
+        )
+        cited = ("tactile_mnist", *(["mnist"] if self.name == "mnist" else []), "hwd_plus")
+        return Terms(self.licence, self.licence_text, citation, bibtex(*cited))
 
-_PUBLISHED = (
-    "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the handwriting of "
-    "HWD+ (Beaulac and Rosenthal 2022)"
-)
 
 _SOURCES = (
     SourceWords(
@@ -238,7 +179,7 @@ _SOURCES = (
         "mit",
         "MIT, as the toolkit: no one's handwriting is in it.",
         "The strokes are drawn by a program. They vary like handwriting, but nobody wrote them.",
-        f"{_PUBLISHED}; this copy stands in for it with drawn digits.",
+        "; this copy stands in for it with drawn digits",
     ),
     SourceWords(
         "hwdplus",
@@ -248,7 +189,7 @@ _SOURCES = (
         "The digits carry the terms of HWD+: see its authors' page before passing the meshes on.",
         "97 writers, 14 images of each digit by each: the same hand returns, unless splits divide whole "
         "writers.",
-        f"{_PUBLISHED}, as this copy was.",
+        ", as this copy was",
     ),
     SourceWords(
         "mnist",
@@ -256,7 +197,7 @@ _SOURCES = (
         "cc-by-sa-3.0",
         "CC BY-SA 3.0, as MNIST.",
         "Images of 28 x 28 pixels are enlarged first: outlines are smoother than any pen draws.",
-        f"{_PUBLISHED}; this copy is made from MNIST (LeCun et al. 1998).",
+        "; this copy is made from MNIST (LeCun et al. 1998)",
     ),
     SourceWords(
         "folder",
@@ -264,8 +205,11 @@ _SOURCES = (
         "other",
         "The meshes carry the terms of the pictures that they were made from.",
         "The pictures are a collection of their maker; nothing is known of how they were gathered.",
-        f"{_PUBLISHED}; this copy is made from other pictures, whose makers want to be named too.",
+        "; this copy is made from other pictures, whose makers want to be named too",
     ),
+)
+_OF_COPIES = SourceWords(
+    "", "", "other", "The terms of the data set that these rows come from: see its page.", "", ""
 )
 
 
@@ -278,5 +222,5 @@ def words_of(name: str) -> SourceWords:
         "other",
         "The meshes carry the terms of the images that they were made from.",
         "Nothing is known here of how the images were gathered.",
-        f"{_PUBLISHED}; this copy is made from other images, whose makers want to be named too.",
+        "; this copy is made from other images, whose makers want to be named too",
     )

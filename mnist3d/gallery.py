@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mnist3d.columns import REPORT_FILE
 from mnist3d.dataset import MeshDataset, MeshRecord
 from mnist3d.kind import KIND
-from mnist3d.rows import REPORT_FILE
 from mnist3d.sources import NO_WRITER
 from tactile_toolkit.catalog.choose import Choice
 from tactile_toolkit.gallery.items import NONE, Facet, Gallery, Item, Measure, gallery_of_rows

@@ -1,44 +1,41 @@
-"""The main job: from a source of digit images to a finished data set folder, and what that would take."""
+"""From a source of digit images to a finished data set folder, and what that would take."""
 
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from mnist3d.card import write_card
+from mnist3d.columns import PARQUET_STYLE, REPORT_FILE, DigitRow, digit_schema, report_table
 from mnist3d.kind import KIND
-from mnist3d.rows import PARQUET_STYLE, REPORT_FILE, MeshRow, mesh_table, report_table
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources import DigitSource
 from mnist3d.sources.folder import FolderSource
 from mnist3d.splits import SPLITS, SplitSpec, plan_splits
+from tactile_toolkit import making
 from tactile_toolkit.checked_fields import check_fields, integer
-from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.printability import PrintProfile, PrintReport, inspect
-from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import Progress, build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
+from tactile_toolkit.errors import ItemError
+from tactile_toolkit.mesh.printability import PrintProfile, inspect
+from tactile_toolkit.run.processes import Runner
+from tactile_toolkit.store.build import Progress
+from tactile_toolkit.store.forecast import Forecast
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import encode_parquet
-from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
-from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
-from tactile_toolkit.wording import counted
+from tactile_toolkit.store.shards import ShardName, Skipped
 
-__all__ = ["DigitRecipe", "DigitShard", "GenerateSpec", "forecast", "generate", "make_row", "plan_build"]
+__all__ = [
+    "DigitMaking",
+    "GenerateSpec",
+    "digit_recipe",
+    "forecast",
+    "generate",
+    "make_row",
+    "recipe_settings",
+]
 
-# Spread over all splits, and still done in a second.
-_SAMPLED = 8
 # At 52.6 kB a mesh 7 MB: what a kill loses is seconds of work.
 _LARGEST_SHARD = 128  # of sets of up to a million digits, see shard_ranges
 _SMALLEST_SHARD = 50
-_SHARDS_WANTED = 16
 
 
 @dataclass(frozen=True)
@@ -88,109 +85,75 @@ class GenerateSpec:
         }
 
 
-@dataclass(frozen=True, eq=False)
-class DigitShard:
-    """The task of one shard: from digit ids, in row order, to rows. Touches no file of the data set.
+@dataclass(frozen=True)
+class DigitMaking(making.Making):
+    """How digits are made: the source is divided into splits, and each image becomes a proved solid."""
 
-    ``ids`` are a view of the ids of the whole split; pickled are those of this shard alone.
-    """
+    spec: GenerateSpec
+    kind = KIND
 
-    shard: ShardName
-    ids: NDArray[np.integer[Any]] = field(repr=False)
-    spec: GenerateSpec = field(repr=False)
+    def manifest(self) -> Mapping[str, Any]:
+        """Return the specification, with the fingerprint of the source."""
+        return self.spec.to_dict()
 
-    @property
-    def size(self) -> int:
-        """How many digits it makes."""
-        return len(self.ids)
+    def items(self) -> Mapping[str, Sequence[Any]]:
+        """Return the ids of each split; reads only the source's catalog."""
+        plan = plan_splits(self.spec.source.catalog(), self.spec.split)
+        return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in SPLITS}
 
-    def make(self) -> ShardContent:
-        """Make the rows and their print reports; digits that give no solid are listed instead."""
-        import pyarrow as pa
+    def layout(self) -> making.Layout:
+        """Return how rows are stored."""
+        return making.Layout(
+            PARQUET_STYLE,
+            libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
+            smallest=_SMALLEST_SHARD,
+            largest=_LARGEST_SHARD,
+            wanted=16,
+            sampled=8,
+            report_file=REPORT_FILE,
+        )
 
-        tables: list[Any] = []
-        report_tables: list[Any] = []
-        rows: list[MeshRow] = []
-        reports: list[PrintReport] = []
-        skipped: list[Skipped] = []
+    def schema(self, split: str) -> Any:
+        """Return the Arrow schema of a shard."""
+        return digit_schema()
 
-        def pack() -> None:
-            tables.append(mesh_table(rows, self.spec.source.name))
-            report_tables.append(report_table(self.shard, rows, reports))
-            rows.clear()
-            reports.clear()
-
-        for digit_id in self.ids.tolist():
+    def make(self, split: str, items: Any) -> Iterator[DigitRow | Skipped]:
+        """Yield the row of each digit, or why it gives no solid."""
+        for digit_id in items.tolist():
             try:
-                row, report = make_row(digit_id, self.spec)
+                yield make_row(digit_id, self.spec)
             except ItemError as error:
-                skipped.append(Skipped(digit_id, error.reason, error.message))
-                continue
-            rows.append(row)
-            reports.append(report)
-            if len(rows) == _LARGEST_SHARD:  # so that large shards are not held twice
-                pack()
-        if rows or not tables:
-            pack()
-        return ShardContent(pa.concat_tables(tables), tuple(skipped), pa.concat_tables(report_tables))
+                yield Skipped(digit_id, error.reason, error.message)
+
+    def report(self, shard: ShardName, rows: Sequence[Any]) -> Any:
+        """Return what was found about each mesh."""
+        return report_table(shard, rows)
 
 
-def make_row(digit_id: int, spec: GenerateSpec) -> tuple[MeshRow, PrintReport]:
+def make_row(digit_id: int, spec: GenerateSpec) -> DigitRow:
     """Read one digit, make its solid and inspect it.
 
     Raises ItemError when the image cannot be used, or the mesh does not bound a solid (the reason is one of
     :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`).
     """
-    digit = spec.source.image(digit_id)
+    digit, where = spec.source.image(digit_id), f"digit {digit_id} of source {spec.source.name!r}"
     try:
         mesh = solidify(digit.pixels, spec.solid, ink="dark")
     except ItemError as error:
-        message = f"digit {digit_id} of source {spec.source.name!r}: {error.message}"
-        raise ItemError(error.reason, message) from error
+        raise ItemError(error.reason, f"{where}: {error.message}") from error
     report = inspect(mesh, spec.profile)
     # An image gives no row unless its mesh was proved: what is stored are solids.
     if report.problem is not None:
-        message = f"digit {digit_id} of source {spec.source.name!r} gives no valid solid: {report.detail}"
-        raise ItemError(report.problem, message)
-    return MeshRow(digit.id, digit.label, mesh, digit.writer, report.volume_mm3 * 1e-9), report
-
-
-def plan_build(spec: GenerateSpec, splits: Sequence[str] | None) -> BuildPlan:
-    """Decide which shards hold which digits; pure, reads only the source's catalog.
-
-    Without ``splits`` all are made, and pictures of one's own are not divided unless the specification asks
-    for it. Raises InputError for an unknown split, nothing to make, or a source that cannot be read.
-    """
-    if splits is None:
-        splits = SPLITS
-        if isinstance(spec.source, FolderSource) and spec.split.by is None and spec.split.sizes is None:
-            spec = replace(spec, split=replace(spec.split, by="none"))
-    require_known_splits(splits, SPLITS)
-    plan = plan_splits(spec.source.catalog(), spec.split)
-    tasks = []
-    # However they are asked for, tasks stand in canonical order, and so do shards in the manifest.
-    for split in (split for split in SPLITS if split in splits):
-        ids = plan.rows(split, spec.per_class, spec.limit)
-        shards = shard_ranges(
-            split, len(ids), smallest=_SMALLEST_SHARD, largest=_LARGEST_SHARD, wanted=_SHARDS_WANTED
-        )
-        tasks += [DigitShard(shard, ids[rows.start : rows.stop], spec) for shard, rows in shards]
-    if not tasks:
-        sizes = {split: len(plan.ids[split]) for split in SPLITS}
-        message = (
-            f"no digits to make for {', '.join(splits)}: the source {spec.source.name!r} gives {sizes}; "
-            "next: choose another --split, or --split-sizes"
-        )
-        raise InputError(message)
-    return BuildPlan(
-        KIND.name,
-        spec.to_dict(),
-        SPLITS,
-        tuple(tasks),
-        PARQUET_STYLE,
-        REPORT_FILE,
-        # What decides bytes: to go on in an unfinished folder with others is refused.
-        libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
+        raise ItemError(report.problem, f"{where} gives no valid solid: {report.detail}")
+    return DigitRow(
+        id=digit.id,
+        label=digit.label,
+        vertices_m=mesh.vertices_m,
+        faces=mesh.faces,
+        writer=digit.writer,
+        volume_m3=report.volume_mm3 * 1e-9,
+        source=spec.source.name,
+        report=report,
     )
 
 
@@ -239,13 +202,13 @@ def generate(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    return build(
-        DataFolder(os.fspath(out)),
-        plan_build(spec, splits),
-        runner_for(workers),
+    return making.generate(
+        DigitMaking(_with_division(spec, splits)),
+        out,
+        splits,
+        workers=workers,
         overwrite=overwrite,
         on_progress=on_progress,
-        write_card=write_card,
     )
 
 
@@ -258,60 +221,27 @@ def forecast(
     overwrite: bool = False,
 ) -> Forecast:
     """Estimate a run of :func:`generate` by making a few of its digits; writes nothing."""
-    plan = plan_build(spec, splits)
-    ids = np.concatenate([task.ids for task in plan.tasks if isinstance(task, DigitShard)])
-    # Spread over the splits asked for.
-    sample = ids[:: max(1, len(ids) // _SAMPLED)][:_SAMPLED].tolist()
-
-    def measure() -> Sample:
-        rows = []
-        failures: list[ItemError] = []
-        start_s = 0.0
-        for count, digit_id in enumerate(sample):
-            try:
-                rows.append(make_row(digit_id, spec)[0])
-            except ItemError as error:
-                failures.append(error)
-            finally:
-                # The first digit pays for the imports.
-                start_s = time.perf_counter() if count == 0 else start_s
-        if not rows:
-            message = (
-                f"none of {counted(len(sample), 'digits')} that were tried gives a solid; the first: "
-                f"{failures[0].message}; nothing was written; next: mend the source, or choose another one"
-            )
-            raise InputError(message)
-        size = len(encode_parquet(mesh_table(rows, spec.source.name), PARQUET_STYLE))
-        elapsed_s = time.perf_counter() - start_s
-        return Sample(len(rows), size / len(rows), elapsed_s / max(1, len(sample) - 1))
-
-    return forecast_build(out, plan, workers, measure, overwrite=overwrite)
+    return making.forecast(
+        DigitMaking(_with_division(spec, splits)), out, splits, workers, overwrite=overwrite
+    )
 
 
-@dataclass(frozen=True, slots=True)
-class DigitRecipe:
-    """How a data set of digits is made without any input: from the embedded synthetic source."""
+def _with_division(spec: GenerateSpec, splits: Sequence[str] | None) -> GenerateSpec:
+    """Leave pictures of one's own undivided unless the specification or the splits ask for it."""
+    is_asked_for = splits is not None or spec.split.by is not None or spec.split.sizes is not None
+    if is_asked_for or not isinstance(spec.source, FolderSource):
+        return spec
+    return replace(spec, split=replace(spec.split, by="none"))
 
-    seed: int
-    per_class: int | None
-    splits: tuple[str, ...] = SPLITS
 
-    def spec(self) -> Any:
-        """Return the specification."""
-        from mnist3d.sources.synthetic import SyntheticSource
+def digit_recipe(seed: int, per_class: int | None) -> making.Recipe:
+    """Return how digits are made without any input: from the embedded synthetic source."""
+    from mnist3d.sources.synthetic import SyntheticSource
 
-        source = SyntheticSource(seed=self.seed)
-        return GenerateSpec(source, split=SplitSpec(seed=self.seed), per_class=self.per_class)
+    spec = GenerateSpec(SyntheticSource(seed=seed), split=SplitSpec(seed=seed), per_class=per_class)
+    return making.Recipe(DigitMaking(spec), {"per-class": per_class, "seed": seed})
 
-    def begun(self, spec: Mapping[str, Any]) -> DigitRecipe:
-        """Return the recipe of a folder with this specification."""
-        return DigitRecipe(dict(spec.get("split") or {}).get("seed", 0), spec.get("per_class"))
 
-    def arguments(self, split: str) -> str:
-        """Return the arguments of the command that makes a split."""
-        limit = "" if self.per_class is None else f" --per-class {self.per_class}"
-        return f"--split {split}{limit}" + (f" --seed {self.seed}" if self.seed else "")
-
-    def make(self, out: str, split: str, workers: int) -> None:
-        """Make one split."""
-        generate(self.spec(), out, (split,), workers=workers)
+def recipe_settings(spec: Mapping[str, Any]) -> tuple[int, int | None]:
+    """Return seed and number per class of the recipe by which a folder may have been made."""
+    return dict(spec.get("split") or {}).get("seed", 0), spec.get("per_class")

@@ -16,12 +16,13 @@ KIND = DatasetKind(
     made_by="mnist3d generate",
     card_template="mnist3d.md",
     write_card=lazy("mnist3d.card:write_card"),
-    schema=lazy("mnist3d.rows:mesh_schema"),
+    schema=lazy("mnist3d.columns:digit_schema"),
     class_names=tuple(map(str, range(10))),
     columns=("writer",),
     # Counts here and in the other rooms: Tactile MNIST paper and the documentation of the published loaders.
     published=(tactile_mnist_set("mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),),
     plan_previews=lazy("mnist3d.previews:plan_previews"),
     plan_gallery=lazy("mnist3d.gallery:plan_gallery"),
-    recipe=lazy("mnist3d.generation:DigitRecipe"),
+    recipe=lazy("mnist3d.generation:digit_recipe"),
+    recipe_settings=lazy("mnist3d.generation:recipe_settings"),
 )

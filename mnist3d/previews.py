@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mnist3d.columns import REPORT_FILE
 from mnist3d.dataset import MeshDataset, MeshRecord
 from mnist3d.kind import KIND
 from mnist3d.preview_steps import CLAY, draw_steps, source_option
-from mnist3d.rows import REPORT_FILE
 from mnist3d.spec import SolidSpec
 from tactile_toolkit.catalog.kinds import specification_read
 from tactile_toolkit.errors import InputError

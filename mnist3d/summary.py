@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections import Counter
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mnist3d.rows import CLASS_NAMES, REPORT_FILE
-from mnist3d.spread import Spread
+from mnist3d.columns import REPORT_FILE
+from mnist3d.kind import KIND
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.reports import report_pieces
+from tactile_toolkit.store.reports import read_report
 
 __all__ = ["SplitSummary", "summarise"]
 
@@ -48,55 +46,32 @@ class SplitSummary:
 def summarise(folder: DataFolder, manifest: Manifest) -> list[SplitSummary]:
     """Sum up each split of a data set from its manifest and its printability report.
 
-    The report is read a row group at a time, again where it is large. Raises IntegrityError when it is
-    missing or damaged.
+    Raises IntegrityError when the report is missing or damaged.
     """
     import pyarrow.compute as pc
 
-    table = manifest.split_table()
-    counts = {split: _Counts() for split in table}
-    spreads = {(split, name): Spread() for split in table for name in _MEASURES}
-    for piece in report_pieces(folder, REPORT_FILE, ["split", "label", "bodies", "warnings"]):
-        for split, counted in counts.items():
-            counted.add(piece.filter(pc.equal(piece["split"], split)))
-    while not all(spread.is_found for spread in spreads.values()):
-        for piece in report_pieces(folder, REPORT_FILE, ["split", *_MEASURES.values()]):
-            for split in table:
-                rows = piece.filter(pc.equal(piece["split"], split))
-                for name, column in _MEASURES.items():
-                    spreads[split, name].add(np.asarray(rows[column].to_numpy()))
-        for spread in spreads.values():
-            spread.end_pass()
-    return [
-        SplitSummary(
+    columns = ["split", "label", "bodies", "warnings", *_MEASURES.values()]
+    report, summaries = read_report(folder, REPORT_FILE, columns), []
+    for split, entry in manifest.split_table().items():
+        rows = report.filter(pc.equal(report["split"], split))
+        labels = rows["label"].to_numpy().astype(np.int64)
+        summary = SplitSummary(
             split=split,
             **entry,
-            per_class=tuple(counts[split].labels.tolist()),
-            height_mm=spreads[split, "height_mm"].rounded(),
-            volume_mm3=spreads[split, "volume_mm3"].rounded(),
-            thinnest_wall_mm=spreads[split, "thinnest_wall_mm"].rounded(),
-            bodies=dict(sorted(counts[split].bodies.items())),
-            warnings=dict(sorted(counts[split].warnings.items())),
+            per_class=tuple(np.bincount(labels, minlength=len(KIND.class_names)).tolist()),
+            **{name: _spread(rows[column].to_numpy()) for name, column in _MEASURES.items()},
+            bodies=_counts(rows["bodies"]),
+            warnings=_counts(pc.list_flatten(rows["warnings"])),
         )
-        for split, entry in table.items()
-    ]
+        summaries.append(summary)
+    return summaries
 
 
-@dataclass
-class _Counts:
-    """Rows of a split by class, by number of bodies, and by print warning."""
+def _spread(values: Any) -> tuple[float, ...]:
+    """Return smallest, median and largest to three decimals; nothing of no numbers."""
+    found = (values.min(), np.median(values), values.max()) if len(values) else ()
+    return tuple(round(float(value), 3) for value in found)
 
-    labels: NDArray[np.int64] = field(default_factory=lambda: np.zeros(len(CLASS_NAMES), np.int64))
-    bodies: Counter[int] = field(default_factory=Counter)
-    warnings: Counter[str] = field(default_factory=Counter)
 
-    def add(self, rows: Any) -> None:
-        import pyarrow.compute as pc
-
-        labels = rows["label"].to_numpy().astype(np.int64)
-        self.labels += np.bincount(labels, minlength=len(self.labels))
-        for counter, values in (
-            (self.bodies, rows["bodies"]),
-            (self.warnings, pc.list_flatten(rows["warnings"])),
-        ):
-            counter.update({each["values"]: each["counts"] for each in values.value_counts().to_pylist()})
+def _counts(values: Any) -> dict[Any, int]:
+    return dict(sorted((each["values"], each["counts"]) for each in values.value_counts().to_pylist()))

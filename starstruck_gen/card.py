@@ -7,31 +7,20 @@ from itertools import islice
 
 import numpy as np
 
+from starstruck_gen.columns import SceneRow, scene_schema
 from starstruck_gen.kind import KIND
 from starstruck_gen.picture import draw_scene
 from starstruck_gen.placement import Placement
-from starstruck_gen.rows import scene_schema
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.streams import SPLITS, scene_id
 from starstruck_gen.summary import SplitSummary, summarise
-from tactile_toolkit.cards.card import (
-    MESH_COLUMNS,
-    MESH_TASKS,
-    between,
-    bibtex,
-    field_table,
-    first_rows,
-    json_block,
-    markdown_table,
-    megabytes,
-    write_card_files,
-)
+from tactile_toolkit.cards.card import Card, between, bibtex, first_rows, markdown_table
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.table_card import Terms, write_table_card
 from tactile_toolkit.kind import is_export
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.printable import markdown_text
+from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.wording import counted
@@ -45,21 +34,7 @@ _RULES = {
     "exact": "the outlines of two objects do not touch",
 }
 
-COLUMNS = {
-    **MESH_COLUMNS,
-    "id": ("", f"number of the scene: from 0 in train, from {scene_id(SPLITS[1], 0):,} in test"),
-    "label": ("", "the class, named by the number of stars"),
-    "star_count": ("", "number of stars"),
-    "distractor_count": ("", "number of objects that are not stars"),
-    "placements": (
-        "one per object: m, rad, frame below",
-        "each object in the order of placing, stars first: `shape`, centre `x_m` and `y_m`, `angle_rad` "
-        "about z, `radius_m` of the circumscribed circle, `height_m`",
-    ),
-    "seed": ("", "seed of the scene: with the specification and the star count it makes the scene again"),
-    "attempts": ("one per object", "positions drawn for it"),
-    "restarts": ("", "how often the scene was started over"),
-}
+COLUMNS = meanings(SceneRow)
 
 
 def write_card(folder: DataFolder, manifest: Manifest) -> None:
@@ -77,44 +52,44 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     spec = SceneSpec.from_dict(manifest.spec["scene"])
     facts = folder_facts(folder, manifest, scene_schema(spec.class_names))
     summaries = summarise(manifest)
+    Card(
+        template=KIND.card_template,
+        title="Starstruck",
+        columns=COLUMNS,
+        picture=("scenes.png", _sheet(facts, spec.cell_m), "The first scenes from above; stars are orange"),
+        licence="mit",
+        tags=["tactile", "active-perception", "3d", "mesh", "counting"],
+        figures={"per class": [", ".join(f"{count:,}" for count in s.acceptance.classes) for s in summaries]},
+        values={
+            **_placement_values(spec),
+            "seed": str(manifest.spec["seed"]),
+            "acceptance_table": _acceptance_table(summaries),
+            "limits": _limits(manifest, spec),
+        },
+    ).write(folder, facts, manifest, KIND)
+
+
+def _placement_values(spec: SceneSpec) -> dict[str, str]:
+    """Write the specification in words; sizes as a printer needs them, in millimetres."""
     least, most = spec.distractors
     turned = math.degrees(spec.rotation_rad)
-    # Sizes as a printer needs them: the specification has radii in metres.
     radii = sorted({shape.radius_m for shape in (spec.star, *spec.distractor_shapes)})
     widths = " to ".join(dict.fromkeys(f"{2e3 * radius:g}" for radius in (radii[0], radii[-1])))
-    values = {
-        "seed": str(manifest.spec["seed"]),
+    kept = f" and keep {1e3 * spec.clearance_m:g} mm" if spec.clearance_m else ""
+    return {
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
         "classes": ", ".join(map(markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
-        "distractors": (counted(most, "objects") if least == most else f"{between(least, most)} objects"),
+        "distractors": counted(most, "objects") if least == most else f"{between(least, most)} objects",
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",
         "rotation": f" by 0 to {turned:g} degrees about z" if turned else " by 0 degrees",
         "heights": " or ".join(f"{1e3 * height:g}" for height in spec.heights_m) + " mm",
-        "rule": _RULES[spec.collision]
-        + (f" and keep {1e3 * spec.clearance_m:g} mm" if spec.clearance_m else ""),
+        "rule": _RULES[spec.collision] + kept,
         "attempts": f"{spec.attempts:,}",
-        "spec": json_block(manifest.spec),
-        "split_table": _split_table(summaries, facts),
-        "field_table": field_table(facts, COLUMNS),
-        "acceptance_table": _acceptance_table(summaries),
         "print_text": f"The circles around them are {widths} mm wide; a scene prints as loose objects.",
-        "limits": _limits(manifest, spec),
     }
-    write_card_files(
-        folder,
-        facts,
-        manifest,
-        KIND.card_template,
-        values,
-        ("scenes.png", _sheet(facts, spec.cell_m), "The first scenes from above; stars are orange"),
-        license="mit",
-        pretty_name="Starstruck",
-        **MESH_TASKS,
-        tags=["tactile", "active-perception", "3d", "mesh", "counting"],
-    )
 
 
 def _sheet(facts: FolderFacts, cell_m: tuple[float, float]) -> bytes | None:
@@ -127,23 +102,6 @@ def _sheet(facts: FolderFacts, cell_m: tuple[float, float]) -> bytes | None:
         placements = [Placement(**entry) for entry in stored["placements"]]
         tiles.append(Tile(np.asarray(draw_scene(placements, cell_m, px_per_mm))))
     return png_bytes(sheet(tiles, Sheet(6, margin_px=8))) if tiles else None
-
-
-def _split_table(summaries: list[SplitSummary], facts: FolderFacts) -> str:
-    header = ("split", "scenes", "per class", "shards", "Parquet", "bytes per scene", "unpacked")
-    rows = [
-        (
-            s.split,
-            f"{s.rows:,}",
-            ", ".join(f"{count:,}" for count in s.acceptance.classes),
-            s.shards,
-            megabytes(s.bytes),
-            f"{s.bytes_per_scene:,.0f}",
-            megabytes(split.unpacked_bytes),
-        )
-        for s, split in zip(summaries, facts.splits, strict=True)
-    ]
-    return markdown_table(header, rows)
 
 
 def _acceptance_table(summaries: list[SplitSummary]) -> str:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from starstruck_gen.columns import scene_schema
 from starstruck_gen.dataset import SceneMeshDataset
+from starstruck_gen.make import make_rows
 from starstruck_gen.placement import SceneMeshes, stamp
-from starstruck_gen.rows import make_rows, scene_schema, scene_table
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
@@ -19,6 +20,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.read.columns import RaggedColumn, RowGroup, column_names
 from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.rows import table_of
 from tactile_toolkit.wording import is_whole, plain_number
 
 __all__ = ["DEFAULT_SIZE", "SceneDataset", "SceneTable"]
@@ -67,6 +69,11 @@ class SceneTable(ShardedTable):
     def locate(self, row: int) -> tuple[RowGroup, int]:
         """Return a row as a group of its own; nothing of it is made yet."""
         return _MadeRow(self, row), 0
+
+    def made(self, start: int, count: int) -> Any:
+        """Make some rows at once, as an Arrow table."""
+        rows = make_rows(self.spec, self.split, self.seed, start, count)
+        return table_of(rows, scene_schema(self.spec.class_names))
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one column of all rows, of those that need no scene."""

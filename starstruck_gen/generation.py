@@ -1,51 +1,46 @@
-"""The main job: from a specification to a finished data set folder, and what that would take."""
+"""From a specification to a finished data set folder, and what that would take."""
 
 from __future__ import annotations
 
 import os
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any
 
-from starstruck_gen.card import write_card
+from starstruck_gen.columns import PARQUET_STYLE, SceneRow, scene_schema
 from starstruck_gen.kind import KIND
-from starstruck_gen.rows import PARQUET_STYLE, make_rows, require_sound, scene_table
+from starstruck_gen.make import make_rows, require_sound
 from starstruck_gen.sampling import LayoutFailed, SamplingExhausted, require_feasible
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_seed
 from starstruck_gen.summary import count_scenes
+from tactile_toolkit import making
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.run.processes import Runner
+from tactile_toolkit.store.build import Progress
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
+from tactile_toolkit.store.forecast import Forecast
 from tactile_toolkit.store.job import manifest_so_far
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import encode_parquet
-from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
-from tactile_toolkit.store.shards import ShardName, shard_ranges
+from tactile_toolkit.store.manifest import Manifest, without_collecting
 from tactile_toolkit.wording import is_whole, plain_pairs
 
 __all__ = [
     "GenerateSpec",
     "PUBLISHED_SIZES",
-    "SceneRecipe",
-    "SceneShard",
+    "SceneMaking",
     "forecast",
     "generate",
-    "plan_build",
+    "recipe_settings",
+    "scene_recipe",
 ]
 
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
 
-# A scene takes tens of microseconds: fewer would measure the clock.
-_SAMPLED = 200
 _LARGEST_SHARD = 10_000
 _SMALLEST_SHARD = 1_000
-_SHARDS_WANTED = 48
 
 
 @dataclass(frozen=True)
@@ -115,46 +110,45 @@ class GenerateSpec:
 
 
 @dataclass(frozen=True)
-class SceneShard:
-    """The task of one shard: ``size`` scenes of the split from ``start`` on. Touches no file of the set."""
+class SceneMaking(making.Making):
+    """How scenes are made: drawn by rejection, made solids, proved."""
 
-    shard: ShardName
-    start: int
-    size: int
-    spec: GenerateSpec = field(repr=False)
+    spec: GenerateSpec
+    kind = KIND
 
-    def make(self) -> ShardContent:
-        """Make the rows, prove them and count what it took; SamplingExhausted when a scene cannot be made."""
-        rows = make_rows(self.spec.scene, self.shard.split, self.spec.seed, self.start, self.size)
-        require_sound(self.spec.scene, rows)
-        counts = count_scenes(self.spec.scene, rows.scenes)
-        return ShardContent(scene_table(rows), statistics=counts.to_dict())
+    def manifest(self) -> Mapping[str, Any]:
+        """Return the specification."""
+        return self.spec.to_dict()
 
+    def items(self) -> Mapping[str, range]:
+        """Return the numbers of the scenes of each split."""
+        return {split: range(self.spec.rows(split)) for split in SPLITS}
 
-def plan_build(spec: GenerateSpec, splits: Sequence[str]) -> BuildPlan:
-    """Decide which shards hold which scenes; pure. InputError for an unknown split or nothing to make."""
-    require_known_splits(splits, SPLITS)
-    tasks = [
-        SceneShard(shard, rows.start, len(rows), spec)
-        for split in SPLITS
-        if split in splits
-        for shard, rows in shard_ranges(
-            split, spec.rows(split), smallest=_SMALLEST_SHARD, largest=_LARGEST_SHARD, wanted=_SHARDS_WANTED
+    def layout(self) -> making.Layout:
+        """Return how rows are stored."""
+        return making.Layout(
+            PARQUET_STYLE,
+            libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
+            smallest=_SMALLEST_SHARD,
+            largest=_LARGEST_SHARD,
+            wanted=48,
+            sampled=200,  # a scene takes tens of microseconds: fewer would measure the clock
         )
-    ]
-    if not tasks:
-        message = (
-            f"no scenes to make for {', '.join(splits)}: --scenes gives {dict(spec.scenes)}; next: raise it"
-        )
-        raise InputError(message)
-    return BuildPlan(
-        KIND.name,
-        spec.to_dict(),
-        SPLITS,
-        tuple(tasks),
-        PARQUET_STYLE,
-        libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
-    )
+
+    def schema(self, split: str) -> Any:
+        """Return the Arrow schema of a shard."""
+        return scene_schema(self.spec.scene.class_names)
+
+    def make(self, split: str, items: Any) -> list[SceneRow]:
+        """Make the rows and prove them; SamplingExhausted when a scene cannot be made."""
+        with without_collecting():
+            rows = make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
+            require_sound(self.spec.scene, rows)
+        return rows
+
+    def statistics(self, rows: Sequence[SceneRow]) -> Mapping[str, Any]:
+        """Count what it took."""
+        return count_scenes(self.spec.scene, rows).to_dict()
 
 
 def generate(
@@ -206,21 +200,19 @@ def generate(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    folder = DataFolder(os.fspath(out))
-    plan = plan_build(spec, splits)
-    require_feasible(spec.scene, spec.seed, on_failure)
     try:
-        return build(
-            folder,
-            plan,
-            runner_for(workers),
+        return making.generate(
+            SceneMaking(spec),
+            out,
+            splits,
+            workers=workers,
             overwrite=overwrite,
             on_progress=on_progress,
-            write_card=write_card,
+            require=partial(require_feasible, spec.scene, spec.seed, on_failure),
         )
     # The message has to name what stays: the next attempt with other numbers is refused there.
     except SamplingExhausted as error:
-        so_far = manifest_so_far(folder)
+        so_far = manifest_so_far(DataFolder(os.fspath(out)))
         if so_far is None or not so_far.shards:
             raise
         raise replace(error, kept_in=os.fspath(out)) from error
@@ -236,54 +228,22 @@ def forecast(
     on_failure: LayoutFailed = lambda _failed, _allowed: None,
 ) -> Forecast:
     """Estimate a run of :func:`generate` by making some of its scenes; writes nothing."""
-    plan = plan_build(spec, splits)
-    require_feasible(spec.scene, spec.seed, on_failure)
-    first = plan.tasks[0].shard.split
-
-    def encoded_bytes(count: int) -> int:
-        rows = make_rows(spec.scene, first, spec.seed, 0, count)
-        require_sound(spec.scene, rows)
-        return len(encode_parquet(scene_table(rows), PARQUET_STYLE))
-
-    def measure() -> Sample:
-        encoded_bytes(1)  # the first scene pays for imports and for the solids of the shapes
-        sampled = min(_SAMPLED, spec.rows(first))
-        start_s = time.perf_counter()
-        size = encoded_bytes(sampled)
-        return Sample(sampled, size / sampled, (time.perf_counter() - start_s) / sampled)
-
-    return forecast_build(out, plan, workers, measure, overwrite=overwrite)
+    require = partial(require_feasible, spec.scene, spec.seed, on_failure)
+    return making.forecast(SceneMaking(spec), out, splits, workers, overwrite=overwrite, require=require)
 
 
-@dataclass(frozen=True, slots=True)
-class SceneRecipe:
-    """How a data set of scenes is made without any input: as published, or with fewer scenes."""
+def scene_recipe(seed: int, per_class: int | None) -> making.Recipe:
+    """Return how scenes are made without any input: as published, or with fewer scenes."""
+    most = MOST_SCENES if per_class is None else per_class * len(KIND.class_names)
+    scenes = {split: min(size, most) for split, size in PUBLISHED_SIZES}
+    sizes = None if per_class is None else ",".join(f"{split}={size}" for split, size in scenes.items())
+    spec = GenerateSpec(scenes=plain_pairs(scenes), seed=seed)
+    return making.Recipe(SceneMaking(spec), {"scenes": sizes, "seed": seed})
 
-    seed: int
-    per_class: int | None
-    splits: tuple[str, ...] = SPLITS
 
-    def spec(self) -> Any:
-        """Return the specification."""
-        return GenerateSpec(scenes=self._scenes(), seed=self.seed)
-
-    def begun(self, spec: Mapping[str, Any]) -> SceneRecipe | None:
-        """Return the recipe of a folder with this specification."""
-        counts = spec.get("scenes")
-        most = max(counts.values(), default=0) if isinstance(counts, Mapping) else 0
-        seed, per_class = spec.get("seed", 0), most // len(KIND.class_names)
-        return SceneRecipe(seed, per_class) if per_class and isinstance(seed, int) else None
-
-    def arguments(self, split: str) -> str:
-        """Return the arguments of the command that makes a split."""
-        sizes = ",".join(f"{name}={size}" for name, size in self._scenes())
-        scenes = "" if self.per_class is None else f" --scenes {sizes}"
-        return f"--split {split}{scenes}" + (f" --seed {self.seed}" if self.seed else "")
-
-    def make(self, out: str, split: str, workers: int) -> None:
-        """Make one split."""
-        generate(self.spec(), out, (split,), workers=workers)
-
-    def _scenes(self) -> tuple[tuple[str, int], ...]:
-        most = None if self.per_class is None else self.per_class * len(KIND.class_names)
-        return tuple((split, size if most is None else min(size, most)) for split, size in PUBLISHED_SIZES)
+def recipe_settings(spec: Mapping[str, Any]) -> tuple[int, int | None] | None:
+    """Return seed and number per class of the recipe by which a folder may have been made."""
+    counts, seed = spec.get("scenes"), spec.get("seed", 0)
+    most = max(counts.values(), default=0) if isinstance(counts, Mapping) else 0
+    per_class = most // len(KIND.class_names)
+    return (seed, per_class) if per_class and isinstance(seed, int) else None

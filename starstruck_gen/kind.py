@@ -15,11 +15,12 @@ KIND = DatasetKind(
     made_by="starstruck generate",
     card_template="starstruck.md",
     write_card=lazy("starstruck_gen.card:write_card"),
-    schema=lazy("starstruck_gen.rows:scene_schema"),
+    schema=lazy("starstruck_gen.columns:scene_schema"),
     class_names=("1", "2", "3"),  # Tactile MNIST paper, section Starstruck
     columns=("star_count",),
     published=(tactile_mnist_set("starstruck", "starstruck", "3,300 scenes with one to three stars"),),
     plan_previews=lazy("starstruck_gen.previews:plan_previews"),
     plan_gallery=lazy("starstruck_gen.gallery:plan_gallery"),
-    recipe=lazy("starstruck_gen.generation:SceneRecipe"),
+    recipe=lazy("starstruck_gen.generation:scene_recipe"),
+    recipe_settings=lazy("starstruck_gen.generation:recipe_settings"),
 )

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from starstruck_gen.columns import SceneRow
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.store.manifest import Manifest
@@ -44,20 +46,25 @@ class Acceptance:
         return cls(**plain)
 
 
-def count_scenes(spec: SceneSpec, scenes: Sequence[Scene]) -> Acceptance:
+def count_scenes(spec: SceneSpec, scenes: Sequence[Scene | SceneRow]) -> Acceptance:
     """Count scenes of one specification."""
-    classes = [0] * len(spec.stars)
-    distractors = [0] * (spec.distractors[1] + 1)
-    objects = [0] * spec.most_objects
+    classes = Counter(scene.star_count for scene in scenes)
+    distractors = Counter(scene.distractor_count for scene in scenes)
+    sizes = Counter(len(scene.attempts) for scene in scenes)
     attempts = [0] * spec.most_objects
     for scene in scenes:
-        classes[spec.stars.index(scene.star_count)] += 1
-        distractors[scene.distractor_count] += 1
         for number, tried in enumerate(scene.attempts):
-            objects[number] += 1
             attempts[number] += tried
-    restarts = sum(scene.restarts for scene in scenes)
-    return Acceptance(tuple(classes), tuple(distractors), tuple(objects), tuple(attempts), restarts)
+    return Acceptance(
+        classes=tuple(classes[stars] for stars in spec.stars),
+        distractors=tuple(distractors[count] for count in range(spec.distractors[1] + 1)),
+        objects=tuple(
+            sum(count for size, count in sizes.items() if size > number)
+            for number in range(spec.most_objects)
+        ),
+        attempts=tuple(attempts),
+        restarts=sum(scene.restarts for scene in scenes),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,10 +86,7 @@ class SplitSummary:
         """Return JSON values."""
         per_object = [round(mean, 4) for mean in self.acceptance.attempts_per_object]
         return {
-            "split": self.split,
-            "rows": self.rows,
-            "shards": self.shards,
-            "bytes": self.bytes,
+            **asdict(self),
             "bytes_per_scene": round(self.bytes_per_scene, 1),
             "acceptance": {**self.acceptance.to_dict(), "attempts_per_object": per_object},
         }

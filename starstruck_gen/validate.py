@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from starstruck_gen.dataset import SceneRecord
+from starstruck_gen.kind import KIND
 from starstruck_gen.placement import stamp
-from starstruck_gen.rows import CLASS_NAMES
 from starstruck_gen.shapes import KINDS, Proportions, outline
 from starstruck_gen.solid import own_kinds, register_shape
 from tactile_toolkit.catalog.checking import check_rows, shards_to_check
@@ -66,15 +66,7 @@ class Checked:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "path": self.path,
-            "checked": self.checked,
-            "failed": self.failed,
-            "bodies": self.bodies,
-            "stars": self.stars,
-            "declared": self.declared,
-            "failures": [asdict(failure) for failure in self.failures],
-        }
+        return {**asdict(self), "failures": [asdict(each) for each in self.failures], "failed": self.failed}
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
         """Return header, rows and title of a table of the scenes that fail."""
@@ -99,21 +91,23 @@ def validate_folder(
     """
     path = os.fspath(path)
     shards = shards_to_check(path, split, "starstruck generate")
-    check = _Prove({shard.path: class_names(shard.schema, CLASS_NAMES) for _, shard in shards}, own_kinds())
-    rows = check_rows(shards, check, _COLUMNS, limit, workers, on_progress)
-    failures = []
-    for row in rows:
-        problem = f"field {row.null_field!r} of row {row.row} is null; expected a value"
-        if row.found is not None:
-            problem = row.found.problem
-        if problem:
-            failures.append(Failure(row.split, _NO_ID if row.id is None else row.id, problem))
-    sound = [row.found for row in rows if row.found is not None and not row.found.problem]
+    names = {shard.path: class_names(shard.schema, KIND.class_names) for _, shard in shards}
+    rows = check_rows(shards, _Prove(names, own_kinds()), _COLUMNS, limit, workers, on_progress)
+    found = [
+        row.found or _Found(f"field {row.null_field!r} of row {row.row} is null; expected a value")
+        for row in rows
+    ]
+    sound = [each for each in found if each.problem is None]
+    failures = (
+        Failure(row.split, _NO_ID if row.id is None else row.id, each.problem)
+        for row, each in zip(rows, found, strict=True)
+        if each.problem is not None
+    )
     return Checked(
         path,
         len(rows),
-        sum(found.bodies for found in sound),
-        sum(found.stars for found in sound),
+        sum(each.bodies for each in sound),
+        sum(each.stars for each in sound),
         tuple(failures),
         any("placements" in column_names(shard.schema) for _, shard in shards),
     )
@@ -121,7 +115,7 @@ def validate_folder(
 
 @dataclass(frozen=True, slots=True)
 class _Found:
-    problem: str
+    problem: str | None
     bodies: int = 0
     stars: int = 0
 
@@ -139,8 +133,8 @@ class _Prove:
                 register_shape(kind)
         record = SceneRecord(row)
         try:
-            problem, bodies = inspect_scene(record, self.names[row.path])
-            return _Found(problem or "", bodies, record.star_count if record.has_placements else 0)
+            problem, bodies = _inspect(record, self.names[row.path])
+            return _Found(problem, bodies, record.star_count if record.has_placements else 0)
         except (TypeError, ValueError, OverflowError) as error:
             # Columns of other types than those of a data set of scenes.
             return _Found(f"cannot be read as a scene: {error}")
@@ -150,28 +144,26 @@ _PLACE_TOLERANCE_M = 1e-7
 """How far a stored corner may lie from the declared object: other processors round in other ways."""
 
 
-def check_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> str | None:
+def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) -> str | None:
     """Prove one stored scene the long way, from its triangles; return what is wrong, None when all holds.
 
     The triangles bound solids of which none overlap (:mod:`tactile_toolkit.mesh.solid_check`);
     they stand on z = 0; there is one for each declared object, and it is that object; there are as many stars
     as the class says. A scene without declared objects (the published data set) is held to its solids alone.
     """
-    return inspect_scene(record, names)[0]
+    return _inspect(record, names)[0]
 
 
-def inspect_scene(record: SceneRecord, names: Sequence[str] = CLASS_NAMES) -> tuple[str | None, int]:
-    """Return what is wrong with a scene, as :func:`check_scene` does, and how many bodies it has."""
+def _inspect(record: SceneRecord, names: Sequence[str]) -> tuple[str | None, int]:
+    """Return what is wrong with a scene, None when all holds, and how many bodies it has."""
     mesh = Mesh(record.vertices_m, record.faces)
     verdict = check_manifold(mesh)
     if verdict.problem is not None:
         return f"{verdict.problem}: {verdict.detail}", verdict.bodies
-    problem = (
-        _afloat(mesh, verdict.manifold.decompose())
-        or _undeclared(mesh, verdict.bodies, record)
-        or _miscounted(record, names)
-    )
-    return problem, verdict.bodies
+    problem = _afloat(mesh, verdict.manifold.decompose())
+    if record.has_placements:
+        problem = problem or _undeclared(mesh, verdict.bodies, record)
+    return problem or _miscounted(record, names), verdict.bodies
 
 
 def _afloat(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
@@ -189,8 +181,6 @@ def _afloat(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
 
 
 def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
-    if not record.has_placements:
-        return None
     try:
         for placement in record.placements:
             outline(placement.shape)

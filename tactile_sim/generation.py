@@ -1,13 +1,10 @@
-"""The main job: from a data set of solids to a data set of touches of them."""
+"""From a data set of solids to a data set of touches of them."""
 
 from __future__ import annotations
 
-import dataclasses
 import hashlib
-import math
 import os
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from pathlib import Path
@@ -16,16 +13,16 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.card import write_card
+from tactile_sim.columns import TouchRow, touch_schema
 from tactile_sim.kind import KIND
 from tactile_sim.layers import checked_layer_m
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
 from tactile_sim.plan import generator, plan_round
 from tactile_sim.pressing import Pressable, press
-from tactile_sim.rows import TouchRow, parquet_style, touch_table
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_sim.spec import TouchPlan
+from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, integer
@@ -35,31 +32,27 @@ from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, refuse_source
-from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.run.processes import Runner
+from tactile_toolkit.store.build import Progress
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
+from tactile_toolkit.store.forecast import Forecast
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import encode_parquet
-from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
-from tactile_toolkit.store.shards import ShardName, Skipped, rows_per_shard
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.shards import Skipped
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M, RENDERED_CONTACT_M
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
 from tactile_toolkit.touch.schema import class_names
 
-__all__ = ["GenerateSpec", "TouchShard", "forecast", "generate", "noisy", "plan_build"]
+__all__ = ["GenerateSpec", "TouchMaking", "forecast", "generate", "noisy"]
 
 # The published 64 x 64 sets are these, scaled down: the whole sensor, squashed.
 _PUBLISHED_PX = (320, 240)
 # Encoded pictures in memory, which is all that a worker holds of a shard.
 _SHARD_BYTES = 64 << 20
-_LARGEST_SHARD_BYTES = 256 << 20  # in splits of very many rounds
 _GROUP_BYTES = 8 << 20
 # The published 64 x 64 touches take 0.21 (110,578,548 bytes of 128,000 pictures).
 _JPEG_BYTES_PER_PX = 0.25
-# A round of 32 touches takes some 10 ms, the first look at a solid 28.
-_SAMPLED_ROUNDS = 3
 
 
 def require_pictures(optics: str) -> None:
@@ -156,47 +149,118 @@ class GenerateSpec:
 
 
 @dataclass(frozen=True)
-class TouchShard:
-    """The task of one shard: rounds ``start`` to ``start + size - 1`` of a split, object after object."""
+class SolidSplit:
+    """A split of a data set of solids: its files, and the names of its classes."""
 
-    shard: ShardName
-    paths: tuple[str, ...] = field(repr=False)
-    names: tuple[str, ...] = field(repr=False)
-    start: int
-    size: int
-    spec: GenerateSpec = field(repr=False)
+    shards: tuple[Shard, ...]
+    names: tuple[str, ...]
 
-    def make(self) -> ShardContent:
-        """Render the rounds; objects that bound no solid are left out and listed."""
-        solids = SolidDataset([ShardedTable(tuple(map(Shard, self.paths)))], label_names=self.names)
-        rounds = self.spec.plan.rounds
-        rows, skipped = [], []
-        first, last = self.start // rounds, (self.start + self.size - 1) // rounds
-        for place in range(first, last + 1):
-            record, start = solids[place], self.start - place * rounds
-            numbers = [
-                number
-                for number in range(max(start, 0), min(start + self.size, rounds))
-                if self.spec.plan.touches_of(record.id, number)
-            ]
-            if not numbers:
+    @classmethod
+    def find(cls, place: str, split: str) -> SolidSplit:
+        """Read the footers of a split; InputError for a source without meshes."""
+        shards = find_shards(place, split)
+        schema = ShardedTable(shards).schema
+        require_mesh_columns(schema, place, "mnist3d generate")
+        return cls(shards, class_names(schema, place))
+
+    def __len__(self) -> int:
+        """Count its objects."""
+        return sum(map(len, self.shards))
+
+    def solids(self) -> SolidDataset[Any]:
+        """Open it."""
+        return SolidDataset([ShardedTable(self.shards)], label_names=self.names)
+
+
+@dataclass(frozen=True)
+class TouchMaking(making.Making):
+    """How rounds of touches are made: for each object a plan of where it lies and is touched, then pictures.
+
+    The items are numbers of rounds, object after object.
+    """
+
+    spec: GenerateSpec
+    source: Mapping[str, SolidSplit] = field(repr=False)
+    kind = KIND
+
+    @classmethod
+    def of(cls, source: str | os.PathLike[str], spec: GenerateSpec) -> TouchMaking:
+        """Look at the source; InputError for one that cannot be touched, or a plan that names no object."""
+        name = os.fspath(source)
+        if Path(name).suffix.lower() in FORMATS:
+            message = (
+                f"{name!r} is a single mesh; expected a data set of solids; next: `tactile-sim render` for a "
+                "look at one mesh, or `tactile_sim.press` in Python"
+            )
+            raise InputError(message)
+        make_optics(spec.optics, spec.weights)  # what is missing is reported before anything is written
+        place = place_of(name)
+        splits = {split: SolidSplit.find(place, split) for split in splits_of(place)}
+        _require_known_objects(name, splits, spec)
+        return cls(spec, splits)
+
+    def manifest(self) -> Mapping[str, Any]:
+        """Return options and source, each split for itself: a folder can be filled split by split."""
+        source = {split: list(map(content_fingerprint, each.shards)) for split, each in self.source.items()}
+        return {"operation": "generate", "options": self.spec.to_dict(), "source": source}
+
+    def items(self) -> Mapping[str, range]:
+        """Return the rounds of each split."""
+        limit, rounds = self.spec.limit, self.spec.plan.rounds
+        return {
+            split: range(rounds * (len(each) if limit is None else min(len(each), limit)))
+            for split, each in self.source.items()
+        }
+
+    def layout(self) -> making.Layout:
+        """Return how rows are stored: pictures do not compress again."""
+        per_shard = self._rounds_for(_SHARD_BYTES)
+        return making.Layout(
+            ParquetStyle(
+                self._rounds_for(_GROUP_BYTES),
+                compression_level=3,
+                encodings=(("sensor_image.list.element.bytes", "PLAIN"),),
+            ),
+            libraries=("numpy", "pillow", "pyarrow", *(["torch"] if self.spec.optics == "cyclegan" else [])),
+            smallest=per_shard,
+            largest=per_shard,
+            sampled=3,  # a round of 32 touches takes some 10 ms, the first look at a solid 28
+        )
+
+    def _rounds_for(self, size_bytes: int) -> int:
+        width, height = self.spec.size_px
+        # 600 bytes: the tables at the start of each JPEG.
+        round_bytes = self.spec.plan.touches * (width * height * _JPEG_BYTES_PER_PX + 600)
+        return int(min(1024, max(1, size_bytes // round_bytes)))
+
+    def schema(self, split: str) -> Any:
+        """Return the Arrow schema of a shard."""
+        return touch_schema(self.source[split].names)
+
+    def make(self, split: str, items: Any) -> Iterator[TouchRow | Skipped]:
+        """Render the rounds; of an object that bounds no solid yield once why."""
+        solids, plan = self.source[split].solids(), self.spec.plan
+        for place in range(items.start // plan.rounds, (items.stop - 1) // plan.rounds + 1):
+            record, start = solids[place], place * plan.rounds
+            numbers = range(max(items.start - start, 0), min(items.stop - start, plan.rounds))
+            touched = [number for number in numbers if plan.touches_of(record.id, number)]
+            if not touched:
                 continue
             try:
                 solid = Pressable.of(record, layer_m=self.spec.layer_m)
             except InputError as error:
-                # Once, whatever shards its rounds lie in: in that of the first round that it would have.
-                if not any(self.spec.plan.touches_of(record.id, number) for number in range(numbers[0])):
-                    skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
+                # Whatever shards its rounds lie in: in that of the first round that it would have.
+                if not any(plan.touches_of(record.id, number) for number in range(touched[0])):
+                    yield Skipped(record.id, "no-solid", f"object {record.id}: {error}")
                 continue
-            rows += [
-                _make_row(self.spec, solid, self.shard.split, record.id, record.label, number)
-                for number in numbers
-            ]
-        table = touch_table(rows, self.names, IMAGE_SUFFIX[self.spec.image_format])
-        touches = sum(len(row.images) for row in rows)
+            for number in touched:
+                yield _make_row(self.spec, solid, split, record.id, record.label, number)
+
+    def statistics(self, rows: Sequence[TouchRow]) -> Mapping[str, int]:
+        """Count touches, and those that met the object."""
         met_m = PRESS_DEPTH_M + RENDERED_CONTACT_M
-        contacts = sum(int((row.sensor_z_m >= met_m).sum()) for row in rows)
-        return ShardContent(table, tuple(skipped), statistics={"touches": touches, "on_object": contacts})
+        on_object = sum(int((row.gel_position_m[:, 2] >= met_m).sum()) for row in rows)
+        return {"touches": sum(len(row.images) for row in rows), "on_object": on_object}
 
 
 def optics_of(spec: GenerateSpec) -> Optics:
@@ -219,15 +283,30 @@ def _make_row(
     optics = optics_of(spec)
     sensor = spec.sensor(optics)
     plan = plan_round(spec.plan, solid, split, object_id, number)
+    touches = len(plan.positions_m)
     # The gel comes straight down: sensors of the published environments never tilt.
-    targets = np.tile(np.eye(4), (len(plan.positions_m), 1, 1))
+    targets = np.tile(np.eye(4), (touches, 1, 1))
     targets[:, :2, 3] = plan.positions_m
     # The last pose is where the object lies after the last touch: nothing is felt there.
     pressed = press(solid, plan.object_poses[:-1], targets, sensor)
     pictures = optics.render(pressed.depth_m, sensor, spec.size_px)
     pictures = noisy(spec, pictures, split, object_id, number)
     images = [encode_image(each, spec.image_format, spec.quality) for each in pictures]
-    return TouchRow(f"{object_id}-{number}", label, object_id, plan, pressed.sensor_z_m, images)
+    suffix = IMAGE_SUFFIX[spec.image_format]
+    return TouchRow(
+        id=f"{object_id}-{number}",
+        label=label,
+        object_id=object_id,
+        # As published: the pose after the shift, so that touch i was rendered at the pose of touch i - 1.
+        moved_position_m=plan.object_position_m[1:],
+        moved_quaternion=plan.object_quaternion[1:],
+        positions_m=plan.positions_m,
+        gel_position_m=np.column_stack([plan.positions_m, pressed.sensor_z_m]),
+        gel_quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (touches, 1)),  # no turn, as x, y, z, w
+        images=[(each, f"{touch:03d}.{suffix}") for touch, each in enumerate(images)],
+        object_position_m=plan.object_position_m[:-1],
+        object_quaternion=plan.object_quaternion[:-1],
+    )
 
 
 def noisy(
@@ -240,87 +319,17 @@ def noisy(
     return add_noise(pictures, spec.noise, draw(), draw)
 
 
-def plan_build(
-    source: str | os.PathLike[str], spec: GenerateSpec, splits: Sequence[str] | None = None
-) -> BuildPlan:
-    """Decide which shards hold which rounds; reads footers and checksums of the source.
-
-    InputError for an unknown split, a source without meshes, or one without rows.
-    """
-    source = os.fspath(source)
-    if Path(source).suffix.lower() in FORMATS:
-        message = (
-            f"{source!r} is a single mesh; expected a data set of solids; next: `tactile-sim render` for a "
-            "look at one mesh, or `tactile_sim.press` in Python"
-        )
-        raise InputError(message)
-    place = place_of(source)
-    known = splits_of(place)
-    wanted = known if splits is None else tuple(splits)
-    require_known_splits(wanted, known)
-    make_optics(spec.optics, spec.weights)  # what is missing is said before anything is written
-    _require_known_objects(place, known, spec)
-    tasks: list[TouchShard] = []
-    usual, most = _rounds_for(spec, _SHARD_BYTES), _rounds_for(spec, _LARGEST_SHARD_BYTES, math.inf)
-    for split in (each for each in known if each in wanted):
-        shards = find_shards(place, split)
-        table = ShardedTable(shards)
-        require_mesh_columns(table.schema, source, "mnist3d generate")
-        names = class_names(table.schema, source)
-        objects = sum(map(len, shards)) if spec.limit is None else min(sum(map(len, shards)), spec.limit)
-        total = objects * spec.plan.rounds
-        per_shard = min(rows_per_shard(total, usual), most)
-        starts = range(0, total, per_shard)
-        tasks += [
-            TouchShard(
-                ShardName(split, index, len(starts)),
-                tuple(shard.path for shard in shards),
-                names,
-                start,
-                min(per_shard, total - start),
-                spec,
-            )
-            for index, start in enumerate(starts)
-        ]
-    if not tasks:
-        message = f"{source!r} holds no mesh in {', '.join(wanted)}; next: choose another split"
-        raise InputError(message)
-    # Each split for itself, so that a folder can be filled split by split.
-    identity = {
-        "operation": "generate",
-        "options": spec.to_dict(),
-        "source": {split: list(map(content_fingerprint, find_shards(place, split))) for split in known},
-    }
-    return BuildPlan(
-        KIND.name,
-        identity,
-        known,
-        tuple(tasks),
-        parquet_style(_rounds_for(spec, _GROUP_BYTES)),
-        libraries=("numpy", "pillow", "pyarrow", *(["torch"] if spec.optics == "cyclegan" else [])),
-    )
-
-
-def _require_known_objects(place: str, splits: Sequence[str], spec: GenerateSpec) -> None:
+def _require_known_objects(name: str, splits: Mapping[str, SolidSplit], spec: GenerateSpec) -> None:
     """Refuse given touches of objects that no split holds (InputError)."""
     given = spec.plan.given
     if given is None or given.object_id is None:
         return
-    held = [ShardedTable(find_shards(place, split)).column("id") for split in splits]
+    held = [ShardedTable(each.shards).column("id") for each in splits.values()]
     unknown = np.setdiff1d(given.object_id, np.concatenate(held))
     if len(unknown):
         shown = ", ".join(map(str, unknown[:5])) + (", ..." if len(unknown) > 5 else "")
-        message = (
-            f"touches of objects {shown} are given, and {place} holds no such id; next: mend `object_id`"
-        )
+        message = f"touches of objects {shown} are given, and {name} holds no such id; next: mend `object_id`"
         raise InputError(message)
-
-
-def _rounds_for(spec: GenerateSpec, size_bytes: int, most: float = 1024) -> int:
-    width, height = spec.size_px
-    # 600 bytes: the tables at the start of each JPEG.
-    round_bytes = spec.plan.touches * (width * height * _JPEG_BYTES_PER_PX + 600)
-    return int(min(most, max(1, size_bytes // round_bytes)))
 
 
 def generate(
@@ -377,14 +386,16 @@ def generate(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    folder = DataFolder(os.fspath(out))
-    plan = plan_build(source, spec, splits)
-    place = place_of(os.fspath(source))
-    refuse_source(
-        folder, os.fspath(source), (s for each in splits_of(place) for s in find_shards(place, each))
+    touches = TouchMaking.of(source, spec)
+    return making.generate(
+        touches,
+        out,
+        splits,
+        workers=workers,
+        overwrite=overwrite,
+        on_progress=on_progress,
+        require=partial(_refuse_source, touches, source, out),
     )
-    runner = runner_for(workers)
-    return build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress, write_card=write_card)
 
 
 def forecast(
@@ -397,15 +408,11 @@ def forecast(
     overwrite: bool = False,
 ) -> Forecast:
     """Estimate a run of :func:`generate` by making some of its rounds; writes nothing."""
-    plan = plan_build(source, spec, splits)
-    task: Any = plan.tasks[0]
+    touches = TouchMaking.of(source, spec)
+    require = partial(_refuse_source, touches, source, out)
+    return making.forecast(touches, out, splits, workers, overwrite=overwrite, require=require)
 
-    def measure() -> Sample:
-        dataclasses.replace(task, size=1).make()  # the first round pays for imports and compiling
-        sampled = min(_SAMPLED_ROUNDS, task.size)
-        start_s = time.perf_counter()
-        content = dataclasses.replace(task, size=sampled).make()
-        size = len(encode_parquet(content.table, plan.style))
-        return Sample(sampled, size / sampled, (time.perf_counter() - start_s) / sampled)
 
-    return forecast_build(out, plan, workers, measure, overwrite=overwrite)
+def _refuse_source(touches: TouchMaking, source: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
+    shards = (shard for each in touches.source.values() for shard in each.shards)
+    refuse_source(DataFolder(os.fspath(out)), os.fspath(source), shards)

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
-from typing import Any, Protocol
+from typing import Any
 
 from tactile_toolkit.errors import InputError
 
@@ -19,7 +19,6 @@ __all__ = [
     "EXPORT",
     "DatasetKind",
     "PublishedSet",
-    "Recipe",
     "is_export",
     "kinds",
     "lazy",
@@ -88,26 +87,6 @@ def tactile_mnist_set(
     return PublishedSet(name, repo_id, content, citation, licence, aliases)
 
 
-class Recipe(Protocol):
-    """How a kind is made without any input; made of a seed and of how many rows of each class are wanted."""
-
-    @property
-    def splits(self) -> tuple[str, ...]:
-        """Splits that can be made, in order."""
-
-    def spec(self) -> Any:
-        """Return the specification; its ``to_dict`` is what a manifest keeps of it."""
-
-    def begun(self, spec: Mapping[str, Any]) -> Recipe | None:
-        """Return the recipe by which a folder with this specification may have been begun, if by any."""
-
-    def arguments(self, split: str) -> str:
-        """Return the arguments of the command that makes the same split, but for the folder."""
-
-    def make(self, out: str, split: str, workers: int) -> None:
-        """Make one split in a folder, going on where an interrupted run stopped."""
-
-
 def _not_offered(*_: Any, **__: Any) -> Any:
     raise NotImplementedError
 
@@ -153,7 +132,11 @@ class DatasetKind:
     plan_previews, plan_gallery : callable
         Plan pictures, or a page, of a data set, where the command line offers that.
     recipe : callable
-        Takes a seed and a number per class, returns the :class:`Recipe` of what needs no input, if any does.
+        Takes a seed and a number per class, returns the :class:`tactile_toolkit.making.Recipe` of what needs
+        no input, if any does.
+    recipe_settings : callable
+        Takes the specification of a manifest, returns seed and number per class of the recipe by which the
+        folder may have been begun; None if by none.
     """
 
     name: str
@@ -174,7 +157,8 @@ class DatasetKind:
     extra_files: tuple[str, ...] = ()
     plan_previews: Callable[..., Any] = _not_offered
     plan_gallery: Callable[..., Any] = _not_offered
-    recipe: Callable[[int, int | None], Recipe] = _not_offered
+    recipe: Callable[[int, int | None], Any] = _not_offered
+    recipe_settings: Callable[[Mapping[str, Any]], tuple[int, int | None] | None] = lambda _: None
 
     def load(self, name: str, split: str) -> Any:
         """Open a split as the kind's package does."""

@@ -16,8 +16,8 @@ KIND = DatasetKind(
     made_by="env-assets wrench",
     card_template="wrench.md",
     write_card=lazy("env_assets.wrench.card:write_card"),
-    schema=lazy("env_assets.wrench.generation:wrench_schema"),
+    schema=lazy("env_assets.wrench.columns:wrench_schema"),
     class_names=("wrench",),
     columns=("opening_mm",),
-    recipe=lazy("env_assets.wrench.generation:WrenchRecipe"),
+    recipe=lazy("env_assets.wrench.generation:wrench_recipe"),
 )

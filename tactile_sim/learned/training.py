@@ -28,8 +28,8 @@ from tactile_sim.learned.cyclegan import LOSSES, CycleGan
 from tactile_sim.learned.networks import weights_of
 from tactile_sim.learned.tensorboard import Events, require_tensorboard
 from tactile_sim.learned.weights import write_weights
-from tactile_sim.pairs.making import SPLITS
 from tactile_sim.pairs.reading import Pairs
+from tactile_sim.pairs.rows import SPLITS
 from tactile_sim.plan import generator
 from tactile_sim.sheets import sheet_png
 from tactile_sim.spec import TrainConfig

@@ -7,41 +7,36 @@ with fewer of those without contact than there are; it does not say how few.
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_sim.generation import SolidSplit
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
-from tactile_sim.pairs.rows import PairRow, depth_levels, encode_depth, pair_table, pairs_style
+from tactile_sim.pairs.rows import PairRow, depth_levels, encode_depth, pair_schema
 from tactile_sim.plan import key_of, plan_round
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_sim.spec import TouchPlan
+from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import lazy
-from tactile_toolkit.mesh.columns import require_mesh_columns
-from tactile_toolkit.mesh.records import SolidDataset
-from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, file_fingerprint, refuse_source
-from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.run.processes import Runner
+from tactile_toolkit.store.build import Progress
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.plan import BuildPlan, ShardContent
-from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.shards import Skipped
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
-from tactile_toolkit.touch.schema import class_names
 
-__all__ = ["SPLITS", "PairsSpec", "make_pairs", "plan_pairs"]
-
-SPLITS = ("depth", "real")
+__all__ = ["PairsMaking", "PairsSpec", "make_pairs"]
 
 # Pictures of 256 x 256 pixels take some 100 MB then.
 _ROWS_PER_SHARD = 1000
@@ -109,51 +104,6 @@ class PairsSpec:
         return asdict(self)
 
 
-@dataclass(frozen=True)
-class _DepthShard:
-    """Depth images ``start`` to ``start + size - 1``; ``objects`` are the meshes of all of them."""
-
-    shard: ShardName
-    paths: tuple[str, ...] = field(repr=False)
-    names: tuple[str, ...] = field(repr=False)
-    objects: int
-    start: int
-    size: int
-    spec: PairsSpec = field(repr=False)
-
-    def make(self) -> ShardContent:
-        """Press the gel onto one object after another; what bounds no solid is left out and listed."""
-        spec = self.spec
-        solids = SolidDataset([ShardedTable(tuple(map(Shard, self.paths)))], label_names=self.names)
-        rows: list[PairRow] = []
-        skipped: list[Skipped] = []
-        last, solid = -1, None
-        for number in range(self.start, self.start + self.size):
-            place = number * self.objects // spec.count  # neighbours share an object, which is checked once
-            record = solids[place]
-            if place != last:
-                last, solid = place, None
-                try:
-                    solid = Pressable.of(record)
-                except InputError as error:
-                    # Once, in the shard of its first image.
-                    if not number or (number - 1) * self.objects // spec.count != place:
-                        skipped.append(Skipped(record.id, "no-solid", f"object {record.id}: {error}"))
-            if solid is None:
-                continue
-            image = _touched(spec, solid, record.id, number)
-            rows.append(
-                PairRow(
-                    f"{record.id}-{number}",
-                    record.label,
-                    record.id,
-                    not spec.is_empty(number),
-                    encode_depth(depth_levels(image)),
-                )
-            )
-        return ShardContent(pair_table(rows, self.names, "png"), tuple(skipped), statistics=_counts(rows))
-
-
 def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> NDArray[np.float32]:
     """Return the depth image of one touch: the first of some places in the cell that meets the object."""
     sensor, least_m = spec.sensor, spec.min_height_m
@@ -179,78 +129,99 @@ def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> 
 
 
 @dataclass(frozen=True)
-class _RealShard:
-    """Real touches by their numbers in the split, which a plan drew."""
+class PairsMaking(making.Making):
+    """How a training set is made: objects are pressed for the split ``depth``, touches drawn for ``real``.
 
-    shard: ShardName
-    source: str
+    The items are numbers of depth images, and numbers of touches with whether they met their object.
+    """
+
+    spec: PairsSpec
+    objects: SolidSplit = field(repr=False)
+    real: str
     split: str
-    chosen: tuple[tuple[int, bool], ...] = field(repr=False)
     names: tuple[str, ...] = field(repr=False)
-    spec: PairsSpec = field(repr=False)
+    kind = KIND
 
-    @property
-    def size(self) -> int:
-        """How many touches."""
-        return len(self.chosen)
+    @classmethod
+    def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsMaking:
+        """Look at both sources; InputError for what is not of the right kind, or holds no mesh."""
+        solids = SolidSplit.find(place_of(objects), split)
+        if not len(solids):
+            message = f"split {split!r} of {objects!r} holds no mesh; next: choose another split"
+            raise InputError(message)
+        touches = KIND.load(real, split)
+        if spec.min_height_m is None:
+            spec = replace(spec, min_height_m=max(rule.min_height_m for rule in touches.contact_rules()))
+        return cls(spec, solids, real, split, tuple(touches.touches().label_names))
 
-    def make(self) -> ShardContent:
-        """Decode, scale and encode the touches."""
-        touches = KIND.load(self.source, self.split).touches()
-        kind, rows = self.spec.image_format, []
-        for number, contact in self.chosen:
+    def manifest(self) -> Mapping[str, Any]:
+        """Return options and sources."""
+        return {
+            "operation": "pairs",
+            "options": self.spec.to_dict(),
+            "split": self.split,
+            "source": {
+                "depth": list(map(content_fingerprint, self.objects.shards)),
+                "real": list(map(file_fingerprint, find_shards(place_of(self.real), self.split))),
+            },
+        }
+
+    def items(self) -> Mapping[str, Sequence[Any]]:
+        """Return both splits; reads poses, no picture. InputError where there are too few touches."""
+        touches = KIND.load(self.real, self.split).touches()
+        return {"depth": range(self.spec.count), "real": _draw(touches, self.spec, self.real)}
+
+    def layout(self) -> making.Layout:
+        """Return how rows are stored: pictures do not compress again."""
+        return making.Layout(
+            ParquetStyle(100, compression_level=3, encodings=(("sensor_image.bytes", "PLAIN"),)),
+            libraries=("numpy", "pillow", "pyarrow"),
+            smallest=_ROWS_PER_SHARD,
+            largest=_ROWS_PER_SHARD,
+        )
+
+    def schema(self, split: str) -> Any:
+        """Return the Arrow schema of a shard, with the classes of the source."""
+        return pair_schema(self.objects.names if split == "depth" else self.names)
+
+    def make(self, split: str, items: Sequence[Any]) -> Iterator[PairRow | Skipped]:
+        """Yield the rows of a split."""
+        return self._depth(items) if split == "depth" else self._real(items)
+
+    def _depth(self, items: Sequence[int]) -> Iterator[PairRow | Skipped]:
+        """Press the gel onto one object after another; of one that bounds no solid yield once why."""
+        spec, solids = self.spec, self.objects.solids()
+        last, solid = -1, None
+        for number in items:
+            place = number * len(self.objects) // spec.count  # neighbours share an object, checked once
+            record = solids[place]
+            if place != last:
+                last, solid = place, None
+                try:
+                    solid = Pressable.of(record)
+                except InputError as error:
+                    # In the shard of its first image.
+                    if not number or (number - 1) * len(self.objects) // spec.count != place:
+                        yield Skipped(record.id, "no-solid", f"object {record.id}: {error}")
+            if solid is None:
+                continue
+            key, contact = f"{record.id}-{number}", not spec.is_empty(number)
+            image = encode_depth(depth_levels(_touched(spec, solid, record.id, number)))
+            yield PairRow(key, record.label, record.id, contact, {"bytes": image, "path": f"{key}.png"})
+
+    def _real(self, items: Sequence[tuple[int, bool]]) -> Iterator[PairRow]:
+        """Decode, scale and encode touches."""
+        touches, kind = KIND.load(self.real, self.split).touches(), self.spec.image_format
+        for number, contact in items:
             touch = touches[number]
             (picture,) = scaled(touch.image[None], self.spec.size_px)
             key = f"{touch.round_id}-{touch.touch_index}"
-            rows.append(PairRow(key, touch.label, touch.object_id, contact, encode_image(picture, kind)))
-        table = pair_table(rows, self.names, IMAGE_SUFFIX[kind])
-        return ShardContent(table, statistics=_counts(rows))
+            image = {"bytes": encode_image(picture, kind), "path": f"{key}.{IMAGE_SUFFIX[kind]}"}
+            yield PairRow(key, touch.label, touch.object_id, contact, image)
 
-
-def _counts(rows: Sequence[PairRow]) -> dict[str, int]:
-    return {"touches": len(rows), "on_object": sum(row.contact for row in rows)}
-
-
-def plan_pairs(objects: str, real: str, split: str, spec: PairsSpec) -> BuildPlan:
-    """Decide which shards hold which depth images and touches; reads poses, no picture.
-
-    InputError where there are too few touches, or what is named is not of the right kind.
-    """
-    shards = find_shards(place_of(objects), split)
-    table = ShardedTable(shards)
-    require_mesh_columns(table.schema, objects, "mnist3d generate")
-    names = class_names(table.schema, objects)
-    meshes = sum(map(len, shards))
-    if not meshes:
-        message = f"split {split!r} of {objects!r} holds no mesh; next: choose another split"
-        raise InputError(message)
-    dataset = KIND.load(real, split)
-    if spec.min_height_m is None:
-        spec = replace(spec, min_height_m=max(rule.min_height_m for rule in dataset.contact_rules()))
-    touches = dataset.touches()
-    chosen = _draw(touches, spec, real)
-    tasks: list[Any] = []
-    starts = range(0, spec.count, _ROWS_PER_SHARD)
-    for index, start in enumerate(starts):
-        size = min(_ROWS_PER_SHARD, spec.count - start)
-        paths = tuple(shard.path for shard in shards)
-        name = ShardName("depth", index, len(starts))
-        tasks.append(_DepthShard(name, paths, names, meshes, start, size, spec))
-    for index, start in enumerate(starts):
-        part = tuple(chosen[start : start + _ROWS_PER_SHARD])
-        name = ShardName("real", index, len(starts))
-        tasks.append(_RealShard(name, real, split, part, tuple(touches.label_names), spec))
-    identity = {
-        "operation": "pairs",
-        "options": spec.to_dict(),
-        "split": split,
-        "source": {
-            "depth": list(map(content_fingerprint, shards)),
-            "real": list(map(file_fingerprint, find_shards(place_of(real), split))),
-        },
-    }
-    libraries = ("numpy", "pillow", "pyarrow")
-    return BuildPlan(KIND.name, identity, SPLITS, tuple(tasks), pairs_style(), libraries=libraries)
+    def statistics(self, rows: Sequence[PairRow]) -> Mapping[str, int]:
+        """Count touches, and those that met the object."""
+        return {"touches": len(rows), "on_object": sum(row.contact for row in rows)}
 
 
 def _draw(touches: Any, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
@@ -326,11 +297,13 @@ def make_pairs(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    plan = plan_pairs(objects, real, split, spec)
-    write_card = lazy("tactile_sim.card:write_card")
+    pairs = PairsMaking.of(objects, real, split, spec)
     folder = DataFolder(os.fspath(out))
-    for source in (objects, real):
-        refuse_source(folder, source, find_shards(place_of(source), split))
-    return build(
-        folder, plan, runner_for(workers), overwrite=overwrite, on_progress=on_progress, write_card=write_card
+
+    def require() -> None:
+        for source in (objects, real):
+            refuse_source(folder, source, find_shards(place_of(source), split))
+
+    return making.generate(
+        pairs, out, workers=workers, overwrite=overwrite, on_progress=on_progress, require=require
     )

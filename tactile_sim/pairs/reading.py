@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.kind import KIND
-from tactile_sim.pairs.making import SPLITS
-from tactile_sim.pairs.rows import decode_depth
+from tactile_sim.pairs.rows import SPLITS, decode_depth
 from tactile_toolkit.catalog.kinds import require_manifest
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError

@@ -3,40 +3,46 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
-from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.rows import column, plain_schema, row
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
 
 __all__ = [
     "DEPTH_LEVELS",
+    "SPLITS",
     "PairRow",
     "decode_depth",
     "depth_levels",
     "encode_depth",
-    "pair_table",
-    "pairs_style",
+    "pair_schema",
 ]
+
+SPLITS = ("depth", "real")
 
 DEPTH_LEVELS = 65535
 """Levels from deepest in the gel to no contact: 0.03 micrometres each."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+_PICTURE = "depth: grey, 16 bits, 0 deepest in the gel, 65535 no contact; real: colours"
+
+
+@row
 class PairRow:
     """One depth image or one real touch, encoded."""
 
-    id: str
-    label: int
-    object_id: int
-    contact: bool
-    image: bytes
+    id: str = column(pa.string(), "", "object and number, or round and touch")
+    label: int = column(pa.int64(), "", "class of the touched object")
+    object_id: int = column(pa.int64(), "", "`id` of its mesh")
+    contact: bool = column(pa.bool_(), "", "whether the gel met the object")
+    image: Mapping[str, Any] = column(MEDIA_TYPE, "H x W", _PICTURE, name="sensor_image")
 
 
 def depth_levels(image: NDArray[np.float32]) -> NDArray[np.uint16]:
@@ -75,24 +81,7 @@ def decode_depth(data: bytes) -> NDArray[np.float32]:
     return (levels / np.float32(DEPTH_LEVELS)).astype(np.float32)
 
 
-def pair_table(rows: Sequence[PairRow], class_names: tuple[str, ...], suffix: str) -> Any:
-    """Pack rows into an Arrow table; ``suffix`` names the format of the pictures."""
-    import pyarrow as pa
-
-    types = [
-        ("id", pa.string()),
-        ("label", pa.int64()),
-        ("object_id", pa.int64()),
-        ("contact", pa.bool_()),
-        ("sensor_image", MEDIA_TYPE),
-    ]
-    schema = with_features(pa.schema(types), class_names)
-    images = [{"bytes": row.image, "path": f"{row.id}.{suffix}"} for row in rows]
-    columns = [[getattr(row, name) for row in rows] for name, _ in types[:-1]]
-    arrays = [pa.array(values, each.type) for values, each in zip([*columns, images], schema, strict=True)]
-    return pa.Table.from_arrays(arrays, schema=schema)
-
-
-def pairs_style() -> ParquetStyle:
-    """Return the layout of shards: pictures do not compress again."""
-    return ParquetStyle(100, compression_level=3, encodings=(("sensor_image.bytes", "PLAIN"),))
+@cache
+def pair_schema(class_names: tuple[str, ...]) -> pa.Schema:
+    """Return the Arrow schema of a shard."""
+    return with_features(plain_schema(PairRow), class_names)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
 from string import Template
@@ -12,7 +13,7 @@ from typing import Any
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_text
 from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.cards.head import card_head, head_text
-from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.printable import markdown_code, markdown_text, printable, printable_json
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
@@ -20,8 +21,8 @@ from tactile_toolkit.store.manifest import Manifest
 
 __all__ = [
     "CARD_FILE",
+    "Card",
     "Column",
-    "MESH_COLUMNS",
     "MESH_TASKS",
     "PREVIEW_FOLDER",
     "addressed",
@@ -37,6 +38,7 @@ __all__ = [
     "placeholders",
     "render_card",
     "skipped_text",
+    "split_table",
     "write_card_files",
 ]
 
@@ -51,14 +53,82 @@ MESH_TASKS = {
 }
 """What meshes are for, in words of the Hub."""
 
-MESH_COLUMNS: dict[str, Column] = {
-    VERTICES: ("V x 3, m, frame below", "corner positions"),
-    FACES: ("F x 3", "triangles: rows of the corners, counter-clockwise seen from outside"),
-}
-
 _UNKNOWN: Column = ("", "a column of this copy; not in the published schema")
 # Templates have "FOLDER" there: a folder has no name by which others could load it.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
+
+
+@dataclass(frozen=True, kw_only=True)
+class Card:
+    """What a card says that does not follow from folder and manifest alone.
+
+    Attributes
+    ----------
+    template : str
+        File of ``data_cards``.
+    title : str
+        Name of the data set.
+    columns : mapping
+        Shape, unit and frame of each column, and its meaning.
+    picture : tuple
+        File name, PNG (None where there are no rows to draw) and caption.
+    licence : str
+        The Hub's word for it.
+    tags : sequence of str
+        For the page of the Hub.
+    nouns : str
+        What rows are called; as of the kind by default.
+    tasks : mapping
+        Further fields of the YAML head.
+    figures : mapping
+        Further columns of the table of splits: a value for each split.
+    made : sequence of (str, str)
+        Further lines on how it was made.
+    spec : mapping or None
+        What is shown of the specification; all of it by default.
+    values : mapping
+        What fills the template's other placeholders.
+    """
+
+    template: str
+    title: str
+    columns: Mapping[str, Column]
+    picture: tuple[str, bytes | None, str]
+    licence: str
+    tags: Sequence[str]
+    nouns: str = ""
+    tasks: Mapping[str, Any] = field(default_factory=lambda: MESH_TASKS)
+    figures: Mapping[str, Sequence[object]] = field(default_factory=dict)
+    made: Sequence[tuple[str, str]] = ()
+    spec: Any = None
+    values: Mapping[str, str] = field(default_factory=dict)
+
+    def write(self, folder: DataFolder, facts: FolderFacts, manifest: Manifest, kind: DatasetKind) -> None:
+        """Write ``README.md``, its picture and ``croissant.json``."""
+        spec = json_block(self.spec or manifest.spec)
+        made = [made_by(manifest), *self.made, ("left out", skipped_text(manifest))]
+        values = {
+            "title": markdown_text(self.title),
+            "noun": kind.noun,
+            "nouns": kind.nouns,
+            "spec": spec,
+            "made": f"{markdown_table(('', ''), made)}\n\n{spec}",
+            "skipped": skipped_text(manifest),
+            "split_table": split_table(facts, self.nouns or kind.nouns, self.figures),
+            "field_table": field_table(facts, self.columns),
+            **self.values,
+        }
+        head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
+        write_card_files(folder, facts, manifest, self.template, values, self.picture, **head)
+
+
+def split_table(facts: FolderFacts, nouns: str, figures: Mapping[str, Sequence[object]]) -> str:
+    """Lay out the splits: how many rows, any further ``figures`` of each, and sizes of files."""
+    rows = [
+        (s.split, f"{s.rows:,}", *more, len(s.paths), megabytes(s.file_bytes), megabytes(s.unpacked_bytes))
+        for s, *more in zip(facts.splits, *figures.values(), strict=True)
+    ]
+    return markdown_table(("split", nouns, *figures, "shards", "Parquet", "unpacked"), rows)
 
 
 def write_card_files(
@@ -207,9 +277,7 @@ def between(least: int, most: int) -> str:
     return f"{most:,}" if least == most else f"{least:,} to {most:,}"
 
 
-def skipped_text(manifest: Manifest, link: str = "") -> str:
-    """Write how many rows were left out for which reason; ``link`` stands between the two."""
-    listed = [
-        f"{count:,} {link}{markdown_text(reason)}" for reason, count in manifest.skipped_reasons().items()
-    ]
+def skipped_text(manifest: Manifest) -> str:
+    """Write how many rows were left out for which reason."""
+    listed = [f"{count:,} {markdown_text(reason)}" for reason, count in manifest.skipped_reasons().items()]
     return f"{', '.join(listed)}; `manifest.json` names each" if listed else "none"

@@ -46,6 +46,7 @@ _PLAIN_TYPES = {
     "mesh": "sc:Text",
 }
 _LINK = re.compile(r"\[([^\]]+)\]\([^)]*\)")
+_CODE = re.compile(r"```.*?```", re.DOTALL)
 _BIBTEX = re.compile(r"```bibtex\n(.*?)```", re.DOTALL)
 # Words of the Hub that are no licence of SPDX.
 _UNNAMED_LICENCES = ("other", "unknown")
@@ -57,7 +58,7 @@ _GIT_HAS_NO_DIGEST = "https://github.com/mlcommons/croissant/issues/80"
 def croissant_text(
     folder: DataFolder, facts: FolderFacts, manifest: Manifest | None, head: Mapping[str, Any], body: str
 ) -> str:
-    """Return the text for a folder; ``head`` and ``body`` are those of its card, and say it to people."""
+    """Return the text for a folder; ``head`` and ``body`` are those of its card, which people read."""
     citation = _BIBTEX.search(body)
     licence = str(head["license"])
     # As Croissant 1.1 prints it: readers warn of any other.
@@ -67,35 +68,27 @@ def croissant_text(
         "@type": "sc:Dataset",
         "conformsTo": ["http://mlcommons.org/croissant/1.1", "http://mlcommons.org/croissant/RAI/1.0"],
         "name": head["pretty_name"],
-        "description": " ".join([_intro(body), *_lines(_section(body, "What it is"))]),
-        "license": " ".join(_lines(_section(body, "Licence")))
-        if licence in _UNNAMED_LICENCES
+        "description": " ".join(_section(body, "What it is")),
         # SPDX writes CC-BY-2.0, the Hub cc-by-2.0.
+        "license": " ".join(_section(body, "Licence"))
+        if licence in _UNNAMED_LICENCES
         else f"https://spdx.org/licenses/{licence.upper()}.html",
         "keywords": list(head["tags"]),
+        "rai:dataCollection": " ".join(_section(body, "How it was made")),
+        "rai:dataUseCases": list(head["task_categories"]),
+        "rai:dataLimitations": _section(body, "Known limits"),
         **({"citeAs": citation[1].strip()} if citation else {}),
-        **({"version": manifest.toolkit_version} if manifest is not None else {}),
-        **_responsible_ai(manifest, head, body),
+        **(_of_manifest(manifest) if manifest is not None else {}),
         **_structure(folder, facts, manifest),
     }
     return printable_json(values) + "\n"
 
 
-def _responsible_ai(manifest: Manifest | None, head: Mapping[str, Any], body: str) -> dict[str, Any]:
-    known: dict[str, Any] = {
-        "rai:dataCollection": " ".join(_lines(_section(body, "How it was made"))),
-        "rai:dataUseCases": list(head["task_categories"]),
-        "rai:dataLimitations": _lines(_section(body, "Known limits")),
-        "rai:dataBiases": _shares(_section(body, "Splits")),
-    }
-    if manifest is None:
-        return known
+def _of_manifest(manifest: Manifest) -> dict[str, Any]:
     skipped = [f"{count:,} left out: {reason}" for reason, count in manifest.skipped_reasons().items()]
     libraries = ", ".join(f"{name} {version}" for name, version in sorted(manifest.libraries.items()))
-    if "source" in manifest.spec:
-        known["rai:dataCollectionRawData"] = f"what it was made of is 'source' in {MANIFEST_FILE}"
     return {
-        **known,
+        "version": manifest.toolkit_version,
         "rai:dataCollectionMissingData": "; ".join(skipped) or "nothing was left out",
         "rai:dataPreprocessingProtocol": [
             f"made by tactile-toolkit {manifest.toolkit_version}{f' with {libraries}' if libraries else ''}",
@@ -104,41 +97,12 @@ def _responsible_ai(manifest: Manifest | None, head: Mapping[str, Any], body: st
     }
 
 
-def _intro(body: str) -> str:
-    """Return the first paragraph of a card, below its title."""
-    return " ".join(_lines(body.split("\n## ")[0].partition("\n\n")[2].partition("\n\n")[0]))
-
-
-def _section(body: str, title: str) -> str:
-    return body.partition(f"\n## {title}\n")[2].partition("\n## ")[0]
-
-
-def _lines(markdown: str) -> list[str]:
-    """Return paragraphs, list items and lines of tables as plain text; blocks of code are left out."""
-    found: list[str] = []
-    for block in re.sub(r"```.*?```", "", markdown, flags=re.DOTALL).split("\n\n"):
-        lines = [line.strip() for line in block.strip().splitlines()]
-        if lines and lines[0].startswith("|"):
-            cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-            found += [f"{row[0]}: {', '.join(row[1:])}." for row in cells if row[0].strip(" -")]
-        elif lines and lines[0].startswith("- "):
-            found += [item for item in " ".join(lines).removeprefix("- ").split(" - ") if item]
-        elif lines and not lines[-1].endswith(":"):  # what introduces a block of code
-            found.append(" ".join(lines))
-    return [_LINK.sub(r"\1", line).replace("`", "").replace("\\", "") for line in found]
-
-
-def _shares(markdown: str) -> list[str]:
-    """Return how the rows divide, as the table of splits has it, without what it says of files."""
-    table = [line.strip(" |").split(" | ") for line in markdown.splitlines() if line.startswith("|")]
-    if not table:
-        return []
-    (_, *names), _, *rows = table
-    counts = names.index("shards") if "shards" in names else len(names)
-    return [
-        f"{split}: {', '.join(f'{name} {cell}' for name, cell in zip(names[:counts], cells, strict=False))}"
-        for split, *cells in rows
-    ]
+def _section(body: str, title: str) -> list[str]:
+    """Return paragraphs, list items and lines of tables of a section as plain text, without code."""
+    section = _CODE.sub("", body.partition(f"\n## {title}\n")[2].partition("\n## ")[0])
+    blocks = re.split(r"\n\n|\n(?=- |\|)", _LINK.sub(r"\1", section))
+    plain = (re.sub(r"^- |[`\\]|---", "", block.strip("| \n")).replace(" | ", ": ") for block in blocks)
+    return [" ".join(line.split()) for line in plain if line.strip(": ")]
 
 
 def _structure(folder: DataFolder, facts: FolderFacts, manifest: Manifest | None) -> dict[str, Any]:

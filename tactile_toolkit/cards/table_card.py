@@ -7,25 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
 
-from tactile_toolkit.cards.card import (
-    MESH_TASKS,
-    Column,
-    field_table,
-    first_rows,
-    json_block,
-    made_by,
-    markdown_table,
-    megabytes,
-    skipped_text,
-    write_card_files,
-)
+from tactile_toolkit.cards.card import Card, Column, first_rows
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.flat import MESH, SIZES
 from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
-from tactile_toolkit.printable import markdown_text
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 
@@ -49,6 +37,14 @@ class Terms:
     citation_text: str
     bibtex: str
 
+    def values(self) -> dict[str, str]:
+        """Return what fills the placeholders of a template."""
+        return {
+            "licence_text": self.licence_text,
+            "citation_text": self.citation_text,
+            "bibtex": self.bibtex,
+        }
+
 
 def write_table_card(
     folder: DataFolder,
@@ -62,43 +58,22 @@ def write_table_card(
 
     ``columns`` are those of the data set that they were made of, ``title`` is its name.
     """
-    facts, spec = folder_facts(folder, manifest), manifest.spec
-    rows = ", ".join(
-        f"{split}: {sum(file['rows'] for file in files):,}" for split, files in spec["source"].items()
-    )
-    made = [
-        made_by(manifest),
-        ("command", f"`{kind.command} export --format flat`"),
-        ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
-        (f"{kind.nouns} left out", skipped_text(manifest)),
-    ]
-    sizes = [
-        (s.split, f"{s.rows:,}", len(s.paths), megabytes(s.file_bytes), megabytes(s.unpacked_bytes))
-        for s in facts.splits
-    ]
-    values = {
-        "title": markdown_text(f"{title} as tables"),
-        "nouns": kind.nouns,
-        "noun": kind.noun,
-        "made": markdown_table(("", ""), made) + "\n\nOptions:\n\n" + json_block(spec["options"]),
-        "split_table": markdown_table(("split", kind.nouns, "shards", "Parquet", "unpacked"), sizes),
-        "field_table": field_table(facts, {**columns, **_COLUMNS}),
-        "licence_text": terms.licence_text,
-        "citation_text": terms.citation_text,
-        "bibtex": terms.bibtex,
-    }
-    write_card_files(
-        folder,
-        facts,
-        manifest,
-        "mesh_tables.md",
-        values,
-        ("tables.png", _sheet(facts), f"The first {kind.nouns}, seen from above"),
-        license=terms.licence,
-        pretty_name=f"{title} as tables",
-        **MESH_TASKS,
+    facts, source = folder_facts(folder, manifest), manifest.spec["source"]
+    rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in source.items())
+    Card(
+        template="mesh_tables.md",
+        title=f"{title} as tables",
+        columns={**columns, **_COLUMNS},
+        picture=("tables.png", _sheet(facts), f"The first {kind.nouns}, seen from above"),
+        licence=terms.licence,
         tags=["tactile", "active-perception", "3d", "mesh"],
-    )
+        made=[
+            ("command", f"`{kind.command} export --format flat`"),
+            ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
+        ],
+        spec=manifest.spec["options"],
+        values=terms.values(),
+    ).write(folder, facts, manifest, kind)
 
 
 def _sheet(facts: FolderFacts) -> bytes | None:

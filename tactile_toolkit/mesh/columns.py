@@ -6,18 +6,16 @@ such column to the mesh class, so that no other column may begin so (package tac
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.columns import column_names, vectors_type
-from tactile_toolkit.read.features import dtype_name, feature_metadata, label_feature, stored_class_names
+from tactile_toolkit.read.columns import column_names
+from tactile_toolkit.read.features import stored_class_names
 
 __all__ = [
     "FACES",
     "VERTICES",
     "class_names",
-    "mesh_set_schema",
     "require_mesh_columns",
 ]
 
@@ -26,34 +24,6 @@ VERTICES = "mesh.vertices"
 
 FACES = "mesh.faces"
 """Column of triangles: ``list<int32[3]>``, rows of the vertices."""
-
-
-def mesh_set_schema(class_names: tuple[str, ...], further: Sequence[tuple[str, Any]] = ()) -> Any:
-    """Return the Arrow schema of a set of meshes: the published flat columns, then ``further`` of ours.
-
-    Its metadata describe all columns to `datasets`.
-    """
-    import pyarrow as pa
-
-    numbers = [("id", pa.int64()), ("label", pa.int64())]
-    vectors = [(VERTICES, vectors_type(pa.float32())), (FACES, vectors_type(pa.int32()))]
-    schema = pa.schema([*numbers, *vectors, *further])
-    features = {field.name: _feature(field.type) for field in schema}
-    return schema.with_metadata(feature_metadata({**features, "label": label_feature(class_names)}))
-
-
-def _feature(data_type: Any) -> Any:
-    """Describe a column to `datasets`, in the spellings that both old and new releases read."""
-    import pyarrow as pa
-
-    if pa.types.is_list(data_type) and pa.types.is_struct(data_type.value_type):
-        return [{field.name: _feature(field.type) for field in data_type.value_type}]
-    if pa.types.is_fixed_size_list(data_type):
-        inner = _feature(data_type.value_type)
-        return {"feature": inner, "length": data_type.list_size, "_type": "Sequence"}
-    if pa.types.is_list(data_type):
-        return {"feature": _feature(data_type.value_type), "_type": "Sequence"}
-    return {"dtype": dtype_name(data_type), "_type": "Value"}
 
 
 def class_names(schema: Any, default: tuple[str, ...], where: str = "") -> tuple[str, ...]:

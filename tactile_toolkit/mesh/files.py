@@ -24,7 +24,15 @@ if TYPE_CHECKING:
 
     from tactile_toolkit.mesh.mesh import MeshLike
 
-__all__ = ["BROKEN_FILE", "FORMATS", "merge_equal_vertices", "pack_mesh", "read_mesh", "write_mesh"]
+__all__ = [
+    "BROKEN_FILE",
+    "FORMATS",
+    "file_ending",
+    "merge_equal_vertices",
+    "pack_mesh",
+    "read_mesh",
+    "write_mesh",
+]
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
@@ -57,7 +65,7 @@ def read_mesh(path: str | Path) -> Mesh:
         The file is missing, empty, cut short or not a mesh of its kind.
     """
     path = Path(path)
-    ending = _ending(path)
+    ending = file_ending(path)
     try:
         data = path.read_bytes()
     except OSError as error:
@@ -103,7 +111,7 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
         The file cannot be written.
     """
     path = Path(path)
-    data = pack_mesh(as_mesh(mesh), _ending(path))
+    data = pack_mesh(as_mesh(mesh), file_ending(path))
     with named_failures(str(path)):
         path.parent.stat()  # a folder that is mistyped is refused, not made
         with atomic_file(path) as stream:
@@ -144,7 +152,8 @@ def merge_equal_vertices(
     return vertices[first[by_appearance]], number[group][faces]
 
 
-def _ending(path: Path) -> str:
+def file_ending(path: Path) -> str:
+    """Return the ending of a mesh file; InputError for one that is not known."""
     ending = path.suffix.lower()
     if ending not in FORMATS:
         found = f"files ending in {ending!r}" if ending else "files without an ending"

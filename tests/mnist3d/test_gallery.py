@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import mnist3d
+from mnist3d.columns import REPORT_FILE
 from mnist3d.gallery import plan_gallery
-from mnist3d.rows import REPORT_FILE
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec

@@ -4,22 +4,21 @@ import hashlib
 import json
 import pickle
 import signal
-from dataclasses import replace
 
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
 import mnist3d
-from mnist3d.generation import GenerateSpec, generate, plan_build
-from mnist3d.rows import PARQUET_STYLE, mesh_schema
+from mnist3d.columns import digit_schema
+from mnist3d.generation import DigitMaking, GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SPLITS, SplitSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.making import plan_build
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
 from tactile_toolkit.store.verify import verify
 from tests.command_line import call
 from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
@@ -50,16 +49,16 @@ def test_every_digit_is_a_row_or_skipped_with_its_reason(flawed):
     assert f"digit {BLANK} of source 'flawed'" in skipped[BLANK].message
     ids = np.concatenate([mnist3d.load(str(folder), split).ids for split in rows])
     assert sorted(ids.tolist()) == sorted(set(range(30)) - set(skipped))
-    assert verify(DataFolder(str(folder)), mesh_schema()).ok
+    assert verify(DataFolder(str(folder)), digit_schema()).ok
     written = json.loads((folder / "manifest.json").read_text())
     assert written["skipped"] == {"all-ink": 1, "no-ink": 1, "unreadable": 1}
 
 
 def test_failures_move_no_other_digit(flawed, tmp_path):
     folder, _ = flawed
-    plan = plan_build(GenerateSpec(FlawedSource(), COARSE), SPLITS)
+    plan = plan_build(DigitMaking(GenerateSpec(FlawedSource(), COARSE)))
     for split in ("train", "test", "holdout"):
-        planned = [i for task in plan.tasks if task.shard.split == split for i in task.ids]
+        planned = [i for task in plan.tasks if task.shard.split == split for i in task.items]
         made = mnist3d.load(str(folder), split).ids.tolist()
         assert made == [i for i in planned if i not in (BLANK, FULL, UNREADABLE)]
 
@@ -121,7 +120,7 @@ def test_nothing_to_make_is_named(tmp_path):
 
 
 def test_shard_sizes_follow_from_the_split_alone():
-    plan = plan_build(GenerateSpec(SyntheticSource()), SPLITS)
+    plan = plan_build(DigitMaking(GenerateSpec(SyntheticSource())))
     counts = {split: [t.size for t in plan.tasks if t.shard.split == split] for split in SPLITS}
     assert {split: sum(sizes) for split, sizes in counts.items()} == {
         "train": 11_480,
@@ -132,12 +131,12 @@ def test_shard_sizes_follow_from_the_split_alone():
     }
     assert all(max(sizes) <= 128 for sizes in counts.values())
     assert len(counts["train"]) == 90
-    alone = plan_build(GenerateSpec(SyntheticSource()), ("test",))
+    alone = plan_build(DigitMaking(GenerateSpec(SyntheticSource())), ("test",))
     among_all = [task for task in plan.tasks if task.shard.split == "test"]
     assert [task.shard for task in alone.tasks] == [task.shard for task in among_all]
     for one, other in zip(alone.tasks, among_all, strict=True):
-        assert one.ids.tolist() == other.ids.tolist()
-        assert one.spec == other.spec
+        assert one.items.tolist() == other.items.tolist()
+        assert one.making == other.making
 
 
 COMMAND = (
@@ -225,21 +224,8 @@ def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, r
     assert size / rows <= 60_000
 
 
-def test_a_shard_made_in_pieces_has_the_bytes_of_one_made_at_once(monkeypatch):
-    style = replace(PARQUET_STYLE, rows_per_group=4)
-    spec = GenerateSpec(SyntheticSource(count=60), COARSE, limit=10)
-    task = plan_build(spec, ("train",)).tasks[0]
-    whole = task.make()
-    monkeypatch.setattr("mnist3d.generation._LARGEST_SHARD", style.rows_per_group)
-    pieces = task.make()
-    assert (pieces.table.column(0).num_chunks, whole.table.column(0).num_chunks) == (3, 1)
-    assert encode_parquet(pieces.table, style) == encode_parquet(whole.table, style)
-    assert encode_parquet(pieces.report, REPORT_STYLE) == encode_parquet(whole.report, REPORT_STYLE)
-    assert pieces.skipped == whole.skipped
-
-
 def test_a_task_takes_along_its_own_ids_only():
     spec = GenerateSpec(SyntheticSource(count=100_000), split=SplitSpec(sizes=(("train", 9_000),)))
-    task = plan_build(spec, ("train",)).tasks[3]
-    assert task.ids.base is not None  # a view of the ids of the split
+    task = plan_build(DigitMaking(spec), ("train",)).tasks[3]
+    assert task.items.base is not None  # a view of the ids of the split
     assert len(pickle.dumps(task)) < 8 * task.size + 2_000

@@ -9,15 +9,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from starstruck_gen.generation import GenerateSpec, generate, plan_build
+from starstruck_gen.columns import scene_schema
+from starstruck_gen.generation import GenerateSpec, SceneMaking, generate
+from starstruck_gen.make import make_rows, require_sound
 from starstruck_gen.placement import Placement, stamp
-from starstruck_gen.rows import make_rows, require_sound, scene_schema
 from starstruck_gen.sampling import SamplingExhausted
 from starstruck_gen.shapes import Disc, Shape, Star
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.summary import count_scenes, summarise
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit.making import plan_build
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import look, manifest_so_far
@@ -68,8 +70,8 @@ def test_folder_holds_what_is_promised(whole):
 def test_published_size_is_3000_and_300_balanced():
     spec = GenerateSpec()
     assert (spec.rows("train"), spec.rows("test")) == (3_000, 300)
-    sizes = {task.shard.split: 0 for task in plan_build(spec, ("train", "test")).tasks}
-    for task in plan_build(spec, ("train", "test")).tasks:
+    sizes = {task.shard.split: 0 for task in plan_build(SceneMaking(spec), ("train", "test")).tasks}
+    for task in plan_build(SceneMaking(spec), ("train", "test")).tasks:
         sizes[task.shard.split] += task.size
     assert sizes == {"train": 3_000, "test": 300}
 
@@ -78,7 +80,7 @@ def test_statistics_are_those_of_all_scenes(whole):
     summaries = {summary.split: summary for summary in summarise(read_manifest(DataFolder(str(whole))))}
     assert summaries["train"].acceptance.classes == (700, 700, 700)
     rows = make_rows(SceneSpec(), "train", 0, 0, 2_100)
-    assert summaries["train"].acceptance == count_scenes(SceneSpec(), rows.scenes)
+    assert summaries["train"].acceptance == count_scenes(SceneSpec(), rows)
     per_object = summaries["train"].acceptance.attempts_per_object
     assert per_object[0] == 1.0
     assert list(per_object) == sorted(per_object)
@@ -124,7 +126,7 @@ def test_another_seed_or_specification_is_refused_and_named(whole):
 
 
 def test_second_run_makes_nothing(whole):
-    state = look(DataFolder(str(whole)), plan_build(SMALL, ("train", "test")))
+    state = look(DataFolder(str(whole)), plan_build(SceneMaking(SMALL), ("train", "test")))
     assert state.todo == ()
     calls = []
     generate(SMALL, str(whole), on_progress=calls.append)
@@ -146,7 +148,7 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path):
     process = start_held("starstruck", 1, tmp_path / "held", *words)
     process.kill()
     process.communicate()
-    state = look(DataFolder(str(tmp_path / "killed")), plan_build(spec, ("train", "test")))
+    state = look(DataFolder(str(tmp_path / "killed")), plan_build(SceneMaking(spec), ("train", "test")))
     assert 1 <= len(state.kept) < len(state.kept) + len(state.todo) == 3
     generate(spec, str(tmp_path / "killed"))
     generate(spec, str(tmp_path / "whole"), workers=1)
@@ -228,7 +230,7 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
     generate(given, tmp_path / "path", ("train",))
     generate(plain, str(tmp_path / "text"), ("train",))
     assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
-    assert look(DataFolder(str(tmp_path / "path")), plan_build(given, ("train",))).todo == ()
+    assert look(DataFolder(str(tmp_path / "path")), plan_build(SceneMaking(given), ("train",))).todo == ()
 
 
 @pytest.mark.parametrize("splits", [("holdout",), ("test",)])
@@ -240,10 +242,10 @@ def test_nothing_to_make_is_refused(tmp_path, splits):
 def _rows_with(change):
     spec = SceneSpec()
     rows = make_rows(spec, "train", 0, 0, 6)
-    scene = rows.scenes[2]
-    changed = replace(scene, placements=change(scene.placements))
-    scenes = [*rows.scenes[:2], changed, *rows.scenes[3:]]
-    return spec, replace(rows, scenes=scenes, meshes=stamp([scene.placements for scene in scenes]))
+    placements = change(rows[2].placements)
+    mesh = stamp([placements])[0]
+    rows[2] = replace(rows[2], placements=placements, vertices_m=mesh.vertices_m, faces=mesh.faces)
+    return spec, rows
 
 
 @pytest.mark.parametrize(
@@ -265,7 +267,7 @@ def test_scene_that_breaks_a_promise_is_never_written(change, message):
 def test_triangle_turned_by_rounding_is_found():
     spec, rows = _rows_with(lambda objects: objects)
     require_sound(spec, rows)
-    rows.meshes.vertices_m.values[rows.meshes.vertices_m.offsets[4]] += 0.03
+    rows[4].vertices_m[0] += 0.03
     with pytest.raises(IntegrityError, match=r"scene 4 .* rounding"):
         require_sound(spec, rows)
 
@@ -275,9 +277,7 @@ def test_validate_proves_the_written_scenes(whole):
     assert (checked.checked, checked.failed, checked.stars) == (60, 0, 120)
     test = validate_folder(str(whole), "test")
     assert test.failed == 0
-    assert test.bodies == sum(
-        len(scene.placements) for scene in make_rows(SceneSpec(), "test", 0, 0, 30).scenes
-    )
+    assert test.bodies == sum(len(row.placements) for row in make_rows(SceneSpec(), "test", 0, 0, 30))
 
 
 def _rewritten(whole, tmp_path, change) -> str:

@@ -11,7 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from starstruck_gen.rows import make_rows, require_sound, scene_table
+from starstruck_gen.columns import scene_schema
+from starstruck_gen.make import make_rows, require_sound
 from starstruck_gen.scene import Scene
 from starstruck_gen.shapes import KINDS, OUTLINES, Crescent, Cross, Disc, Ring, Shape, Star, outline
 from starstruck_gen.solid import prism
@@ -20,6 +21,7 @@ from starstruck_gen.validate import check_scene
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.rows import table_of
 from tests.starstruck_gen.strategies import DRAWN, shapes
 
 AREAS = {
@@ -256,7 +258,7 @@ def fancy_file(tmp_path_factory):
     rows = make_rows(FANCY, "train", 0, 0, 60)
     require_sound(FANCY, rows)
     path = tmp_path_factory.mktemp("fancy") / "train-00000-of-00001.parquet"
-    pq.write_table(scene_table(rows), path)
+    pq.write_table(table_of(rows, scene_schema(FANCY.class_names)), path)
     return path
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 
-from starstruck_gen.rows import make_rows, require_sound
+from starstruck_gen.make import make_rows, require_sound
 from starstruck_gen.shapes import Disc, Shape
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.errors import InputError

@@ -8,15 +8,17 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from starstruck_gen.columns import scene_schema
 from starstruck_gen.dataset import load
 from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.make import make_rows
 from starstruck_gen.placement import Placement, stamp
-from starstruck_gen.rows import make_rows, scene_table
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import check_scene, validate_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.rows import table_of
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import write_record
 from tactile_toolkit.store.manifest import read_manifest, write_manifest
@@ -26,7 +28,7 @@ PUBLISHED = ["id", "label", "mesh.vertices", "mesh.faces"]
 
 @pytest.fixture(scope="module")
 def table() -> pa.Table:
-    return scene_table(make_rows(SceneSpec(distractors=(2, 4)), "train", 0, 0, 9))
+    return table_of(make_rows(SceneSpec(distractors=(2, 4)), "train", 0, 0, 9), scene_schema())
 
 
 def _written(table, path, change, columns=None) -> str:
@@ -89,11 +91,12 @@ def test_column_of_another_type_is_a_finding(table, tmp_path):
 
 def test_cap_triangles_turned_by_rounding_are_found_although_the_solid_is_one(tmp_path):
     """No specification makes such a scene; a data set of other makers may hold it."""
-    rows = make_rows(SceneSpec(distractors=(1, 1)), "train", 0, 0, 1)
+    (row,) = make_rows(SceneSpec(distractors=(1, 1)), "train", 0, 0, 1)
     fine = Placement("disc(segments=256)", 0.99, 0.4, 0.1, 1e-4, 0.005)
-    scene = replace(rows.scenes[0], placements=(rows.scenes[0].placements[0], fine))
-    turned = replace(rows, scenes=[scene], meshes=stamp([scene.placements]))
-    pq.write_table(scene_table(turned), tmp_path / "train-00000-of-00001.parquet")
+    placements = (row.placements[0], fine)
+    mesh = stamp([placements])[0]
+    turned = replace(row, placements=placements, vertices_m=mesh.vertices_m, faces=mesh.faces)
+    pq.write_table(table_of([turned], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))
     assert check_manifold(Mesh(record.vertices_m, record.faces)).problem is None
     assert "triangles of flat faces are turned over" in check_scene(record)

@@ -14,10 +14,11 @@ from typer.testing import CliRunner
 import realtouch
 import starstruck_gen
 import tactile_sim
-from tactile_sim.generation import plan_build
+from tactile_sim.generation import TouchMaking
 from tactile_sim.optics import make_optics
 from tactile_sim.plan import REACH_M
 from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.making import plan_build
 from tests.command_line import call
 from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
 from tests.tactile_sim.solids import block
@@ -67,9 +68,7 @@ def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, tou
 def test_shards_of_very_many_rounds_are_larger(scenes, monkeypatch):
     monkeypatch.setattr("tactile_toolkit.store.shards._MANY_SHARDS", 2)
     monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 1)
-    assert [task.size for task in plan_build(scenes, SPEC, ("train",)).tasks] == [4, 4, 4, 2]
-    monkeypatch.setattr("tactile_sim.generation._LARGEST_SHARD_BYTES", 1)
-    assert [task.size for task in plan_build(scenes, SPEC, ("train",)).tasks] == [1] * 14
+    assert [task.size for task in plan_build(TouchMaking.of(scenes, SPEC), ("train",)).tasks] == [4, 4, 4, 2]
 
 
 @pytest.mark.parametrize("overwrite", [False, True])
@@ -235,19 +234,19 @@ def test_plans_that_cannot_be_are_refused(values):
 
 def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder"):
-        plan_build(tmp_path / "nothing", SPEC)
+        TouchMaking.of(tmp_path / "nothing", SPEC)
     with pytest.raises(InputError, match=r"is a single mesh; expected a data set"):
-        plan_build(tmp_path / "part.stl", SPEC)
+        TouchMaking.of(tmp_path / "part.stl", SPEC)
     with pytest.raises(InputError, match="unknown split 'dev'"):
-        plan_build(scenes, SPEC, ["dev"])
+        plan_build(TouchMaking.of(scenes, SPEC), ["dev"])
     shard = next(Path(scenes, "data").glob("train-*"))
     (tmp_path / "data").mkdir()
     pq.write_table(pq.read_table(shard).slice(0, 0), tmp_path / "data" / shard.name)
-    with pytest.raises(InputError, match=r"' holds no mesh in train; next: choose another split"):
+    with pytest.raises(InputError, match="no rounds to make for train"):
         tactile_sim.generate(tmp_path, SPEC, tmp_path / "out", ["train"])
     assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match=r"mesh\.vertices"):
-        plan_build(str(touches), SPEC)
+        TouchMaking.of(str(touches), SPEC)
     with pytest.raises(InputError, match="expected one of"):
         tactile_sim.GenerateSpec(optics="lens")
 

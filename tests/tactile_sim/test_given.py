@@ -10,7 +10,7 @@ import pytest
 from pyarrow import parquet
 
 import tactile_sim
-from tactile_sim.generation import plan_build
+from tactile_sim.generation import TouchMaking
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.solids import block
 
@@ -87,7 +87,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
     unknown = {**TABLE, "object_id": [1, 1, 0, 99]}
     plan = tactile_sim.TouchPlan(place="given", given=tactile_sim.GivenTouches(**unknown))
     with pytest.raises(InputError, match="touches of objects 99 are given"):
-        plan_build(scenes, tactile_sim.GenerateSpec(optics="depth", plan=plan), ["train"])
+        TouchMaking.of(scenes, tactile_sim.GenerateSpec(optics="depth", plan=plan))
 
 
 @pytest.mark.parametrize(

@@ -114,6 +114,6 @@ def test_an_object_in_two_shards_is_left_out_once(with_an_open_mesh, touches, tm
         skipped = [item["id"] for shard in manifest["shards"] for item in shard["skipped"]]
         assert skipped == [1]
         assert manifest["splits"][split]["skipped"] == 1
-        assert "objects left out | 1" in (folder / "README.md").read_text()
+        assert "left out | 1" in (folder / "README.md").read_text()
     assert call("tactile-sim", "info", tmp_path / "touches", "--json") == 0
     assert json.loads(capsys.readouterr().out)["splits"]["train"]["skipped"] == 1

@@ -7,66 +7,94 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.cards.table_card import Terms, write_table_card
+from tactile_toolkit.cards.card import Card
+from tactile_toolkit.cards.facts import folder_facts
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.checked_fields import check_fields, real_number, whole_number
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.flat import MESH
-from tactile_toolkit.run.processes import runner_for
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.making import Layout, Making, Recipe
+from tactile_toolkit.mesh.records import SolidDataset, open_solids
+from tactile_toolkit.mesh.rows import MeshRow, mesh_schema
+from tactile_toolkit.rows import column, meanings, row
 from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.plan import BuildPlan, ShardContent
-from tactile_toolkit.store.shards import ShardName, shard_ranges
+from tactile_toolkit.store.shards import Skipped
 
-TERMS = Terms("cc0-1.0", "Anybody may use them.", "Nobody need be cited.", "")
+
+@row
+class BoxRow(MeshRow):
+    id: int = column(pa.int64(), "", "number of the box")
+    width_m: float = column(pa.float64(), "m", "extent along x")
 
 
 @dataclass(frozen=True)
 class BoxSpec:
-    boxes: int
-    seed: int = 0
+    boxes: int = whole_number(9, 1)
+    seed: int = whole_number(0)
+    largest_mm: float = real_number(20.0, above=10)
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the boxes")
 
 
 @dataclass(frozen=True)
-class BoxTask:
-    shard: ShardName
-    ids: range
-    seed: int
+class BoxMaking(Making):
+    spec: BoxSpec
 
     @property
-    def size(self):
-        return len(self.ids)
+    def kind(self):
+        return KIND
 
-    def make(self):
+    def manifest(self):
+        return asdict(self.spec)
+
+    def items(self):
+        return {"train": range(self.spec.boxes)}
+
+    def layout(self):
+        return Layout(ParquetStyle(100), ("numpy", "trimesh"), smallest=2, largest=4, wanted=8)
+
+    def schema(self, split):
+        return mesh_schema(BoxRow, KIND.class_names)
+
+    def make(self, split, items):
         import trimesh
 
-        sizes_m = [np.random.default_rng((self.seed, number)).uniform(0.01, 0.02, 3) for number in self.ids]
-        meshes = [trimesh.creation.box(size).export(file_type="glb") for size in sizes_m]
-        columns = {"id": list(self.ids), "label": [0] * len(meshes), "width_m": [size[0] for size in sizes_m]}
-        named = [
-            {"bytes": mesh, "path": f"{number}.glb"} for number, mesh in zip(self.ids, meshes, strict=True)
-        ]
-        return ShardContent(pa.table({**columns, MESH: named}), report=None)
-
-
-def generate(spec, out, workers=1, **options):
-    ranges = shard_ranges("train", spec.boxes, smallest=2, largest=4, wanted=8)
-    tasks = tuple(BoxTask(shard, ids, spec.seed) for shard, ids in ranges)
-    full = {"operation": "export", "options": asdict(spec), "source": {"train": [{"rows": spec.boxes}]}}
-    plan = BuildPlan("boxes", full, ("train",), tasks, ParquetStyle(100), libraries=("numpy", "trimesh"))
-    return build(DataFolder(str(out)), plan, runner_for(workers), write_card=write_card, **options)
+        for number in items:
+            rng = np.random.default_rng((self.spec.seed, number))
+            size_m = rng.uniform(0.01, self.spec.largest_mm / 1e3, 3)
+            box = trimesh.creation.box(size_m)
+            if size_m[2] < 0.0105:
+                yield Skipped(number, "flat", f"box {number} is {size_m[2]} m high")
+            else:
+                yield BoxRow(number, 0, box.vertices.astype("f4"), box.faces.astype("i4"), size_m[0])
 
 
 def write_card(folder, manifest):
-    write_table_card(folder, manifest, KIND, "Boxes", {}, TERMS)
+    Card(
+        template="mesh_tables.md",
+        title="Boxes",
+        columns=meanings(BoxRow),
+        picture=("boxes.png", None, ""),
+        licence="cc0-1.0",
+        tags=["3d"],
+        values={"licence_text": "Anybody may use them.", "citation_text": "Nobody need be cited."},
+    ).write(folder, folder_facts(folder, manifest), manifest, KIND)
+
+
+def load(name, split="train"):
+    return open_solids(find_shards(name, split), name, SolidDataset, KIND)
 
 
 KIND = DatasetKind(
     name="boxes",
     command="boxes",
-    package="boxes",
+    package="tests.tactile_toolkit.boxes",
     noun="box",
     nouns="boxes",
     made_by="boxes generate",
     card_template="mesh_tables.md",
     write_card=write_card,
+    schema=lambda: mesh_schema(BoxRow, KIND.class_names),
+    class_names=("box",),
+    recipe=lambda seed, boxes: Recipe(BoxMaking(BoxSpec(boxes or 9, seed)), {"boxes": boxes, "seed": seed}),
 )

@@ -1,54 +1,88 @@
-"""A new kind of data set is one short file: the rest follows from what it says."""
+"""A new kind of data set is one short file: the rest follows from what it declares."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 import datasets
+import numpy as np
 import pytest
 
-from tactile_toolkit.errors import SpecMismatchError
+from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.exchange.upload import check_folder, collect
+from tactile_toolkit.making import forecast, generate
 from tactile_toolkit.run.parts import Finish, Part
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tests.tactile_toolkit import boxes
 from tests.tactile_toolkit.toy import folder_bytes
 
-SPEC = boxes.BoxSpec(9)
+MAKING = boxes.BoxMaking(boxes.BoxSpec(9, seed=4))
 
 
-def test_it_is_one_file_of_under_sixty_lines() -> None:
+def test_it_is_one_file_of_under_eighty_lines() -> None:
     lines = Path(boxes.__file__).read_text(encoding="utf-8").splitlines()
-    assert len([line for line in lines if line.strip()]) < 60
+    assert len([line for line in lines if line.strip()]) < 80
 
 
-def test_generate_resume_parts_verify_card_load_upload_and_preview(tmp_path: Path) -> None:
+def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Path) -> None:
     whole = tmp_path / "whole"
-    made = boxes.generate(SPEC, whole, workers=2)
-    assert (made.complete, made.split_table()["train"]["rows"], len(made.shards)) == (True, 9, 5)
+    view = forecast(MAKING, whole, None, 1)
+    assert (view.rows_to_make, view.splits[0].shards, whole.exists()) == (9, 5, False)
+    made = generate(MAKING, whole, workers=2)
+    assert (made.complete, len(made.shards)) == (True, 5)
+    assert made.split_table()["train"]["rows"] + made.split_table()["train"]["skipped"] == 9
+    assert made.skipped_reasons() == {"flat": 1}
     # resume
     (whole / "data" / "train-00002-of-00005.parquet").unlink()
     told: list[int] = []
-    boxes.generate(SPEC, whole, on_progress=lambda progress: told.append(progress.total))
+    generate(MAKING, whole, on_progress=lambda progress: told.append(progress.total))
     assert told[0] == 2
-    with pytest.raises(SpecMismatchError, match=r"options\.seed is 0 there, 1 was asked for"):
-        boxes.generate(boxes.BoxSpec(9, seed=1), whole)
+    with pytest.raises(SpecMismatchError, match=r"seed is 4 there, 1 was asked for"):
+        generate(boxes.BoxMaking(boxes.BoxSpec(9, seed=1)), whole)
+    with pytest.raises(InputError, match="unknown split 'test'"):
+        generate(MAKING, whole, ("test",))
+    with pytest.raises(InputError, match=r"largest_mm of the boxes is 5.0; expected a number above 10"):
+        boxes.BoxSpec(largest_mm=5.0)
     # parts
     for index in range(3):
-        boxes.generate(SPEC, tmp_path / "parts", workers=Part(index, 3))
-    boxes.generate(SPEC, tmp_path / "parts", workers=Finish())
+        generate(MAKING, tmp_path / "parts", workers=Part(index, 3))
+    generate(MAKING, tmp_path / "parts", workers=Finish())
     assert folder_bytes(tmp_path / "parts") == folder_bytes(whole)
+    # without input
+    boxes.KIND.recipe(4, 9).make(str(tmp_path / "recipe"), "train", 1)
+    assert folder_bytes(tmp_path / "recipe") == folder_bytes(whole)
+    assert boxes.KIND.recipe(4, 9).arguments("train") == "--split train --boxes 9 --seed 4"
     # verify, with the card
     folder = DataFolder(str(whole))
     assert list(check_folder(boxes.KIND, folder)) == []
     card = (whole / "README.md").read_text(encoding="utf-8")
-    assert "width_m" in card
-    assert (whole / "previews" / "tables.png").read_bytes().startswith(b"\x89PNG")
+    assert "| `width_m` | float64 | m | extent along x |" in card
+    assert "| left out | 1 flat; `manifest.json` names each |" in card
     # load
     rows = datasets.load_dataset(str(whole), split="train", cache_dir=str(tmp_path / "cache"))
-    assert rows["id"] == list(range(9))
+    records = boxes.load(str(whole))
+    assert rows["id"] == records.ids.tolist()
+    assert rows.features["label"].names == ["box"]
+    assert rows["width_m"] == pytest.approx([float(np.ptp(each.vertices_m[:, 0])) for each in records])
     # upload
     manifest = read_manifest(folder)
     assert manifest is not None
     assert set(folder_bytes(whole)) == {file.path for file in collect(whole, manifest)}
+
+
+def test_a_forecast_looks_on_where_the_first_items_give_no_row(tmp_path: Path) -> None:
+    from tactile_toolkit.store.shards import Skipped
+
+    class Reluctant(boxes.BoxMaking):
+        least = 3
+
+        def make(self, split, items):
+            rows = super().make(split, items)
+            return [row if row.id >= self.least else Skipped(row.id, "no", f"not {row.id}") for row in rows]
+
+    spec = boxes.BoxSpec(9)
+    assert forecast(Reluctant(spec), tmp_path / "set", None, 1).sampled == 1
+    Reluctant.least = 10
+    with pytest.raises(InputError, match=r"none of 5 boxes that were tried could be made; the first: not 0"):
+        forecast(Reluctant(spec), tmp_path / "set", None, 1)

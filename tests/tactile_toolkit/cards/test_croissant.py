@@ -17,7 +17,7 @@ import yaml
 import mnist3d
 import realtouch
 import starstruck_gen
-from mnist3d.rows import mesh_schema
+from mnist3d.columns import digit_schema
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.cards.croissant import croissant_for_hub, croissant_of_folder, croissant_text
 from tactile_toolkit.cards.facts import folder_facts
@@ -94,7 +94,6 @@ def test_it_says_what_the_card_and_the_manifest_say(made):
     assert len(metadata.data_limitations) >= 4
     assert all(line in card.replace("`", "") for line in metadata.data_limitations)
     assert metadata.data_collection_missing_data == "nothing was left out"
-    assert metadata.data_biases == [f"{split}: digits 10, per class 1" for split in ("test", "holdout")]
     assert "seed 0" in metadata.data_collection
     assert "numpy" in metadata.data_preprocessing_protocol[0]
     files = {each.id: each.sha256 for each in metadata.file_objects}
@@ -130,7 +129,7 @@ def test_many_shards_are_one_set_of_files(folder):
     (record,) = manifest.shards_of("test")
     many = [record._replace(shard=ShardName("test", index, 5_000)) for index in range(5_000)]
     manifest = replace(manifest, shards=(*many, *manifest.shards_of("holdout")))
-    facts = folder_facts(place, manifest, mesh_schema())
+    facts = folder_facts(place, manifest, digit_schema())
     _, head, body = (folder / "README.md").read_text().split("---\n", 2)
     text = croissant_text(place, facts, manifest, yaml.safe_load(head), body)
     assert [each["@id"] for each in json.loads(text)["distribution"]] == [

@@ -1,0 +1,69 @@
+"""The columns of synthetic touches: those of the published synthetic sets, then ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+from typing import Any
+
+import pyarrow as pa
+
+from tactile_toolkit.read.columns import vectors_type
+from tactile_toolkit.rows import column, plain_schema, row
+from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
+
+__all__ = ["TouchRow", "touch_schema"]
+
+_CELL = "m, cell frame"
+_XY = vectors_type(pa.float64(), 2)
+_XYZ = vectors_type(pa.float64(), 3)
+_XYZW = vectors_type(pa.float64(), 4)
+
+
+@row
+class TouchRow:
+    """One round."""
+
+    id: str = column(pa.string(), "", "`object_id` and number of the round")
+    label: int = column(pa.int64(), "", "class of the touched object")
+    object_id: int = column(pa.int64(), "", "`id` of its mesh in the data set of the objects")
+    moved_position_m: Any = column(
+        _XYZ,
+        f"T x 3, {_CELL}",
+        "position of the object after the touch and a shift that follows it, as the published sets have it",
+        name="info.object_pose.position",
+    )
+    moved_quaternion: Any = column(
+        _XYZW, "T x 4: x, y, z, w", "its orientation then", name="info.object_pose.quaternion"
+    )
+    positions_m: Any = column(_XY, f"T x 2, {_CELL}", "where the gel goes", name="pos_in_cell")
+    gel_position_m: Any = column(
+        _XYZ,
+        f"T x 3, {_CELL}",
+        "position of the sensor where it stops",
+        name="gel_pose_cell_frame.position",
+    )
+    gel_quaternion: Any = column(
+        _XYZW,
+        "T x 4: x, y, z, w",
+        "its orientation: z away from the plate",
+        name="gel_pose_cell_frame.quaternion",
+    )
+    images: Sequence[tuple[bytes, str]] = column(
+        pa.list_(MEDIA_TYPE), "T images", "what the sensor sees", name="sensor_image"
+    )
+    object_position_m: Any = column(
+        _XYZ,
+        f"T x 3, {_CELL}",
+        "position of the object while it is touched",
+        name="info.touched_object_pose.position",
+    )
+    object_quaternion: Any = column(
+        _XYZW, "T x 4: x, y, z, w", "its orientation then", name="info.touched_object_pose.quaternion"
+    )
+
+
+@cache
+def touch_schema(class_names: tuple[str, ...]) -> pa.Schema:
+    """Return the Arrow schema of a shard."""
+    return with_features(plain_schema(TouchRow), class_names)

@@ -1,0 +1,276 @@
+"""One way from a specification to a finished data set folder, for every kind of data set."""
+
+from __future__ import annotations
+
+import os
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.rows import table_of
+from tactile_toolkit.run.processes import Runner, runner_for
+from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
+from tactile_toolkit.store.manifest import Manifest, without_collecting
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
+from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
+from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
+from tactile_toolkit.wording import counted
+
+__all__ = ["Layout", "Making", "Recipe", "Task", "forecast", "generate", "plan_build"]
+
+_SHARDS_TRIED = 8
+"""Shards in which a forecast looks for an item that gives a row."""
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How the rows of a kind are stored.
+
+    Attributes
+    ----------
+    style : ParquetStyle
+        Layout of the shards.
+    libraries : tuple of str
+        Distributions whose versions decide bytes.
+    smallest, largest, wanted : int
+        Rows of a shard, and how many shards a split of middle size has; see
+        :func:`~tactile_toolkit.store.shards.shard_ranges`.
+    sampled : int
+        Items of a shard from which the time and size of a run are estimated.
+    report_file : str or None
+        Path of the report, where there is one.
+    """
+
+    style: ParquetStyle
+    libraries: tuple[str, ...]
+    smallest: int = 1
+    largest: int = 1
+    wanted: int = 1
+    sampled: int = 1
+    report_file: str | None = None
+
+
+class Making(ABC):
+    """How a data set of a kind is made: what a kind brings to :func:`generate`.
+
+    A small picklable value, usually a frozen dataclass of a specification: each task takes it to the process
+    that makes the rows.
+    """
+
+    kind: DatasetKind
+
+    @abstractmethod
+    def manifest(self) -> Mapping[str, Any]:
+        """Return JSON values that identify the rows; two equal values give equal Parquet."""
+
+    @abstractmethod
+    def items(self) -> Mapping[str, Sequence[Any]]:
+        """Return what the rows of each split are made of, in row order; splits in canonical order."""
+
+    @abstractmethod
+    def layout(self) -> Layout:
+        """Return how rows are stored."""
+
+    @abstractmethod
+    def schema(self, split: str) -> Any:
+        """Return the Arrow schema of the shards of a split."""
+
+    @abstractmethod
+    def make(self, split: str, items: Sequence[Any]) -> Iterable[Any | Skipped]:
+        """Yield the row of each item, or why it gives none; touches no file of the data set."""
+
+    def report(self, shard: ShardName, rows: Sequence[Any]) -> Any:
+        """Return rows of the report about rows of a shard, an Arrow table; None without a report."""
+        return None
+
+    def statistics(self, rows: Sequence[Any]) -> Mapping[str, Any] | None:
+        """Return JSON values about rows, which add up over shards, for the manifest."""
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """The task of one shard. ``items`` may be a view of those of the whole split; pickled are these alone."""
+
+    making: Making = field(repr=False)
+    shard: ShardName
+    items: Sequence[Any] = field(repr=False)
+
+    @property
+    def size(self) -> int:
+        """How many items it works on."""
+        return len(self.items)
+
+    def make(self) -> ShardContent:
+        """Make the rows; items that give none are listed instead."""
+        rows, skipped = _made(self.making, self.shard.split, self.items)
+        with without_collecting():
+            table = table_of(rows, self.making.schema(self.shard.split))
+        report, statistics = self.making.report(self.shard, rows), self.making.statistics(rows)
+        return ShardContent(table, tuple(skipped), report, statistics)
+
+
+def _made(making: Making, split: str, items: Sequence[Any]) -> tuple[list[Any], list[Skipped]]:
+    rows: list[Any] = []
+    skipped: list[Skipped] = []
+    for each in making.make(split, items):
+        (skipped if isinstance(each, Skipped) else rows).append(each)
+    return rows, skipped
+
+
+def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan:
+    """Decide which shards hold what; writes nothing. InputError: an unknown split, or nothing to make."""
+    items, layout = making.items(), making.layout()
+    known = tuple(items)
+    wanted = known if splits is None else splits
+    require_known_splits(wanted, known)
+    # However they are asked for, tasks stand in canonical order, and so do shards in the manifest.
+    tasks = tuple(
+        Task(making, shard, items[split][rows.start : rows.stop])
+        for split in known
+        if split in wanted
+        for shard, rows in shard_ranges(
+            split,
+            len(items[split]),
+            smallest=layout.smallest,
+            largest=layout.largest,
+            wanted=layout.wanted,
+        )
+    )
+    if not tasks:
+        sizes = {split: len(each) for split, each in items.items()}
+        message = (
+            f"no {making.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}; next: choose "
+            "another --split, or larger ones"
+        )
+        raise InputError(message)
+    return BuildPlan(
+        making.kind.name,
+        making.manifest(),
+        known,
+        tasks,
+        layout.style,
+        layout.report_file,
+        libraries=layout.libraries,
+    )
+
+
+def generate(
+    making: Making,
+    out: str | os.PathLike[str],
+    splits: Sequence[str] | None = None,
+    *,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+    require: Callable[[], None] = lambda: None,
+) -> Manifest:
+    """Make a data set folder.
+
+    A folder that holds a finished or interrupted run of the same specification is completed: finished shards
+    are kept. The same specification gives byte-identical Parquet whatever the number of workers and however
+    often the run was interrupted.
+
+    Parameters
+    ----------
+    making : Making
+        What to make.
+    out : str or path-like
+        Folder to write.
+    splits : sequence of str, optional
+        Splits to make, all by default; others that the folder holds already stay.
+    workers : int or Runner
+        Number of local processes, or a runner of another kind.
+    overwrite : bool
+        Start again in a folder that holds another data set of this toolkit.
+    on_progress : callable
+        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
+    require : callable
+        Raises what speaks against the run, once it is known what is to be made.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now.
+    """
+    plan = plan_build(making, splits)
+    require()
+    return build(
+        DataFolder(os.fspath(out)),
+        plan,
+        runner_for(workers),
+        overwrite=overwrite,
+        on_progress=on_progress,
+        write_card=making.kind.write_card,
+    )
+
+
+def forecast(
+    making: Making,
+    out: str | os.PathLike[str],
+    splits: Sequence[str] | None,
+    workers: int | Runner,
+    *,
+    overwrite: bool = False,
+    require: Callable[[], None] = lambda: None,
+) -> Forecast:
+    """Estimate a run of :func:`generate` by making some of its rows; writes nothing."""
+    plan = plan_build(making, splits)
+    require()
+
+    tasks = [task for task in plan.tasks if isinstance(task, Task)]
+
+    def measure() -> Sample:
+        first = tasks[0]
+        # The first row pays for imports and for what is kept in memory.
+        _made(making, first.shard.split, first.items[:1])
+        skipped: list[Skipped] = []
+        for task in tasks[:_SHARDS_TRIED]:
+            items = task.items[: making.layout().sampled]
+            start_s = time.perf_counter()
+            rows, without = _made(making, task.shard.split, items)
+            skipped += without
+            if rows:
+                size = len(encode_parquet(table_of(rows, making.schema(task.shard.split)), plan.style))
+                elapsed_s = time.perf_counter() - start_s
+                return Sample(len(rows), size / len(rows), elapsed_s / len(items))
+        message = (
+            f"none of {counted(len(skipped), making.kind.nouns)} that were tried could be made; the first: "
+            f"{skipped[0].message}; nothing was written; next: mend the source, or choose another one"
+        )
+        raise InputError(message)
+
+    return forecast_build(out, plan, workers, measure, overwrite=overwrite)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a data set is made without any input.
+
+    ``options`` are those of the command that makes the same, by name; None where it takes no ``--split``.
+    """
+
+    making: Making
+    options: Mapping[str, Any] | None = None
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Splits that can be made, in order."""
+        return tuple(self.making.items())
+
+    def arguments(self, split: str) -> str:
+        """Return the arguments of the command that makes a split, but for the folder."""
+        if self.options is None:
+            return ""
+        options = {"split": split, **self.options}
+        return " ".join(f"--{name} {value}" for name, value in options.items() if value)
+
+    def make(self, out: str, split: str, workers: int) -> None:
+        """Make one split in a folder, going on where an interrupted run stopped."""
+        generate(self.making, out, (split,), workers=workers)
