@@ -96,7 +96,7 @@ class DigitMaking(making.Making):
         """Return the specification, with the fingerprint of the source."""
         return self.spec.to_dict()
 
-    def items(self) -> Mapping[str, Sequence[Any]]:
+    def items(self) -> Mapping[str, Any]:
         """Return the ids of each split; reads only the source's catalog."""
         plan = plan_splits(self.spec.source.catalog(), self.spec.split)
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in SPLITS}

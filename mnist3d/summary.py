@@ -15,7 +15,7 @@ from tactile_toolkit.store.reports import read_report
 
 __all__ = ["SplitSummary", "summarise"]
 
-_MEASURES = {"height_mm": "size_z_mm", "volume_mm3": "volume_mm3", "thinnest_wall_mm": "thinnest_wall_mm"}
+_MEASURES = ("size_z_mm", "volume_mm3", "thinnest_wall_mm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,20 +50,27 @@ def summarise(folder: DataFolder, manifest: Manifest) -> list[SplitSummary]:
     """
     import pyarrow.compute as pc
 
-    columns = ["split", "label", "bodies", "warnings", *_MEASURES.values()]
+    columns = ["split", "label", "bodies", "warnings", *_MEASURES]
     report, summaries = read_report(folder, REPORT_FILE, columns), []
     for split, entry in manifest.split_table().items():
         rows = report.filter(pc.equal(report["split"], split))
         labels = rows["label"].to_numpy().astype(np.int64)
-        summary = SplitSummary(
-            split=split,
-            **entry,
-            per_class=tuple(np.bincount(labels, minlength=len(KIND.class_names)).tolist()),
-            **{name: _spread(rows[column].to_numpy()) for name, column in _MEASURES.items()},
-            bodies=_counts(rows["bodies"]),
-            warnings=_counts(pc.list_flatten(rows["warnings"])),
+        height_mm, volume_mm3, wall_mm = (_spread(rows[name].to_numpy()) for name in _MEASURES)
+        summaries.append(
+            SplitSummary(
+                split,
+                entry["rows"],
+                entry["shards"],
+                entry["bytes"],
+                entry["skipped"],
+                tuple(np.bincount(labels, minlength=len(KIND.class_names)).tolist()),
+                height_mm,
+                volume_mm3,
+                wall_mm,
+                _counts(rows["bodies"]),
+                _counts(pc.list_flatten(rows["warnings"])),
+            )
         )
-        summaries.append(summary)
     return summaries
 
 

@@ -107,7 +107,7 @@ class _MadeRow(RowGroup):
     def table(self) -> Any:
         """The row as an Arrow table, for pickling."""
         origin = self._origin
-        return scene_table(make_rows(origin.spec, origin.split, origin.seed, self.first_row, 1))
+        return origin.made(self.first_row, 1)
 
     @cached_property
     def names(self) -> tuple[str, ...]:

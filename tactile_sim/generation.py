@@ -22,15 +22,14 @@ from tactile_sim.plan import generator, plan_round
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_sim.spec import TouchPlan
+from tactile_sim.source import SolidSplit
 from tactile_toolkit import making
-from tactile_toolkit.catalog.locate import find_shards, splits_of
+from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.files import FORMATS
-from tactile_toolkit.mesh.records import SolidDataset
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, refuse_source
 from tactile_toolkit.run.processes import Runner
 from tactile_toolkit.store.build import Progress
@@ -42,7 +41,6 @@ from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import Skipped
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M, RENDERED_CONTACT_M
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
-from tactile_toolkit.touch.schema import class_names
 
 __all__ = ["GenerateSpec", "TouchMaking", "forecast", "generate", "noisy"]
 
@@ -146,30 +144,6 @@ class GenerateSpec:
             "layer_m": self.layer_m,
             "noise": None if self.noise is None else self.noise.to_dict(),
         }
-
-
-@dataclass(frozen=True)
-class SolidSplit:
-    """A split of a data set of solids: its files, and the names of its classes."""
-
-    shards: tuple[Shard, ...]
-    names: tuple[str, ...]
-
-    @classmethod
-    def find(cls, place: str, split: str) -> SolidSplit:
-        """Read the footers of a split; InputError for a source without meshes."""
-        shards = find_shards(place, split)
-        schema = ShardedTable(shards).schema
-        require_mesh_columns(schema, place, "mnist3d generate")
-        return cls(shards, class_names(schema, place))
-
-    def __len__(self) -> int:
-        """Count its objects."""
-        return sum(map(len, self.shards))
-
-    def solids(self) -> SolidDataset[Any]:
-        """Open it."""
-        return SolidDataset([ShardedTable(self.shards)], label_names=self.names)
 
 
 @dataclass(frozen=True)

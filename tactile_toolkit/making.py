@@ -70,8 +70,8 @@ class Making(ABC):
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
 
     @abstractmethod
-    def items(self) -> Mapping[str, Sequence[Any]]:
-        """Return what the rows of each split are made of, in row order; splits in canonical order."""
+    def items(self) -> Mapping[str, Any]:
+        """Return what the rows of each split are made of: sequences or arrays; splits in canonical order."""
 
     @abstractmethod
     def layout(self) -> Layout:

@@ -14,7 +14,6 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.generation import SolidSplit
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
 from tactile_sim.pairs.rows import PairRow, depth_levels, encode_depth, pair_schema
@@ -22,6 +21,7 @@ from tactile_sim.plan import key_of, plan_round
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_sim.spec import TouchPlan
+from tactile_sim.source import SolidSplit
 from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.catalog.published import place_of
@@ -166,7 +166,7 @@ class PairsMaking(making.Making):
             },
         }
 
-    def items(self) -> Mapping[str, Sequence[Any]]:
+    def items(self) -> Mapping[str, Any]:
         """Return both splits; reads poses, no picture. InputError where there are too few touches."""
         touches = KIND.load(self.real, self.split).touches()
         return {"depth": range(self.spec.count), "real": _draw(touches, self.spec, self.real)}

@@ -11,7 +11,7 @@ from tactile_toolkit.cards.card import Card
 from tactile_toolkit.cards.facts import folder_facts
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.checked_fields import check_fields, real_number, whole_number
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.making import Layout, Making, Recipe
 from tactile_toolkit.mesh.records import SolidDataset, open_solids
 from tactile_toolkit.mesh.rows import MeshRow, mesh_schema
@@ -19,11 +19,29 @@ from tactile_toolkit.rows import column, meanings, row
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import Skipped
 
+KIND = DatasetKind(
+    name="boxes",
+    command="boxes",
+    package="tests.tactile_toolkit.boxes",
+    noun="box",
+    nouns="boxes",
+    made_by="boxes generate",
+    card_template="mesh_tables.md",
+    write_card=lazy("tests.tactile_toolkit.boxes:write_card"),
+    schema=lazy("tests.tactile_toolkit.boxes:schema"),
+    class_names=("box",),
+    recipe=lazy("tests.tactile_toolkit.boxes:recipe"),
+)
+
 
 @row
 class BoxRow(MeshRow):
     id: int = column(pa.int64(), "", "number of the box")
     width_m: float = column(pa.float64(), "m", "extent along x")
+
+
+def schema():
+    return mesh_schema(BoxRow, KIND.class_names)
 
 
 @dataclass(frozen=True)
@@ -39,10 +57,7 @@ class BoxSpec:
 @dataclass(frozen=True)
 class BoxMaking(Making):
     spec: BoxSpec
-
-    @property
-    def kind(self):
-        return KIND
+    kind = KIND
 
     def manifest(self):
         return asdict(self.spec)
@@ -54,7 +69,7 @@ class BoxMaking(Making):
         return Layout(ParquetStyle(100), ("numpy", "trimesh"), smallest=2, largest=4, wanted=8)
 
     def schema(self, split):
-        return mesh_schema(BoxRow, KIND.class_names)
+        return schema()
 
     def make(self, split, items):
         import trimesh
@@ -67,6 +82,10 @@ class BoxMaking(Making):
                 yield Skipped(number, "flat", f"box {number} is {size_m[2]} m high")
             else:
                 yield BoxRow(number, 0, box.vertices.astype("f4"), box.faces.astype("i4"), size_m[0])
+
+
+def recipe(seed, boxes):
+    return Recipe(BoxMaking(BoxSpec(boxes or 9, seed)), {"boxes": boxes, "seed": seed})
 
 
 def write_card(folder, manifest):
@@ -83,18 +102,3 @@ def write_card(folder, manifest):
 
 def load(name, split="train"):
     return open_solids(find_shards(name, split), name, SolidDataset, KIND)
-
-
-KIND = DatasetKind(
-    name="boxes",
-    command="boxes",
-    package="tests.tactile_toolkit.boxes",
-    noun="box",
-    nouns="boxes",
-    made_by="boxes generate",
-    card_template="mesh_tables.md",
-    write_card=write_card,
-    schema=lambda: mesh_schema(BoxRow, KIND.class_names),
-    class_names=("box",),
-    recipe=lambda seed, boxes: Recipe(BoxMaking(BoxSpec(boxes or 9, seed)), {"boxes": boxes, "seed": seed}),
-)

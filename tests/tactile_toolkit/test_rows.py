@@ -1,0 +1,62 @@
+"""A row is declared once: schema, table and the words about its columns follow."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, field
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from tactile_toolkit.read.columns import vectors_type
+from tactile_toolkit.rows import column, meanings, plain_schema, row, table_of
+
+OBJECTS = pa.list_(pa.struct([("name", pa.string()), ("x_m", pa.float64())]))
+
+
+@row
+class Base:
+    id: int = column(pa.int64())
+    points: np.ndarray = column(vectors_type(pa.float32(), 2), "N x 2, m", "corners", name="base.points")
+
+
+@row
+class Full(Base):
+    id: int = column(pa.int64(), "", "number")
+    objects: list = column(OBJECTS, "one each", "what is there")
+    tags: list = column(pa.list_(pa.string()))
+    note: str = field()
+
+
+def full(number: int, objects: list, points: int = 2) -> Full:
+    corners = np.full((points, 2), number, np.float32)
+    return Full(id=number, points=corners, objects=objects, tags=["a"] * number, note="not stored")
+
+
+def test_columns_of_the_base_come_first_and_what_is_no_column_is_not_stored():
+    assert plain_schema(Full).names == ["id", "base.points", "objects", "tags"]
+    assert plain_schema(Full).types == [
+        pa.int64(),
+        vectors_type(pa.float32(), 2),
+        OBJECTS,
+        pa.list_(pa.string()),
+    ]
+    assert meanings(Full)["base.points"] == ("N x 2, m", "corners")
+    assert meanings(Full)["id"] == ("", "number")
+    with pytest.raises(FrozenInstanceError):
+        full(1, []).id = 2  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("objects", [[], [("box", 0.5), ("disc", 1.5)]])
+def test_a_table_holds_the_rows(objects):
+    schema = plain_schema(Full).with_metadata({"made": "here"})
+    table = table_of([full(1, objects), full(2, [], points=0), full(3, objects)], schema)
+    table.validate(full=True)
+    assert table.schema.equals(schema, check_metadata=True)
+    expected = [{"name": name, "x_m": x_m} for name, x_m in objects]
+    assert table.to_pylist() == [
+        {"id": 1, "base.points": [[1.0, 1.0]] * 2, "objects": expected, "tags": ["a"]},
+        {"id": 2, "base.points": [], "objects": [], "tags": ["a"] * 2},
+        {"id": 3, "base.points": [[3.0, 3.0]] * 2, "objects": expected, "tags": ["a"] * 3},
+    ]
+    assert table_of([], schema).equals(schema.empty_table())
