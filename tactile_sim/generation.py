@@ -21,8 +21,8 @@ from tactile_sim.optics import OPTICS, Optics, make_optics
 from tactile_sim.plan import generator, plan_round
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
-from tactile_sim.spec import TouchPlan
 from tactile_sim.source import SolidSplit
+from tactile_sim.spec import TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.catalog.published import place_of

@@ -20,8 +20,8 @@ from tactile_sim.pairs.rows import PairRow, depth_levels, encode_depth, pair_sch
 from tactile_sim.plan import key_of, plan_round
 from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
-from tactile_sim.spec import TouchPlan
 from tactile_sim.source import SolidSplit
+from tactile_sim.spec import TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.catalog.published import place_of

@@ -126,11 +126,11 @@ def test_unfinished_run_is_refused_and_a_finished_split_can_be_checked(interrupt
 @pytest.mark.parametrize("overlap_m", [1e-6, 5e-3])
 def test_objects_that_overlap_are_found(tmp_path, overlap_m):
     """No specification makes such a scene either."""
-    rows = make_rows(SceneSpec(distractors=(1, 1)), "train", 0, 0, 1)
+    (row,) = make_rows(SceneSpec(distractors=(1, 1)), "train", 0, 0, 1)
     side_m = 2**0.5 * 0.010
     pair = [Placement("box", x_m, 0.0, 0.0, 0.010, 0.005) for x_m in (0.0, side_m - overlap_m)]
-    scene = replace(rows.scenes[0], placements=tuple(pair))
-    overlapping = replace(rows, scenes=[scene], meshes=stamp([scene.placements]))
-    pq.write_table(scene_table(overlapping), tmp_path / "train-00000-of-00001.parquet")
+    mesh = stamp([pair])[0]
+    overlapping = replace(row, placements=tuple(pair), vertices_m=mesh.vertices_m, faces=mesh.faces)
+    pq.write_table(table_of([overlapping], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))
     assert check_scene(record).startswith("overlap: two of 2 bodies overlap")
