@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from env_assets.missing import FOREIGN
-from env_assets.published.packages import published_package
+from env_assets.published.packages import KEPT_AS, published_package
 from tactile_toolkit.errors import InputError
 
 __all__ = [
@@ -104,26 +104,35 @@ def published_environment(env_id: str) -> PublishedEnvironment:
     """
     published_package("tactile_mnist")
     name = env_id.removeprefix(_PACKAGE_PREFIX)
-    registry = published_package("gymnasium").registry
-    if name not in registry:
-        ours = [known for known in registry if known.split("-")[0] in FAMILIES]
-        close = difflib.get_close_matches(name, ours, n=3) or ["TactileMNIST-Depth-train-v0"]
-        message = f"no environment {env_id!r} is registered; next: choose one such as {', '.join(close)}"
-        raise InputError(message)
-    if name.split("-")[0] not in FAMILIES:
+    specs = _specs()
+    if name in specs:
+        return _described(specs[name])
+    if name in published_package("gymnasium").registry:
         message = (
             f"{env_id!r} is not an environment of tactile-mnist (families {', '.join(FAMILIES)}); next: make "
             "it with `ap_gym.make`"
         )
         raise InputError(message)
-    return _described(registry[name])
+    close = difflib.get_close_matches(name, specs, n=3) or ["TactileMNIST-Depth-train-v0"]
+    message = f"no environment {env_id!r} is registered; next: choose one such as {', '.join(close)}"
+    raise InputError(message)
 
 
 def published_environments() -> list[PublishedEnvironment]:
     """List all ids that the package registers, in its order."""
     published_package("tactile_mnist")
+    return [_described(spec) for spec in _specs().values()]
+
+
+def _specs() -> dict[str, Any]:
+    """Return the package's registrations by id."""
     registry = published_package("gymnasium").registry
-    return [_described(spec) for name, spec in registry.items() if name.split("-")[0] in FAMILIES]
+    return {
+        name.removeprefix(KEPT_AS): spec
+        for name, spec in registry.items()
+        # `tactile_envs` registers environments of the same names, of other settings.
+        if name.removeprefix(KEPT_AS).split("-")[0] in FAMILIES and "default_config" in spec.kwargs
+    }
 
 
 def _described(spec: Any) -> PublishedEnvironment:

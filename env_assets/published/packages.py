@@ -38,10 +38,29 @@ def published_package(name: str) -> Any:
     """
     _draw_without_screen()
     try:
+        if name == "tactile_mnist" and name not in sys.modules and "tactile_envs" in sys.modules:
+            return _imported_beside_native()
         return import_module(name)
     except ImportError as error:
         feature = "making environments"
         raise MissingExtraError(feature, _SHOWN_BY.get(name, name), "env") from error
+
+
+KEPT_AS = "tactile_mnist/"
+"""What stands before the package's ids in gymnasium's registry where `tactile_envs` has the plain ones."""
+
+
+def _imported_beside_native() -> Any:
+    """Import the package, and leave to `tactile_envs` the ids that it has registered already."""
+    registry = import_module("gymnasium").registry
+    native = {name: registry.pop(name) for name in list(registry) if f"tactile_envs/{name}" in registry}
+    try:
+        return import_module("tactile_mnist")
+    finally:
+        for name, spec in native.items():
+            if name in registry:
+                registry[KEPT_AS + name] = registry[name]
+            registry[name] = spec
 
 
 def require_drawing(renderer: str) -> None:

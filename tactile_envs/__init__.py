@@ -1,0 +1,52 @@
+"""Environments of touch, a hundred times as fast as the published ones, with the same episodes.
+
+Importing the module registers them with gymnasium: ``gymnasium.make_vec("tactile_envs:TactileMNIST-Depth-v0")``,
+``gymnasium.make`` and ``ap_gym.make_vec`` take ids of `tactile-mnist` with ``tactile_envs:`` before them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from tactile_toolkit.lazy_names import on_first_use
+
+if TYPE_CHECKING:
+    from tactile_envs.config import IDS, Config
+    from tactile_envs.environment import TactileEnv, TactileVectorEnv
+    from tactile_envs.making import make_one, make_vector
+
+__all__ = ["IDS", "Config", "TactileEnv", "TactileVectorEnv", "make_one", "make_vector"]
+
+__version__: str
+
+__getattr__, __dir__ = on_first_use(
+    __name__,
+    {
+        "tactile_envs.config": ("IDS", "Config"),
+        "tactile_envs.environment": ("TactileEnv", "TactileVectorEnv"),
+        "tactile_envs.making": ("make_one", "make_vector"),
+    },
+)
+
+
+def _register() -> None:
+    import gymnasium
+
+    from tactile_envs.config import IDS
+
+    registry = gymnasium.registry
+    for name in IDS:
+        # The package `tactile-mnist` registers the same names. What it has there stays at hand, for
+        # `env_assets.make`; whichever of the two was imported last has the plain name.
+        if name in registry:
+            registry[f"tactile_mnist/{name}"] = registry.pop(name)
+        for registered in (name, f"tactile_envs/{name}"):
+            gymnasium.register(
+                registered,
+                entry_point="tactile_envs.making:make_one",
+                vector_entry_point="tactile_envs.making:make_vector",
+                kwargs={"name": name},
+            )
+
+
+_register()

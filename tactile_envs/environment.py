@@ -1,0 +1,368 @@
+"""Many environments as one: all state in arrays, and one compiled call for a step of them."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import ap_gym
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from realtouch.poses import Poses
+from tactile_envs.config import Config, Registered
+from tactile_envs.episodes import EpisodeLog
+from tactile_envs.kernels import PADDING, aim, touch
+from tactile_envs.meshes import MeshPool
+from tactile_envs.sensors import make_camera
+from tactile_envs.tasks import make_task, placements_m
+from tactile_sim.sensor import as_environment
+from tactile_toolkit.errors import InputError
+
+__all__ = ["TactileEnv", "TactileVectorEnv"]
+
+_TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of
+_NO_DRIFT = np.zeros(3)
+Observation = dict[str, NDArray[Any]]
+
+
+class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
+    """Touch objects that lie in cells, one touch a step, and predict something of them.
+
+    Episodes have one length and begin together. After the last touch of an episode, the next step is the
+    first touch of another, whatever its action (``AutoresetMode.NEXT_STEP``).
+
+    Parameters
+    ----------
+    registered : Registered
+        Task and meshes.
+    config : Config
+        Settings.
+    records : sequence
+        Meshes with ``id``, ``label``, ``vertices_m`` and ``faces``, and ``label_names`` of the whole.
+    num_envs : int
+        How many environments.
+    render_mode : "rgb_array", optional
+        Whether :meth:`render` gives pictures.
+    threads : int
+        How many threads share a step.
+
+    Attributes
+    ----------
+    config : Config
+        Settings.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 - as in gymnasium
+        "render_fps": 5,
+        "render_modes": ["rgb_array"],
+        "autoreset_mode": gym.vector.AutoresetMode.NEXT_STEP,
+    }
+
+    def __init__(
+        self,
+        registered: Registered,
+        config: Config,
+        records: Sequence[Any],
+        num_envs: int,
+        *,
+        render_mode: str | None = None,
+        threads: int = 1,
+    ) -> None:
+        if render_mode not in (None, "rgb_array"):
+            message = (
+                f"render_mode is {render_mode!r}; expected None or 'rgb_array'; next: watch the published "
+                "environment, made with env_assets.make, in a window"
+            )
+            raise InputError(message)
+        for name, number in (("num_envs", num_envs), ("threads", threads)):
+            if not isinstance(number, (int, np.integer)) or number < 1:
+                message = f"{name} is {number!r}; expected an integer from 1 on"
+                raise InputError(message)
+        self.config, self.num_envs, self.render_mode = config, num_envs, render_mode
+        self.metadata = {**type(self).metadata, "render_fps": 1 / config.transfer_timedelta_s}
+        self._records = records
+        self._pool = MeshPool.of(records)
+        self._task = make_task(registered, config, self._pool, len(records.label_names))  # type: ignore[attr-defined]
+        self._sparse = registered.sparse
+        self._camera = make_camera(config.sensor_type, config.sensor_output_size)
+        self._spec: Any = None
+        self._make_spaces()
+        self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
+        self._parts = [
+            slice(part[0], part[-1] + 1) for part in np.array_split(range(num_envs), threads) if len(part)
+        ]
+        width, height = self._camera.depth_size
+        self._rooms = [np.empty((height, width + PADDING), np.float32) for _ in self._parts]
+        view = as_environment(width, height)
+        per_m = width / view.window_m[0]
+        middle = [size / 2 - 0.5 - at for size, at in zip((width, height), view.sample_px, strict=True)]
+        self._window = np.array([per_m, *middle, view.press_m])
+        reach = np.array(config.cell_size) / 2 - np.array(config.cell_padding)
+        self._low, self._high = np.array([*-reach, 0.0]), np.array([*reach, _TOP_M])
+        costs = [config.longest_way_m, config.action_regularization]
+        self._motion = np.concatenate([self._low, self._high, costs])
+        self._log = EpisodeLog(num_envs, config.step_limit)
+        self._step_number, self._done = 0, False
+        self._chosen, self._next = np.full(num_envs, -1, np.int64), np.full(num_envs, -1, np.int64)
+        self._objects = np.zeros((num_envs, 3))
+        self._sensors, self._targets = np.zeros((num_envs, 3)), np.zeros((num_envs, 3))
+
+    def _make_spaces(self) -> None:
+        config, dtype = self.config, np.float32
+        corner = np.ones(3, dtype)
+        width, height = config.sensor_output_size
+        action = gym.spaces.Dict({"sensor_target_pos_rel": gym.spaces.Box(-corner, corner)})
+        seen: dict[str, gym.Space[Any]] = {
+            "sensor_pos": gym.spaces.Box(-corner, corner),
+            "sensor_img": ap_gym.ImageSpace(width, height, self._camera.channels, dtype=dtype),
+        }
+        if config.timeout_behavior == "terminate":
+            seen["time_step"] = gym.spaces.Box(-np.ones((), dtype), np.ones((), dtype))
+        self.single_action_space = ap_gym.ActivePerceptionActionSpace(action, self._task.prediction_space)
+        self.single_observation_space = gym.spaces.Dict(seen)
+        self.single_prediction_target_space = self._task.target_space
+        self.loss_fn = self._task.loss_fn
+        if self._sparse:
+            from ap_gym.loss_fn import WeightedLossFn
+
+            weight = gym.spaces.Box(0, 1, shape=(), dtype=dtype)
+            target = {"target": self._task.target_space, "weight": weight}
+            self.single_prediction_target_space = gym.spaces.Dict(target)
+            self.loss_fn = WeightedLossFn(self._task.loss_fn)
+        for name in ("action_space", "observation_space", "prediction_target_space"):
+            setattr(self, name, batch_space(getattr(self, f"single_{name}"), self.num_envs))
+
+    def reset(
+        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Begin an episode in every environment.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seed of all that is drawn; the published environments give the same episodes for it.
+        options : mapping, optional
+            ``datapoint_idx``: number of the mesh of each environment, or None for any.
+            ``initial_object_pose``: for each its position, metres, and turn, radians, or None.
+            ``initial_sensor_target_pose``: for each the position of the first touch, metres, or None.
+        """
+        super().reset(seed=seed)
+        options = {} if options is None else options
+        wanted = self._given(options, "datapoint_idx")
+        for i in range(self.num_envs):
+            self._next[i] = self._any_mesh() if wanted[i] is None else self._mesh_number(wanted[i])
+        self._begin(self._given(options, "initial_object_pose"))
+        starts = self._starts()
+        for i, place in enumerate(self._given(options, "initial_sensor_target_pose")):
+            if place is not None:
+                starts[i, :2] = np.asarray(place, np.float64).reshape(-1)[:2]
+        self._targets[:] = starts
+        return self._touch()
+
+    def step(
+        self, action: Mapping[str, Any]
+    ) -> tuple[Observation, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+        """Take one touch in every environment; see gymnasium for what is returned."""
+        was_done = self._done
+        observation, cost, terminated, truncated, info, targets = self._step(
+            action["action"], action["prediction"]
+        )
+        predictions = np.asarray(action["prediction"], np.float32)
+        if predictions.shape != self.prediction_space.shape:
+            message = f"predictions have shape {predictions.shape}; expected {self.prediction_space.shape}"
+            raise InputError(message)
+        score = self._task.score(predictions, targets)
+        if not was_done:
+            self._log.add(self._step_number - 1, score.metrics)
+        if self._done:
+            info["stats"] = self._log.stats()
+        info["base_reward"] = cost
+        info["prediction"] = {"target": targets, "loss": score.loss, "metrics": {}}
+        loss = score.loss
+        if self._sparse:
+            weight = terminated.astype(np.float32)
+            info["prediction"]["target"] = {"target": targets, "weight": weight}
+            loss = loss * weight
+        return observation, cost - loss, terminated, truncated, info
+
+    def _step(
+        self, action: Mapping[str, Any], prediction: Any
+    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any], NDArray[Any]]:
+        if self._chosen[0] < 0:
+            raise gym.error.ResetNeeded("reset the environment before its first step")  # noqa: EM101
+        ways = np.ascontiguousarray(action["sensor_target_pos_rel"], np.float32)
+        if ways.shape != (self.num_envs, 3):
+            message = f"sensor_target_pos_rel has shape {ways.shape}; expected {(self.num_envs, 3)}"
+            raise InputError(message)
+        if np.isnan(ways).any():
+            message = "NaN values detected in sensor target position."
+            raise ValueError(message)
+        targets = self._task.targets(self._chosen, self._objects)
+        costs = np.zeros(self.num_envs, np.float32)
+        if self._done:
+            self._begin([None] * self.num_envs)
+            self._targets[:] = self._starts()
+        else:
+            self._step_number += 1
+            aim(ways, self._motion, self._sensors, self._targets, costs)
+        observation, info = self._touch()
+        self._done = self._step_number >= self.config.step_limit
+        over, never = np.full(self.num_envs, self._done), np.zeros(self.num_envs, np.bool_)
+        if self.config.timeout_behavior == "terminate":
+            return observation, costs, over, never, info, targets
+        return observation, costs, never, over, info, targets
+
+    def _begin(self, poses: Sequence[Any]) -> None:
+        """Put the next objects into the cells; draws as the published environment does, in its order."""
+        config, random = self.config, self.np_random
+        for i in range(self.num_envs):
+            number = int(self._next[i])
+            self._chosen[i], self._next[i] = number, self._any_mesh()
+            if poses[i] is not None:
+                self._objects[i] = poses[i]
+            elif config.randomize_initial_object_pose:
+                turn, *offset = random.random(3)
+                turn_rad = (turn * 2 - 1) * config.max_initial_angle_perturbation
+                low, high = placements_m(self._pool.hull(number), turn_rad, config)
+                self._objects[i, :2] = offset * (high - low) + low
+                self._objects[i, 2] = turn_rad
+            else:
+                self._objects[i] = 0.0
+        self._step_number, self._done = 0, False
+
+    def _starts(self) -> NDArray[np.float64]:
+        """Draw where episodes begin, shape (n, 3)."""
+        starts = np.zeros((self.num_envs, 3))
+        if self.config.randomize_initial_sensor_pose:
+            drawn = self.np_random.uniform(self._low[:2], self._high[:2], (self.num_envs, 2))
+            starts[:, :2] = drawn.astype(np.float32)  # as published
+        return starts
+
+    def _touch(self) -> tuple[Observation, dict[str, Any]]:
+        """Touch at the targets, and let the objects slip."""
+        config, count = self.config, self.num_envs
+        self._sensors[:] = self._targets
+        if config.snap_touch_positions is not None:
+            size = (count, config.snap_touch_positions, 2)
+            places = self.np_random.uniform(self._low[:2], self._high[:2], size)
+            nearest = np.linalg.norm(places - self._targets[:, None, :2], axis=2).argmin(axis=1)
+            snapped = places[np.arange(count), nearest]
+            # Single precision at the start of an episode, as published.
+            self._sensors[:, :2] = snapped if self._step_number else snapped.astype(np.float32)
+        drift = _NO_DRIFT
+        if config.perturb_object_pose:
+            # One draw for all, as published.
+            slip_m = self.np_random.normal(scale=config.translation_perturbation_scale, size=2)
+            drift = np.array([*slip_m, self.np_random.normal(scale=config.rotation_perturbation_scale)])
+        width, height = self._camera.depth_size
+        images = np.empty((count, height, width), np.float32)
+        has_depth = config.depth_in_info or self._camera.sees_depth
+        depths_m = np.empty((count, height, width) if has_depth else (0, 0, 0), np.float32)
+        positions, is_bare = np.empty((count, 3), np.float32), np.empty(count, np.bool_)
+
+        def run(part: int) -> None:
+            touch(
+                self._parts[part].start,
+                self._parts[part].stop,
+                self._window,
+                self._motion,
+                drift,
+                self._pool.arrays,
+                self._chosen,
+                self._sensors,
+                self._objects,
+                self._rooms[part],
+                images,
+                depths_m,
+                positions,
+                is_bare,
+            )
+
+        if self._threads is None:
+            run(0)
+        else:
+            list(self._threads.map(run, range(len(self._parts))))
+        observation = {
+            "sensor_pos": positions,
+            "sensor_img": self._camera.pictures(images, depths_m, is_bare),
+        }
+        if config.timeout_behavior == "terminate":
+            progress = np.float32(self._step_number / config.step_limit * 2 - 1)
+            observation["time_step"] = np.full(count, progress)
+        info: dict[str, Any] = {"sensor_pose": Poses(self._sensors.copy(), _upright(count))}
+        if config.depth_in_info:
+            info["depth"] = depths_m
+        return observation, info
+
+    def _given(self, options: Mapping[str, Any], name: str) -> Sequence[Any]:
+        given = list(options.get(name, [None] * self.num_envs))
+        if len(given) != self.num_envs:
+            message = f"option {name!r} has {len(given)} entries; expected {self.num_envs}"
+            raise InputError(message)
+        return given
+
+    def _any_mesh(self) -> int:
+        return int(self.np_random.integers(0, len(self._pool)))
+
+    def _mesh_number(self, number: Any) -> int:
+        if not 0 <= int(number) < len(self._pool):
+            message = f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}"
+            raise InputError(message)
+        return int(number)
+
+    def close_extras(self, **_: Any) -> None:
+        """End the threads."""
+        if self._threads is not None:
+            self._threads.shutdown()
+
+    @property
+    def sensor_pos_limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Lowest and highest position of the sensor, metres; its height is observed between those, too."""
+        return self._low, self._high
+
+    @property
+    def current_data_points(self) -> tuple[Any, ...]:
+        """Records of the objects that lie in the cells."""
+        return tuple(self._records[int(number)] for number in self._chosen)
+
+    @property
+    def current_data_point_indices(self) -> NDArray[np.int64]:
+        """Numbers of these records in their data set, shape (n,)."""
+        return self._chosen.copy()
+
+    @property
+    def current_object_poses_platform_frame(self) -> Poses:
+        """Where the objects lie, metres."""
+        foot_m = self._pool.fact("foot_m")[self._chosen]
+        half = self._objects[:, 2] / 2
+        quaternion = np.zeros((self.num_envs, 4))
+        quaternion[:, 2], quaternion[:, 3] = np.sin(half), np.cos(half)
+        return Poses(np.column_stack([self._objects[:, :2], -foot_m]), quaternion)
+
+    @property
+    def current_sensor_target_poses_platform_frame(self) -> Poses:
+        """Where the sensors were sent, metres."""
+        return Poses(self._targets.copy(), _upright(self.num_envs))
+
+    @property
+    def spec(self) -> Any:
+        """Registration, with the length of an episode."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, spec: Any) -> None:
+        self._spec = copy.copy(spec)
+        self._spec.max_episode_steps = self.config.step_limit
+
+
+def _upright(count: int) -> NDArray[np.float64]:
+    return np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
+
+
+class TactileEnv(ap_gym.ActivePerceptionVectorToSingleWrapper):  # type: ignore[misc]
+    """One environment: a vector of one, seen as a single one."""

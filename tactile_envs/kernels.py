@@ -1,0 +1,339 @@
+"""Inner loops in numba.
+
+All kernels lie in this one file, because numba's cache on disk looks at the file of a kernel only.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_envs.lanes import LANES, raise_pixels
+from tactile_toolkit.mesh.nearness import compiled
+
+__all__ = ["PADDING", "aim", "classify", "raise_object", "spread_of_turned", "touch"]
+
+PADDING = LANES
+"""Pixels that a row of heights has to spare, so that eight at once can begin at its last."""
+
+_EDGE_PX = 1e-6
+# How far outside of an edge a pixel still counts as on it, as a share of what its weight changes from pixel to
+# pixel: single precision must leave no hole between neighbours.
+_SLACK = 2e-6
+
+
+@compiled
+def raise_object(
+    heights: NDArray[np.float32],
+    vertices: NDArray[np.float32],
+    faces: NDArray[np.integer[Any]],
+    starts: NDArray[np.int32],
+    grid: NDArray[np.float64],
+    cosine: float,
+    sine: float,
+    x_px: float,
+    y_px: float,
+    px_per_m: float,
+    columns: int,
+) -> None:
+    """Raise pixels to the highest triangle of an object over each of them.
+
+    ``heights``, shape (H, columns + PADDING), metres above the plate, has its first row at the bottom; the
+    object is turned by an angle and its origin lies at ``x_px``, ``y_px``, in pixels that look at whole
+    numbers. ``grid`` is the object's row of :attr:`tactile_envs.meshes.MeshPool.grids`.
+    """
+    rows = heights.shape[0]
+    first_vertex, first_face, large, first_start = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
+    across, up = int(grid[4]), int(grid[5])
+    left_m, bottom_m, cell_m, reach_m = grid[6], grid[7], grid[8], grid[9]
+    turn_x, turn_y = cosine * px_per_m, sine * px_per_m
+    _raise_run(
+        heights,
+        vertices,
+        faces,
+        first_face,
+        first_face + large,
+        first_vertex,
+        turn_x,
+        turn_y,
+        x_px,
+        y_px,
+        columns,
+    )
+    # The corners of the window in the object's frame.
+    corner_x, corner_y = np.empty(4), np.empty(4)
+    for corner in range(4):
+        column = columns - 1.0 + _EDGE_PX if corner == 1 or corner == 2 else -_EDGE_PX
+        row = rows - 1.0 + _EDGE_PX if corner >= 2 else -_EDGE_PX
+        over_x, over_y = (column - x_px) / px_per_m, (row - y_px) / px_per_m
+        corner_x[corner] = cosine * over_x + sine * over_y - left_m
+        corner_y[corner] = cosine * over_y - sine * over_x - bottom_m
+    lowest, highest = corner_y.min() - reach_m, corner_y.max() + reach_m
+    small = first_face + large
+    for line in range(max(math.floor(lowest / cell_m), 0), min(math.floor(highest / cell_m), up - 1) + 1):
+        # A triangle lies at most `reach_m` from the middle that says which cell it is in.
+        from_y, to_y = line * cell_m - reach_m, (line + 1) * cell_m + reach_m
+        least, most = np.inf, -np.inf
+        for corner in range(4):
+            x, y = corner_x[corner], corner_y[corner]
+            along_x, along_y = corner_x[(corner + 1) & 3] - x, corner_y[(corner + 1) & 3] - y
+            begin, end = 0.0, 1.0
+            if along_y != 0.0:
+                one, other = (from_y - y) / along_y, (to_y - y) / along_y
+                begin, end = max(min(one, other), 0.0), min(max(one, other), 1.0)
+            elif y < from_y or y > to_y:
+                continue
+            if begin <= end:
+                least = min(least, x + min(begin * along_x, end * along_x))
+                most = max(most, x + max(begin * along_x, end * along_x))
+        begin_cell = max(math.floor((least - reach_m) / cell_m), 0)
+        end_cell = min(math.floor((most + reach_m) / cell_m), across - 1)
+        if begin_cell <= end_cell:
+            cell = first_start + line * across
+            _raise_run(
+                heights,
+                vertices,
+                faces,
+                small + starts[cell + begin_cell],
+                small + starts[cell + end_cell + 1],
+                first_vertex,
+                turn_x,
+                turn_y,
+                x_px,
+                y_px,
+                columns,
+            )
+
+
+@compiled
+def _raise_run(
+    heights: NDArray[np.float32],
+    vertices: NDArray[np.float32],
+    faces: NDArray[np.integer[Any]],
+    first: int,
+    last: int,
+    first_vertex: int,
+    turn_x: float,
+    turn_y: float,
+    x_px: float,
+    y_px: float,
+    columns: int,
+) -> None:
+    """Raise pixels to some triangles, all of which face upwards."""
+    rows, stride = heights.shape
+    pixels = heights.reshape(heights.size)
+    for face in range(first, last):
+        a = first_vertex + np.int64(faces[face, 0])
+        b = first_vertex + np.int64(faces[face, 1])
+        c = first_vertex + np.int64(faces[face, 2])
+        x, y = np.float64(vertices[a, 0]), np.float64(vertices[a, 1])
+        ax, ay = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
+        x, y = np.float64(vertices[b, 0]), np.float64(vertices[b, 1])
+        bx, by = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
+        x, y = np.float64(vertices[c, 0]), np.float64(vertices[c, 1])
+        cx, cy = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
+        first_column = max(math.ceil(min(min(ax, bx), cx) - _EDGE_PX), 0)
+        last_column = min(math.floor(max(max(ax, bx), cx) + _EDGE_PX), columns - 1)
+        first_row = max(math.ceil(min(min(ay, by), cy) - _EDGE_PX), 0)
+        last_row = min(math.floor(max(max(ay, by), cy) + _EDGE_PX), rows - 1)
+        if first_column > last_column or first_row > last_row:
+            continue
+        abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
+        per_area = 1.0 / (abx * acy - aby * acx)
+        # Weights of the second and the third corner, and what they grow by along x and y.
+        b_step, c_step = acy * per_area, -aby * per_area
+        b_up, c_up = -acx * per_area, abx * per_area
+        b_slack, c_slack = (
+            np.float32(_SLACK * abs(b_step) + _SLACK),
+            np.float32(_SLACK * abs(c_step) + _SLACK),
+        )
+        low = vertices[a, 2]
+        b_rise, c_rise = vertices[b, 2] - low, vertices[c, 2] - low
+        away_x, away_y = first_column - ax, first_row - ay
+        b_row, c_row = b_step * away_x + b_up * away_y, c_step * away_x + c_up * away_y
+        for row in range(first_row, last_row + 1):
+            b_here, c_here = b_row, c_row
+            for column in range(first_column, last_column + 1, LANES):
+                raise_pixels(
+                    pixels,
+                    row * stride + column,
+                    np.float32(b_here),
+                    np.float32(c_here),
+                    np.float32(b_step),
+                    np.float32(c_step),
+                    b_slack,
+                    c_slack,
+                    low,
+                    b_rise,
+                    c_rise,
+                )
+                b_here += LANES * b_step
+                c_here += LANES * c_step
+            b_row += b_up
+            c_row += c_up
+
+
+Pool = tuple[
+    NDArray[np.float32], NDArray[Any], NDArray[np.int32], NDArray[np.float64]
+]  # vertices, faces, starts, grids of a MeshPool
+
+
+@compiled
+def aim(
+    actions: NDArray[np.float32],
+    motion: NDArray[np.float64],
+    sensors: NDArray[np.float64],
+    targets: NDArray[np.float64],
+    costs: NDArray[np.float32],
+) -> None:
+    """Turn actions (n, 3) into targets (n, 3), metres, and what they cost, (n,).
+
+    Actions are parts of the longest way, in a ball of radius 1; ``motion``, shape (8,), the lowest and the
+    highest position, metres (6), the longest way, metres, and the price of an action. In the precisions of
+    the published environment.
+    """
+    one, price = np.float32(1.0), np.float32(motion[7])
+    for i in range(len(actions)):
+        x, y, z = actions[i, 0], actions[i, 1], actions[i, 2]
+        length = np.float32(math.sqrt((x * x + y * y) + z * z))
+        for axis in range(3):
+            way = actions[i, axis] / length if length > one else actions[i, axis]
+            aimed = sensors[i, axis] + np.float64(way) * motion[6]
+            targets[i, axis] = min(max(aimed, motion[axis]), motion[axis + 3])
+        costs[i] = ((-(x * x) * price + -(y * y) * price) + -(z * z) * price) / np.float32(3.0)
+
+
+@compiled
+def touch(
+    begin: int,
+    end: int,
+    window: NDArray[np.float64],
+    motion: NDArray[np.float64],
+    drift: NDArray[np.float64],
+    pool: Pool,
+    chosen: NDArray[np.int64],
+    sensors: NDArray[np.float64],
+    objects: NDArray[np.float64],
+    heights: NDArray[np.float32],
+    images: NDArray[np.float32],
+    depths: NDArray[np.float32],
+    positions: NDArray[np.float32],
+    is_bare: NDArray[np.bool_],
+) -> None:
+    """Bring sensors down where they are, and let the objects slip: for environments begin to end.
+
+    Parameters
+    ----------
+    window : ndarray, shape (4,)
+        Pixels a metre, column and row of the middle, counted from the bottom, and press depth, metres.
+    motion : ndarray, shape (8,)
+        As of :func:`aim`.
+    drift : ndarray, shape (3,)
+        How objects slip afterwards, in their own frame: metres and radians.
+    pool, chosen
+        Meshes, and which of them each object is.
+    sensors : ndarray, shape (n, 3)
+        Positions, metres; the height is written.
+    objects : ndarray, shape (n, 3)
+        Position, metres, and turn, radians; slip in place.
+    heights : ndarray, shape (H, W + PADDING)
+        Room to work in.
+    images : ndarray, shape (n, H, W)
+        Depth images.
+    depths : ndarray, shape (n, H, W) or (0, 0, 0)
+        Distances from the gel's camera, metres, where they are wanted.
+    positions : ndarray, shape (n, 3)
+        What the sensors observe of their positions, -1 to 1.
+    is_bare : ndarray, shape (n,)
+        Whether the plate alone was met.
+    """
+    vertices, faces, starts, grids = pool
+    rows, columns = images.shape[1], images.shape[2]
+    greatest = np.empty(columns, np.float32)
+    press, scale, top = np.float32(window[3]), np.float32(1.0 / window[3]), np.float32(1.0)
+    for i in range(begin, end):
+        cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
+        heights[:, :] = 0.0
+        raise_object(
+            heights,
+            vertices,
+            faces,
+            starts,
+            grids[chosen[i]],
+            cosine,
+            sine,
+            (objects[i, 0] - sensors[i, 0]) * window[0] + window[1],
+            (objects[i, 1] - sensors[i, 1]) * window[0] + window[2],
+            window[0],
+            columns,
+        )
+        # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
+        greatest[:] = 0.0
+        for row in range(rows):
+            for column in range(columns):
+                here = heights[row, column]
+                greatest[column] = here if here > greatest[column] else greatest[column]
+        highest = greatest.max()
+        is_bare[i] = highest == 0.0
+        if is_bare[i]:
+            images[i, :, :] = 0.0
+        else:
+            for row in range(rows):
+                line, shown = heights[rows - 1 - row], images[i, row]
+                for column in range(columns):
+                    depth = (highest - line[column]) * scale
+                    shown[column] = depth if depth < top else top
+        if len(depths):
+            for row in range(rows):
+                line, far = heights[rows - 1 - row], depths[i, row]
+                for column in range(columns):
+                    far[column] = press + (highest - line[column])
+        sensors[i, 2] = highest + window[3]
+        for axis in range(3):
+            low, high = motion[axis], motion[axis + 3]
+            share = (sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
+            positions[i, axis] = np.float32(min(max(share, -1.0), 1.0))
+        objects[i, 0] += cosine * drift[0] - sine * drift[1]
+        objects[i, 1] += sine * drift[0] + cosine * drift[1]
+        objects[i, 2] += drift[2]
+
+
+@compiled
+def classify(
+    logits: NDArray[np.float32],
+    labels: NDArray[np.int64],
+    scale: float,
+    loss: NDArray[np.float64],
+    certainty: NDArray[np.float32],
+    is_right: NDArray[np.float32],
+) -> None:
+    """Score logits (n, classes): scaled cross entropy, probability of the label, and whether it is first."""
+    for i in range(len(logits)):
+        best, most = 0, logits[i, 0]
+        for k in range(1, logits.shape[1]):
+            if logits[i, k] > most:
+                best, most = k, logits[i, k]
+        total = 0.0
+        for k in range(logits.shape[1]):
+            total += math.exp(np.float64(logits[i, k]) - most)
+        unlikely = math.log(total) - (np.float64(logits[i, labels[i]]) - most)
+        loss[i] = unlikely * scale
+        certainty[i] = math.exp(-unlikely)
+        is_right[i] = 1.0 if best == labels[i] else 0.0
+
+
+@compiled
+def spread_of_turned(
+    hull: NDArray[np.float32], cosine: float, sine: float
+) -> tuple[float, float, float, float]:
+    """Return least and greatest x and y of turned points (n, 2)."""
+    least_x, least_y, most_x, most_y = np.inf, np.inf, -np.inf, -np.inf
+    for point in range(len(hull)):
+        x, y = np.float64(hull[point, 0]), np.float64(hull[point, 1])
+        over, up = cosine * x - sine * y, sine * x + cosine * y
+        least_x, most_x = min(least_x, over), max(most_x, over)
+        least_y, most_y = min(least_y, up), max(most_y, up)
+    return least_x, least_y, most_x, most_y

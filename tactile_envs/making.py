@@ -1,0 +1,88 @@
+"""From an id to an environment: what gymnasium calls."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike, fspath
+from typing import Any
+
+from env_assets.mesh_folder import mesh_files
+from env_assets.missing import KINDS
+from env_assets.provider import AssetProvider
+from env_assets.published.fit import refuse_unfit_meshes
+from tactile_envs.config import IDS, Registered, configured
+from tactile_envs.environment import TactileEnv, TactileVectorEnv
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.files import expanded, is_there
+
+__all__ = ["make_one", "make_vector"]
+
+PUBLISHED = "published"
+
+
+def make_one(name: str, **options: Any) -> TactileEnv:
+    """Make a single environment; options as :func:`make_vector`."""
+    return TactileEnv(make_vector(name, num_envs=1, **options))
+
+
+def make_vector(
+    name: str,
+    *,
+    num_envs: int = 1,
+    assets: str | PathLike[str] | None = None,
+    config: Mapping[str, Any] | None = None,
+    render_mode: str | None = None,
+    threads: int = 1,
+) -> TactileVectorEnv:
+    """Make environments side by side.
+
+    Parameters
+    ----------
+    name : str
+        Registered id, such as ``"TactileMNIST-Depth-train-v0"``.
+    num_envs : int
+        How many.
+    assets : path or str, optional
+        Meshes: a folder of data sets (such as ``tactile-assets``, with ``mnist3d`` in it), one data set by
+        folder or name on the Hub, a folder of mesh files, or ``"published"`` for the published set. By
+        default they are made on first use in ``tactile-assets``, which takes a while.
+    config : mapping, optional
+        Settings that differ from those of the registration; see :class:`tactile_envs.Config`.
+    render_mode : "rgb_array", optional
+        Whether ``render()`` gives pictures.
+    threads : int
+        How many threads share a step.
+
+    Raises
+    ------
+    InputError
+        No such id or setting; meshes that are absent or do not fit.
+    """
+    registered = IDS[name]
+    settings = configured(registered.config, config or {})
+    records = _records(registered, assets)
+    where = f"{registered.assets!r}, split {registered.split!r},"
+    kind: Any = registered.assets if assets is None and registered.assets in KINDS else None
+    refuse_unfit_meshes(records, kind, where, settings.cell_size)
+    return TactileVectorEnv(registered, settings, records, num_envs, render_mode=render_mode, threads=threads)
+
+
+def _records(registered: Registered, assets: str | PathLike[str] | None) -> Any:
+    name, split = registered.assets, registered.split
+    if assets is None:
+        if name not in KINDS:
+            message = f"meshes of {name!r} are not made here; next: give `assets`, a folder of meshes"
+            raise InputError(message)
+        return AssetProvider(generate=True).meshes(name, split)
+    if assets == PUBLISHED:
+        published = KINDS[name].published if name in KINDS else ()
+        if not published:
+            message = f"no meshes of {name!r} are published; next: give `assets`, a folder of meshes"
+            raise InputError(message)
+        return AssetProvider().meshes(published[0].repo_id, split)
+    place = expanded(fspath(assets))
+    if not is_there(place):
+        return AssetProvider().meshes(fspath(assets), split)
+    if name in KINDS and (place / name).is_dir():
+        return AssetProvider(place).meshes(name, split)
+    return mesh_files(place, split) or AssetProvider().meshes(place.absolute(), split)

@@ -1,0 +1,208 @@
+"""Meshes as a few arrays for all: what drawing and tasks need of them, mapped from one file.
+
+Of each mesh only the triangles that face upwards are kept, as numbers of corners, sorted into a grid of
+:data:`CELL_M`: those under a window that is turned in any way are a few contiguous runs. The training split of
+the digits takes 0.8 GB, which the processes of a machine share.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import IO, Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.cache import DiskCache
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.run.system import locked
+
+__all__ = ["CELL_M", "FACTS", "MeshPool"]
+
+CELL_M = 0.0012
+"""Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""
+
+FACTS = ("label", "id", "foot_m", "volume_m3", "x_m", "y_m", "z_m")
+"""Columns of :attr:`MeshPool.facts`: foot is the lowest height, x, y and z the centre of mass."""
+
+_POOLS = DiskCache(
+    "environments",
+    8 << 30,
+    durable=False,
+    warning="environments sort their meshes anew each time: {problem}",
+)
+_FORMAT = 1
+_LOG = logging.getLogger(__name__)
+
+Parts = list[NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPool:
+    """Some meshes, metres.
+
+    Attributes
+    ----------
+    vertices : ndarray of float32, shape (V, 3)
+        Corners of triangles that face upwards; the lowest point of each mesh is at height 0.
+    faces : ndarray of uint16 or int32, shape (F, 3)
+        Triangles, by corners within their mesh: first the large ones, then the others by cell.
+    starts : ndarray of int32, shape (S,)
+        For each mesh, at which of its small triangles each cell begins, row by row, and where the last ends.
+    hulls : ndarray of float32, shape (H, 2)
+        Corners of the convex hulls seen from above.
+    grids : ndarray of float64, shape (n, 12)
+        For each mesh: first vertex, first face, number of large faces, first of its starts; cells across and
+        up; left and lower edge of the grid, side of a cell, and how far a small triangle reaches from the
+        middle that is in a cell, metres; first corner of the hull and the one after its last.
+    facts : ndarray of float64, shape (n, 7)
+        For each mesh what :data:`FACTS` names.
+    """
+
+    vertices: NDArray[np.float32]
+    faces: NDArray[Any]
+    starts: NDArray[np.int32]
+    hulls: NDArray[np.float32]
+    grids: NDArray[np.float64]
+    facts: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, records: Sequence[Any]) -> MeshPool:
+        """Take the meshes of records; those of a data set are kept on disk for the next time."""
+        name = _name_of(records)
+        if name is None:
+            return cls.packed(records)
+        path = _POOLS.path(name)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with locked(path.with_suffix(".lock")):  # whoever comes later finds it made
+            if not path.exists():
+                _LOG.info("sorting the triangles of %d meshes", len(records))
+                parts = _parts_of(records)
+                size = sum(part.nbytes for column in parts for part in column)
+                if not _POOLS.write(name, size, lambda stream: _write(stream, parts)):
+                    return cls(*_joined(parts))
+        _POOLS.mark_used(path)
+        return cls(*_mapped(path))
+
+    @classmethod
+    def packed(cls, records: Iterable[Any]) -> MeshPool:
+        """Take the meshes of records into memory."""
+        return cls(*_joined(_parts_of(records)))
+
+    def __len__(self) -> int:
+        return len(self.grids)
+
+    def fact(self, name: str) -> NDArray[np.float64]:
+        """Return a column of the facts."""
+        return np.ascontiguousarray(self.facts[:, FACTS.index(name)])
+
+    def hull(self, number: int) -> NDArray[np.float32]:
+        """Return the hull of a mesh seen from above, shape (h, 2)."""
+        first, last = self.grids[number, 10:12]
+        return self.hulls[int(first) : int(last)]
+
+    @property
+    def arrays(self) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[np.int32], NDArray[np.float64]]:
+        """What :func:`tactile_envs.kernels.touch` takes."""
+        return self.vertices, self.faces, self.starts, self.grids
+
+
+def _name_of(records: Sequence[Any]) -> str | None:
+    """Return a name for the content of a data set on disk; None for records that are in memory."""
+    shards = [shard for table in getattr(records, "_tables", ()) for shard in table.shards]
+    if not shards:
+        return None
+    stats = [Path(shard.path).stat() if "://" not in shard.path else None for shard in shards]
+    content = [
+        (shard.path, *(() if stat is None else (stat.st_size, stat.st_mtime_ns)))
+        for shard, stat in zip(shards, stats, strict=True)
+    ]
+    rows = np.asarray(cast(Any, records)._rows, np.int64)
+    digest = hashlib.sha256(repr((_FORMAT, CELL_M, content)).encode() + rows.tobytes())
+    return f"meshes-{digest.hexdigest()[:32]}"
+
+
+def _parts_of(records: Iterable[Any]) -> list[Parts]:
+    """Return the arrays of all meshes, one list for each field of a pool."""
+    columns: list[Parts] = [[], [], [], [], [], []]
+    ends = np.zeros(4)
+    for record in records:
+        vertices_m, faces = np.asarray(record.vertices_m, np.float32), np.asarray(record.faces)
+        *arrays, grid = _packed(vertices_m, faces)
+        grid[[0, 1, 3, 10]] = ends
+        ends += [len(array) for array in arrays]
+        grid[11] = ends[3]
+        solid = Mesh(vertices_m, faces)
+        foot_m = vertices_m[:, 2].min()
+        facts = [record.label, record.id, foot_m, solid.volume_m3, *solid.center_mass_m]
+        for column, array in zip(columns, [*arrays, grid[None], np.array([facts], np.float64)], strict=True):
+            column.append(array)
+    if max(map(len, columns[0])) <= 1 << 16:
+        columns[1] = [part.astype(np.uint16) for part in columns[1]]
+    return columns
+
+
+def _packed(vertices_m: NDArray[np.float32], faces: NDArray[Any]) -> Parts:
+    """Return vertices, faces, starts, hull and grid of one mesh."""
+    from scipy.spatial import ConvexHull
+
+    corners = [vertices_m[faces[:, corner], :2].astype(np.float64) for corner in range(3)]
+    one, other = corners[1] - corners[0], corners[2] - corners[0]
+    upward = np.flatnonzero(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0] > 0)
+    low, high = (reduce(corners)[upward] for reduce in (np.minimum.reduce, np.maximum.reduce))
+    extent = (high - low).max(axis=1)
+    is_large = extent > 2 * CELL_M
+    flat = vertices_m[:, :2].astype(np.float64)
+    origin = flat.min(axis=0)
+    across, up = (np.floor((flat.max(axis=0) - origin) / CELL_M).astype(np.int64) + 1).tolist()
+    cells = np.floor(((low + high) / 2 - origin) / CELL_M).astype(np.int64)
+    cell = np.where(is_large, -1, cells[:, 1] * across + cells[:, 0])
+    order = np.argsort(cell, kind="stable")
+    large = int(is_large.sum())
+    starts = np.searchsorted(cell[order][large:], np.arange(across * up + 1)).astype(np.int32)
+    reach_m = extent[~is_large].max(initial=0.0) / 2
+    # In the order in which triangles name them: so corners of one window lie together in memory.
+    named = faces[upward][order].reshape(-1)
+    used, first, number = np.unique(named, return_index=True, return_inverse=True)
+    by_use = np.argsort(first)
+    rank = np.empty(len(used), np.int32)
+    rank[by_use] = np.arange(len(used), dtype=np.int32)
+    kept = vertices_m[used[by_use]].copy()
+    kept[:, 2] -= vertices_m[:, 2].min()
+    hull = vertices_m[ConvexHull(flat).vertices, :2]
+    # A nanometre more: a quotient is rounded, too.
+    grid = np.array([0, 0, large, 0, across, up, *origin, CELL_M, reach_m + 1e-9, 0, 0], np.float64)
+    return [kept, rank[number].reshape(-1, 3), starts, hull, grid]
+
+
+def _joined(parts: list[Parts]) -> Parts:
+    arrays = [np.concatenate(column) for column in parts]
+    for array in arrays:
+        array.flags.writeable = False  # as mapped ones are, for which the kernels are compiled
+    return arrays
+
+
+def _write(stream: IO[bytes], parts: list[Parts]) -> None:
+    """Write the arrays one after the other, each as numpy would; none is joined in memory."""
+    for column in parts:
+        shape = (sum(map(len, column)), *column[0].shape[1:])
+        header = {"descr": column[0].dtype.str, "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(stream, header)
+        for part in column:
+            stream.write(np.ascontiguousarray(part).tobytes())
+
+
+def _mapped(path: Path) -> Parts:
+    arrays = []
+    with path.open("rb") as stream:
+        for _ in fields(MeshPool):
+            np.lib.format.read_magic(stream)
+            shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+            # A plain array over the map: numba knows no memmap, and numpy is slower with one.
+            arrays.append(np.asarray(np.memmap(path, dtype, "r", stream.tell(), shape)))
+            stream.seek(int(np.prod(shape)) * dtype.itemsize, 1)
+    return arrays
