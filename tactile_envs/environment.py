@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from realtouch.poses import Poses
 from tactile_envs.config import Config, Registered
+from tactile_envs.drawing import Shown, draw
 from tactile_envs.episodes import EpisodeLog
 from tactile_envs.kernels import PADDING, aim, touch
 from tactile_envs.meshes import MeshPool
@@ -27,6 +28,7 @@ __all__ = ["TactileEnv", "TactileVectorEnv"]
 
 _TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of
 _NO_DRIFT = np.zeros(3)
+_NOT_RESET = "the environment was not reset yet; next: call reset()"
 Observation = dict[str, NDArray[Any]]
 
 
@@ -98,7 +100,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         ]
         width, height = self._camera.depth_size
         self._rooms = [np.empty((height, width + PADDING), np.float32) for _ in self._parts]
-        view = as_environment(width, height)
+        self._view = view = as_environment(width, height)
         per_m = width / view.window_m[0]
         middle = [size / 2 - 0.5 - at for size, at in zip((width, height), view.sample_px, strict=True)]
         self._window = np.array([per_m, *middle, view.press_m])
@@ -111,6 +113,8 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._chosen, self._next = np.full(num_envs, -1, np.int64), np.full(num_envs, -1, np.int64)
         self._objects = np.zeros((num_envs, 3))
         self._sensors, self._targets = np.zeros((num_envs, 3)), np.zeros((num_envs, 3))
+        self._felt: NDArray[np.float32] = np.zeros(0, np.float32)
+        self._predicted: tuple[NDArray[Any], NDArray[Any]] | None = None
 
     def _make_spaces(self) -> None:
         config, dtype = self.config, np.float32
@@ -177,6 +181,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             message = f"predictions have shape {predictions.shape}; expected {self.prediction_space.shape}"
             raise InputError(message)
         score = self._task.score(predictions, targets)
+        self._predicted = None if was_done else (predictions, targets)
         if not was_done:
             self._log.add(self._step_number - 1, score.metrics)
         if self._done:
@@ -194,7 +199,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self, action: Mapping[str, Any], prediction: Any
     ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any], NDArray[Any]]:
         if self._chosen[0] < 0:
-            raise gym.error.ResetNeeded("reset the environment before its first step")  # noqa: EM101
+            raise gym.error.ResetNeeded(_NOT_RESET)
         ways = np.ascontiguousarray(action["sensor_target_pos_rel"], np.float32)
         if ways.shape != (self.num_envs, 3):
             message = f"sensor_target_pos_rel has shape {ways.shape}; expected {(self.num_envs, 3)}"
@@ -233,7 +238,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
                 self._objects[i, 2] = turn_rad
             else:
                 self._objects[i] = 0.0
-        self._step_number, self._done = 0, False
+        self._step_number, self._done, self._predicted = 0, False, None
 
     def _starts(self) -> NDArray[np.float64]:
         """Draw where episodes begin, shape (n, 3)."""
@@ -287,10 +292,8 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             run(0)
         else:
             list(self._threads.map(run, range(len(self._parts))))
-        observation = {
-            "sensor_pos": positions,
-            "sensor_img": self._camera.pictures(images, depths_m, is_bare),
-        }
+        self._felt = self._camera.pictures(images, depths_m, is_bare)
+        observation = {"sensor_pos": positions, "sensor_img": self._felt}
         if config.timeout_behavior == "terminate":
             progress = np.float32(self._step_number / config.step_limit * 2 - 1)
             observation["time_step"] = np.full(count, progress)
@@ -314,6 +317,33 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             message = f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}"
             raise InputError(message)
         return int(number)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """Return a picture of each environment, (240, 336, 3) uint8; None without a render mode.
+
+        The cell from above with the object where the next touch finds it, a frame around what the sensor
+        felt, a cross where it was sent; beside it what it felt, and the prediction.
+        """
+        if self.render_mode is None:
+            return None
+        if self._chosen[0] < 0:
+            raise gym.error.ResetNeeded(_NOT_RESET)
+        shown = Shown() if self._predicted is None else self._task.shown(*self._predicted)
+        return tuple(
+            draw(
+                self._pool,
+                int(self._chosen[i]),
+                self._objects[i],
+                self._sensors[i],
+                self._targets[i],
+                self._felt[i],
+                self.config.cell_size,
+                self._view.window_m,
+                shown,
+                i,
+            )
+            for i in range(self.num_envs)
+        )
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""

@@ -13,9 +13,10 @@ import ap_gym
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import ndtri, softmax
 
 from tactile_envs.config import Config, Registered
+from tactile_envs.drawing import Shown
 from tactile_envs.kernels import classify, spread_of_turned
 from tactile_envs.meshes import MeshPool
 from tactile_toolkit.errors import InputError
@@ -45,6 +46,9 @@ class Target(Protocol):
 
     def score(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Score:
         """Score predictions."""
+
+    def shown(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Shown:
+        """Return what a picture shows of predictions."""
 
 
 def make_task(registered: Registered, config: Config, pool: MeshPool, classes: int) -> Target:
@@ -83,6 +87,10 @@ class Classification:
         )
         return Score(loss, {"correct_label_prob": certainty, "accuracy": is_right})
 
+    def shown(self, predictions: NDArray[Any], targets: NDArray[np.int64]) -> Shown:
+        """Show the probability of each class."""
+        return Shown(shares=softmax(predictions, axis=1), right=targets)
+
 
 class _Regression:
     """Mean squared error over that of the best blind guess."""
@@ -114,6 +122,7 @@ class Volume(_Regression):
         if not self._std_m3:
             message = "the meshes are of one volume; expected at least two; next: give more meshes"
             raise InputError(message)
+        self._most_m3 = float(volumes_m3.max())
         low, high = ((bound - self._mean_m3) / self._std_m3 for bound in (volumes_m3.min(), volumes_m3.max()))
         super().__init__(gym.spaces.Box(low, high, shape=(1,)), 1.0)
         self._normalized = ((volumes_m3.astype(np.float32) - self._mean_m3) / self._std_m3)[:, None]
@@ -121,6 +130,11 @@ class Volume(_Regression):
     def targets(self, chosen: NDArray[np.int64], objects: Numbers) -> NDArray[np.float32]:
         """Return volumes, shape (n, 1)."""
         return self._normalized[chosen]
+
+    def shown(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Shown:
+        """Show the volume that is predicted above the true one, as parts of the largest."""
+        both = np.concatenate([predictions, targets], axis=1) * self._std_m3 + self._mean_m3
+        return Shown(shares=both / self._most_m3, right=np.ones(len(both), np.int64))
 
     def _measured(self, predictions: NDArray[Any], targets: NDArray[Any]) -> dict[str, NDArray[Any]]:
         found_m3, true_m3 = (each[:, 0] * self._std_m3 + self._mean_m3 for each in (predictions, targets))
@@ -160,6 +174,11 @@ class ObjectPose(_Regression):
         if self._has_direction:
             found[:, 2], found[:, 3] = cosine, sine
         return found
+
+    def shown(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Shown:
+        """Show where the object is thought to be."""
+        directions = predictions[:, 2:] if self._has_direction else None
+        return Shown(places_m=predictions[:, :2] * self._half_cell_m, directions=directions)
 
     def _measured(self, predictions: NDArray[Any], targets: NDArray[Any]) -> dict[str, NDArray[Any]]:
         off_m = (predictions[:, :2] - targets[:, :2]) * self._half_cell_m

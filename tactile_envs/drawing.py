@@ -1,0 +1,145 @@
+"""Pictures of environments from above: cell, object, sensor, what it feels, and what is predicted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_envs.kernels import PADDING, raise_object
+
+__all__ = ["Shown", "draw"]
+
+_SIDE_PX = 240
+_PANEL_PX = 96
+_PLATE, _PANEL = (0.86, 0.88, 0.92), 1.0
+_SENSOR, _AIM = (0.80, 0.16, 0.20), (0.95, 0.60, 0.10)
+_RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
+
+Picture = NDArray[np.float32]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shown:
+    """What is shown of predictions.
+
+    ``shares``, shape (n, k), are bars from 0 to 1, of which number ``right``, shape (n,), has the colour of
+    what is right; ``places_m`` and ``directions``, shape (n, 2), are where objects are thought to be.
+    """
+
+    shares: NDArray[Any] | None = None
+    right: NDArray[np.int64] | None = None
+    places_m: NDArray[Any] | None = None
+    directions: NDArray[Any] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Canvas:
+    """A cell from above; ``per_m`` pixels a metre."""
+
+    pixels: Picture
+    per_m: float
+
+    def at(self, x_m: float, y_m: float) -> tuple[int, int]:
+        """Return row and column of a place, which may lie outside."""
+        middle = (_SIDE_PX - 1) / 2
+        return round(middle - y_m * self.per_m), round(middle + x_m * self.per_m)
+
+    def fill(self, top: int, left: int, bottom: int, right: int, colour: Any) -> None:
+        """Fill the pixels of a rectangle that are in the cell."""
+        rows = slice(max(top, 0), max(bottom + 1, 0))
+        self.pixels[rows, max(left, 0) : max(min(right + 1, _SIDE_PX), 0)] = colour
+
+    def frame(self, x_m: float, y_m: float, width_m: float, height_m: float, colour: Any) -> None:
+        """Draw a rectangle around a place, two pixels wide."""
+        top, left = self.at(x_m - width_m / 2, y_m + height_m / 2)
+        bottom, right = self.at(x_m + width_m / 2, y_m - height_m / 2)
+        for edge in ((top, top + 1), (bottom - 1, bottom)):
+            self.fill(edge[0], left, edge[1], right, colour)
+        for edge in ((left, left + 1), (right - 1, right)):
+            self.fill(top, edge[0], bottom, edge[1], colour)
+
+    def cross(self, x_m: float, y_m: float, colour: Any) -> None:
+        """Mark a place."""
+        row, column = self.at(x_m, y_m)
+        self.fill(row - 5, column - 1, row + 5, column, colour)
+        self.fill(row - 1, column - 5, row, column + 5, colour)
+
+    def line(self, x_m: float, y_m: float, along: NDArray[Any], colour: Any) -> None:
+        """Draw a direction from a place."""
+        length = float(np.hypot(*along)) or 1.0
+        for step in np.linspace(0, 0.02, 40):
+            row, column = self.at(x_m + step * along[0] / length, y_m + step * along[1] / length)
+            self.fill(row, column, row + 1, column + 1, colour)
+
+
+def draw(
+    pool: Any,
+    number: int,
+    placement: NDArray[np.float64],
+    sensor: NDArray[np.float64],
+    target: NDArray[np.float64],
+    felt: NDArray[np.float32],
+    cell_m: tuple[float, float],
+    window_m: tuple[float, float],
+    shown: Shown,
+    index: int,
+) -> NDArray[np.uint8]:
+    """Draw one environment, (240, 336, 3) uint8.
+
+    Mesh ``number`` of a pool lies at a placement (x, y, turn); ``felt`` is the picture of the sensor, and
+    ``index`` which prediction belongs to it.
+    """
+    per_m = (_SIDE_PX - 1) / max(cell_m)
+    heights = np.zeros((_SIDE_PX, _SIDE_PX + PADDING), np.float32)
+    middle = (_SIDE_PX - 1) / 2
+    x_px, y_px = placement[:2] * per_m + middle
+    turn = float(placement[2])
+    grid = pool.grids[number]
+    raise_object(
+        heights,
+        pool.vertices,
+        pool.faces,
+        pool.starts,
+        grid,
+        float(np.cos(turn)),
+        float(np.sin(turn)),
+        x_px,
+        y_px,
+        per_m,
+        _SIDE_PX,
+    )
+    surface = heights[::-1, :_SIDE_PX]
+    down, right = np.gradient(surface * np.float32(per_m))
+    # Light from the upper left; what stands higher is brighter.
+    light = np.clip(0.55 + 0.12 * (down + right) + 12 * surface, 0.1, 0.95)[..., None]
+    canvas = _Canvas(np.where(surface[..., None] > 0, light, np.float32(_PLATE)).astype(np.float32), per_m)
+    canvas.cross(target[0], target[1], _AIM)
+    canvas.frame(sensor[0], sensor[1], *window_m, _SENSOR)
+    if shown.places_m is not None:
+        x_m, y_m = shown.places_m[index]
+        canvas.cross(x_m, y_m, _WRONG)
+        if shown.directions is not None:
+            canvas.line(x_m, y_m, shown.directions[index], _WRONG)
+    picture = np.concatenate([canvas.pixels, _panel(felt, shown, index)], axis=1)
+    return np.asarray(np.rint(np.clip(picture, 0, 1) * 255), np.uint8)
+
+
+def _panel(felt: NDArray[np.float32], shown: Shown, index: int) -> Picture:
+    """Draw what the sensor feels above the bars of a prediction."""
+    panel = np.full((_SIDE_PX, _PANEL_PX, 3), _PANEL, np.float32)
+    height, width = felt.shape[:2]
+    side = _PANEL_PX - 8
+    rows = max(1, min(side, side * height // width))
+    picked = felt[np.arange(rows) * height // rows][:, np.arange(side) * width // side]
+    panel[4 : 4 + rows, 4 : 4 + side] = picked
+    if shown.shares is not None and shown.right is not None:
+        bars = np.clip(np.nan_to_num(shown.shares[index]), 0, 1)
+        room = (_SIDE_PX - side - 16) // len(bars)
+        for bar, share in enumerate(bars):
+            top = side + 12 + bar * room
+            colour = _RIGHT if bar == shown.right[index] else _WRONG
+            panel[top : top + max(room - 2, 1), 4 : 5 + round(float(share) * side)] = colour
+    return panel
