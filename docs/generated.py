@@ -28,6 +28,7 @@ API = (
     "tactile_sim",
     "tactile_sim.optics",
     "env_assets",
+    "tactile_envs",
     "tactile_toolkit.run",
     "tactile_toolkit.errors",
 )

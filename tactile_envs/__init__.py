@@ -1,7 +1,8 @@
 """Environments of touch, a hundred times as fast as the published ones, with the same episodes.
 
-Importing the module registers them with gymnasium: ``gymnasium.make_vec("tactile_envs:TactileMNIST-Depth-v0")``,
-``gymnasium.make`` and ``ap_gym.make_vec`` take ids of `tactile-mnist` with ``tactile_envs:`` before them.
+Importing the module registers them with gymnasium: ``gymnasium.make``, ``gymnasium.make_vec`` and
+``ap_gym.make_vec`` take ids of `tactile-mnist` with ``tactile_envs:`` before them, such as
+``"tactile_envs:TactileMNIST-Depth-train-v0"``.
 """
 
 from __future__ import annotations
@@ -30,8 +31,10 @@ __getattr__, __dir__ = on_first_use(
 
 
 def _register() -> None:
-    import gymnasium
-
+    try:
+        import gymnasium
+    except ImportError:  # named when an environment is made
+        return
     from tactile_envs.config import IDS
 
     registry = gymnasium.registry

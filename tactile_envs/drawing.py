@@ -115,7 +115,7 @@ def draw(
     down, right = np.gradient(surface * np.float32(per_m))
     # Light from the upper left; what stands higher is brighter.
     light = np.clip(0.55 + 0.12 * (down + right) + 12 * surface, 0.1, 0.95)[..., None]
-    canvas = _Canvas(np.where(surface[..., None] > 0, light, np.float32(_PLATE)).astype(np.float32), per_m)
+    canvas = _Canvas(np.where(surface[..., None] > 0, light, np.array(_PLATE)).astype(np.float32), per_m)
     canvas.cross(target[0], target[1], _AIM)
     canvas.frame(sensor[0], sensor[1], *window_m, _SENSOR)
     if shown.places_m is not None:

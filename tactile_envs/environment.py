@@ -395,4 +395,13 @@ def _upright(count: int) -> NDArray[np.float64]:
 
 
 class TactileEnv(ap_gym.ActivePerceptionVectorToSingleWrapper):  # type: ignore[misc]
-    """One environment: a vector of one, seen as a single one."""
+    """One environment: a vector of one, seen as a single one; ``info["sensor_pose"]`` is a matrix (4, 4)."""
+
+    @classmethod
+    def _tree_map(cls, function: Any, data: Any) -> Any:
+        return super()._tree_map(function, data.matrix if isinstance(data, Poses) else data)
+
+    def step(self, action: Mapping[str, Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Take one touch; see gymnasium for what is returned."""
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, float(reward), bool(terminated), bool(truncated), info

@@ -20,8 +20,8 @@ PADDING = LANES
 """Pixels that a row of heights has to spare, so that eight at once can begin at its last."""
 
 _EDGE_PX = 1e-6
-# How far outside of an edge a pixel still counts as on it, as a share of what its weight changes from pixel to
-# pixel: single precision must leave no hole between neighbours.
+# How far outside of an edge a pixel still counts as on it, as a share of what its weight changes by from one
+# pixel to the next: single precision must leave no hole between neighbours.
 _SLACK = 2e-6
 
 

@@ -24,8 +24,7 @@ def _constant(values: list[float]) -> ir.Constant:
     return ir.Constant(_VECTOR, [ir.Constant(ir.FloatType(), value) for value in values])
 
 
-@intrinsic  # type: ignore[untyped-decorator]
-def raise_pixels(
+def _raise_pixels(
     _typing: Any,
     heights: Any,
     at: Any,
@@ -75,6 +74,9 @@ def raise_pixels(
         return context.get_dummy_value()
 
     return signature, build
+
+
+raise_pixels: Any = intrinsic(_raise_pixels)
 
 
 def _spread(builder: Any, value: Any) -> Any:

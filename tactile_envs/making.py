@@ -11,9 +11,14 @@ from env_assets.missing import KINDS
 from env_assets.provider import AssetProvider
 from env_assets.published.fit import refuse_unfit_meshes
 from tactile_envs.config import IDS, Registered, configured
-from tactile_envs.environment import TactileEnv, TactileVectorEnv
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.store.files import expanded, is_there
+
+try:
+    from tactile_envs.environment import TactileEnv, TactileVectorEnv
+except ImportError as error:
+    _FEATURE = "native environments"
+    raise MissingExtraError(_FEATURE, error.name or "ap-gym", "native") from error
 
 __all__ = ["make_one", "make_vector"]
 

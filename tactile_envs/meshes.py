@@ -1,8 +1,8 @@
 """Meshes as a few arrays for all: what drawing and tasks need of them, mapped from one file.
 
 Of each mesh only the triangles that face upwards are kept, as numbers of corners, sorted into a grid of
-:data:`CELL_M`: those under a window that is turned in any way are a few contiguous runs. The training split of
-the digits takes 0.8 GB, which the processes of a machine share.
+:data:`CELL_M`: those under a window that is turned in any way are a few contiguous runs. The training split
+of the digits takes 0.8 GB, which the processes of a machine share.
 """
 
 from __future__ import annotations

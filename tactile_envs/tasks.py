@@ -206,7 +206,7 @@ class ObjectPose(_Regression):
         variances = means.var(axis=0) + spreads.mean(axis=0)
         if self._has_direction:
             variances = np.concatenate([variances, [cosine.var(), sine.var()]])
-        return variances
+        return np.asarray(variances)
 
 
 def placements_m(hull: NDArray[np.float32], turn_rad: float, config: Config) -> tuple[Numbers, Numbers]:

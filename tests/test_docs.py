@@ -13,7 +13,10 @@ from tests.test_readme import every_page
 from tests.unchanged.record import PACKAGES as PACKAGES_OF_USERS
 
 ROOT = Path(__file__).resolve().parents[1]
-PACKAGES = "mnist3d|starstruck_gen|realtouch|tactile_sim|tactile_toolkit|env_assets|cli|tests|benchmarks|docs"
+PACKAGES = (
+    "mnist3d|starstruck_gen|realtouch|tactile_sim|tactile_toolkit|env_assets|tactile_envs|cli|tests|"
+    "benchmarks|docs"
+)
 NAMED = re.compile(rf"(?<![\w./-])((?:{PACKAGES})/[\w./]*)")
 
 

@@ -26,6 +26,7 @@ PAGES = (
     "docs/howto/training.md",
     "docs/howto/exchange.md",
     "docs/howto/environments.md",
+    "docs/howto/train_agent.md",
     "docs/howto/simulators.md",
     "docs/howto/hub.md",
     "docs/paper.md",

@@ -7,7 +7,9 @@ import pytest
 import tactile_toolkit
 
 
-@pytest.mark.parametrize("package", ["env_assets", "mnist3d", "realtouch", "starstruck_gen", "tactile_sim"])
+@pytest.mark.parametrize(
+    "package", ["env_assets", "mnist3d", "realtouch", "starstruck_gen", "tactile_envs", "tactile_sim"]
+)
 def test_each_package_lists_its_public_names_and_the_version(package):
     module = import_module(package)
     assert dir(module) == sorted(module.__all__)

@@ -1,0 +1,5 @@
+"""Data sets for environments, made once for all tests."""
+
+from __future__ import annotations
+
+from tests.env_assets.conftest import assets, packages, provider  # noqa: F401

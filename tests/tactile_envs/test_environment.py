@@ -1,0 +1,179 @@
+"""What holds of a native environment by itself, without the published package."""
+
+from __future__ import annotations
+
+import resource
+from pathlib import Path
+from typing import Any
+
+import ap_gym
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+from hypothesis import given
+from hypothesis import strategies as st
+
+import tactile_envs
+from tactile_envs.making import make_vector
+from tactile_toolkit.errors import InputError
+
+pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+
+DEPTH = "TactileMNIST-Depth-train-v0"
+TASKS = (
+    DEPTH,
+    "TactileMNISTVolume-Depth-train-v0",
+    "TactileMNISTCenterOfMass-Depth-train-v0",
+    "Starstruck-Depth-train-v0",
+    "Toolbox-Depth-v0",
+)
+WAY = st.floats(-1e3, 1e3, width=32)
+
+
+@pytest.mark.parametrize("env_id", [*TASKS, "TactileMNISTSnap-Depth-train-sparse-v0"])
+def test_checkers_pass(env_id, assets):
+    single = gym.make(f"tactile_envs:{env_id}", assets=str(assets))
+    check_env(single.unwrapped, skip_render_check=True)
+    assert single.spec.max_episode_steps == single.unwrapped.vector_env.config.step_limit
+    for make in (gym.make_vec, ap_gym.make_vec):
+        env = make(f"tactile_envs:{env_id}", num_envs=3, assets=str(assets), render_mode="rgb_array")
+        assert isinstance(env, ap_gym.BaseActivePerceptionVectorEnv)
+        assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
+        assert env.spec.max_episode_steps
+        observation, _ = env.reset(seed=0)
+        assert observation in env.observation_space
+        pictures = env.render()
+        assert len(pictures) == 3
+        assert all(each.shape == (240, 336, 3) and each.dtype == np.uint8 for each in pictures)
+        env.close()
+
+
+def test_meshes_do_not_travel_in_the_specification(assets):
+    env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=2, assets=str(assets))
+    assert len(repr(env.spec.kwargs)) < 1000
+
+
+def test_wrappers_of_training_code_drive_it(assets):
+    """Those that APPLE and others put around: statistics, scaled rewards, copies of an id's own spaces."""
+    env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=4, assets=str(assets), render_mode="rgb_array")
+    env = gym.wrappers.vector.RecordEpisodeStatistics(env)
+    env = gym.wrappers.vector.TransformReward(env, lambda reward: 2 * reward)
+    env = ap_gym.ensure_active_perception_vector_env(env)
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    ended = 0
+    for _ in range(40):
+        *_, terminated, truncated, info = env.step(env.action_space.sample())
+        ended += int((terminated | truncated).sum())
+        assert set(info["prediction"]) >= {"target", "loss"}
+        assert ("stats" in info) == bool(terminated.any())
+    assert ended == 2 * 4
+    assert env.loss_fn is env.unwrapped.loss_fn
+
+
+@pytest.fixture(scope="module")
+def walked(assets: Path) -> Any:
+    return {task: make_vector(task, num_envs=2, assets=assets) for task in TASKS}
+
+
+@given(
+    st.sampled_from(TASKS),
+    st.integers(0, 2**31),
+    st.lists(st.lists(WAY, min_size=6, max_size=6), max_size=40),
+)
+def test_observations_stay_in_their_spaces(walked, task, seed, ways):
+    env = walked[task]
+    env.action_space.seed(seed)
+    observation, _ = env.reset(seed=seed)
+    assert observation in env.observation_space
+    for way in ways:
+        action = env.action_space.sample()
+        action["action"]["sensor_target_pos_rel"] = np.array(way, np.float32).reshape(2, 3)
+        observation, reward, *_ = env.step(action)
+        assert observation in env.observation_space
+        assert np.isfinite(reward).all()
+
+
+def test_one_seed_gives_one_course_however_many_threads(assets):
+    courses = []
+    for threads in (1, 3):
+        env = make_vector(DEPTH, num_envs=5, assets=assets, threads=threads)
+        observation, _ = env.reset(seed=1)
+        env.action_space.seed(1)
+        course = [observation]
+        course += [env.step(env.action_space.sample())[0] for _ in range(20)]
+        env.close()
+        courses.append(course)
+    for one, other in zip(*courses, strict=True):
+        assert all((one[name] == other[name]).all() for name in one)
+
+
+def test_observations_are_kept_by_whoever_has_them(assets):
+    """A step writes no array that an earlier one gave."""
+    env = make_vector(DEPTH, num_envs=2, assets=assets, config={"depth_in_info": True})
+    env.action_space.seed(0)
+    observation, info = env.reset(seed=0)
+    kept = {**observation, "depth": info["depth"], "place": info["sensor_pose"].translation}
+    copies = {name: value.copy() for name, value in kept.items()}
+    for _ in range(20):
+        env.step(env.action_space.sample())
+    assert all((kept[name] == copies[name]).all() for name in kept)
+
+
+def test_objects_and_places_may_be_given(assets):
+    env = make_vector(DEPTH, num_envs=2, assets=assets, config={"perturb_object_pose": False})
+    options = {
+        "datapoint_idx": [3, None],
+        "initial_object_pose": [(0.01, -0.02, 0.5), None],
+        "initial_sensor_target_pose": [(0.01, -0.02, 0.0), None],
+    }
+    _, info = env.reset(seed=0, options=options)
+    assert env.current_data_point_indices[0] == 3
+    np.testing.assert_allclose(env.current_object_poses_platform_frame.translation[0, :2], (0.01, -0.02))
+    np.testing.assert_allclose(info["sensor_pose"].translation[0, :2], (0.01, -0.02))
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"config": {"step_limitt": 3}}, "did you mean 'step_limit'"),
+        ({"config": {"sensor_type": "eye"}}, "sensor_type in `config` is 'eye'"),
+        ({"render_mode": "human"}, "expected None or 'rgb_array'"),
+        ({"num_envs": 0}, "num_envs is 0"),
+        ({"threads": 0}, "threads is 0"),
+    ],
+)
+def test_what_cannot_be_is_named(assets, options, words):
+    with pytest.raises(InputError, match=words):
+        make_vector(DEPTH, assets=assets, **options)
+    env = make_vector(DEPTH, num_envs=2, assets=assets)
+    with pytest.raises(gym.error.ResetNeeded):
+        env.step(env.action_space.sample())
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    action["action"]["sensor_target_pos_rel"][0, 0] = np.nan
+    with pytest.raises(ValueError, match="NaN"):
+        env.step(action)
+    action["action"]["sensor_target_pos_rel"] = np.zeros((3, 3), np.float32)
+    with pytest.raises(InputError, match="shape"):
+        env.step(action)
+
+
+@pytest.mark.thorough
+def test_memory_stays(assets):
+    """256 environments, 10,000 steps."""
+    env = make_vector(DEPTH, num_envs=256, assets=assets)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    actions = [env.action_space.sample() for _ in range(50)]
+    held = []
+    for step in range(10_000):
+        env.step(actions[step % 50])
+        if step in (1000, 9999):
+            held.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
+    assert held[1] - held[0] < 2048  # KiB
+
+
+def test_ids_are_registered():
+    assert all(gym.spec(f"tactile_envs/{name}").vector_entry_point for name in tactile_envs.IDS)

@@ -1,0 +1,95 @@
+"""The pool of meshes, and what is drawn of it: beside plain loops, and beside `tactile_sim`."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+import env_assets
+from tactile_envs.kernels import PADDING, raise_object
+from tactile_envs.lanes import LANES, raise_pixels
+from tactile_envs.meshes import MeshPool
+from tactile_sim.poses import pose
+from tactile_sim.pressing import Pressable, press
+from tactile_sim.sensor import as_environment
+
+
+@numba.njit(error_model="numpy")
+def _plain(heights, at, b, c, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise):
+    for lane in range(LANES):
+        b_here, c_here = b + b_step * np.float32(lane), c + c_step * np.float32(lane)
+        height = low + (b_here * b_rise + c_here * c_rise)
+        inside = b_here + b_slack >= 0 and c_here + c_slack >= 0
+        inside = inside and (np.float32(1) + (b_slack + c_slack)) - (b_here + c_here) >= 0
+        if inside and height > heights[at + lane]:
+            heights[at + lane] = height
+
+
+@numba.njit(error_model="numpy")
+def _eight(heights, at, b, c, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise):
+    raise_pixels(heights, at, b, c, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise)
+
+
+def test_eight_pixels_at_once_are_as_one_after_the_other():
+    random = np.random.default_rng(0)
+    heights = random.normal(size=4000).astype(np.float32)
+    one, other = heights.copy(), heights.copy()
+    for _ in range(2000):
+        numbers = random.normal(size=9).astype(np.float32)
+        numbers[4:6] = np.abs(numbers[4:6]) * 1e-6
+        at = int(random.integers(len(heights) - LANES))
+        _plain(one, at, *numbers)
+        _eight(other, at, *numbers)
+    assert (one == other).all()
+    assert (one != heights).any()
+
+
+@pytest.mark.parametrize("name", ["mnist3d", "starstruck", "wrench"])
+def test_what_is_drawn_is_what_pressing_gives(name, assets):
+    """To a hundredth of a micrometre at pixels that show, but for those on the edge of an upright wall."""
+    meshes = env_assets.AssetProvider(assets).meshes(name)
+    pool = MeshPool.of(meshes)
+    sensor, random = as_environment(64, 64), np.random.default_rng(0)
+    per_m = 64 / sensor.window_m[0]
+    heights = np.zeros((64, 64 + PADDING), np.float32)
+    off = pixels = 0
+    for trial in range(60):
+        number = trial % len(meshes)
+        turn = random.uniform(-4, 4)
+        lies = pose(0.003, 0.002, turn_rad=turn)
+        lies[2, 3] = -pool.fact("foot_m")[number]
+        vertices_m = np.asarray(meshes[number].vertices_m, np.float64)
+        aimed = (lies[:3, :3] @ vertices_m[random.integers(len(vertices_m))] + lies[:3, 3])[:2]
+        gel = np.eye(4)
+        gel[:2, 3] = np.clip(aimed, -0.04, 0.04)
+        heights[:] = 0
+        middle = 31.5 - np.array(sensor.sample_px)
+        x_px, y_px = (lies[:2, 3] - gel[:2, 3]) * per_m + middle
+        turned = np.cos(turn), np.sin(turn)
+        raise_object(heights, *pool.arrays[:3], pool.grids[number], *turned, x_px, y_px, per_m, 64)
+        found = heights[::-1, :64]
+        depth_m = np.minimum(sensor.press_m + found.max() - found, sensor.gel_m)
+        truth = press(Pressable.of(meshes[number], check=False), lies, gel, sensor).depth_m
+        off += int((np.abs(depth_m - np.minimum(truth, sensor.gel_m)) > 1e-8).sum())
+        pixels += depth_m.size
+    assert off <= 1e-5 * pixels
+
+
+def test_a_pool_on_disk_is_that_in_memory(assets):
+    meshes = env_assets.AssetProvider(assets).meshes("mnist3d")
+    made, again, packed = MeshPool.of(meshes), MeshPool.of(meshes), MeshPool.packed(meshes)
+    for name in ("vertices", "faces", "starts", "hulls", "grids", "facts"):
+        for pool in (again, packed):
+            assert (getattr(made, name) == getattr(pool, name)).all()
+            assert getattr(made, name).dtype == getattr(pool, name).dtype
+            assert not getattr(pool, name).flags.writeable
+    assert isinstance(again.vertices.base, np.memmap)
+    assert sum(array.nbytes for array in packed.arrays) < 90_000 * len(meshes)
+
+
+def test_a_view_of_meshes_has_a_pool_of_its_own(assets):
+    meshes = env_assets.AssetProvider(assets).meshes("mnist3d")
+    some = MeshPool.of(meshes[[4, 2]])
+    assert some.fact("id").tolist() == meshes.ids[[4, 2]].tolist()
+    assert len(MeshPool.of(meshes)) == len(meshes)
