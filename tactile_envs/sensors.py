@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.sensor import as_environment
-from tactile_toolkit.errors import InputError
 
 __all__ = ["Camera", "make_camera"]
 
@@ -56,19 +56,18 @@ class _Optics:
     channels, sees_depth = 3, True
 
     def __init__(self, sensor: str, size: Size) -> None:
+        optics: Any
         if sensor == "taxim":
             from tactile_sim.optics.taxim import TaximOptics
 
-            self._optics: Any = TaximOptics()
+            optics = TaximOptics()
+            self._shades = optics.shades
         else:
             from tactile_sim.learned.rendering import CycleganOptics
 
-            self._optics = CycleganOptics()
-        self._size = size
-        self.depth_size = self._optics.depth_size(*size)
-        if sensor == "taxim" and self.depth_size != size:
-            message = f"Taxim gives no pictures of {size[0]} x {size[1]} pixels"
-            raise InputError(message)
+            optics = CycleganOptics()
+            self._shades = partial(optics.shades, size_px=size)
+        self.depth_size = optics.depth_size(*size)
         self._sensor = as_environment(*self.depth_size)
         width, height = self.depth_size
         # The plate alone is pressed in evenly.
@@ -86,4 +85,4 @@ class _Optics:
         return found
 
     def _rendered(self, depths_m: NDArray[np.float64]) -> NDArray[np.float32]:
-        return np.asarray(self._optics.shades(depths_m, self._sensor), np.float32)
+        return np.asarray(self._shades(depths_m, self._sensor), np.float32)

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import env_assets
-from tactile_envs.kernels import PADDING, raise_object
-from tactile_envs.lanes import LANES, raise_pixels
+from tactile_envs.kernels import LANES, PADDING, raise_object, raise_pixels
 from tactile_envs.meshes import MeshPool
 from tactile_sim.poses import pose
 from tactile_sim.pressing import Pressable, press
