@@ -152,8 +152,9 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             Seed of all that is drawn; the published environments give the same episodes for it.
         options : mapping, optional
             ``datapoint_idx``: number of the mesh of each environment, or None for any.
-            ``initial_object_pose``: for each its position, metres, and turn, radians, or None.
-            ``initial_sensor_target_pose``: for each the position of the first touch, metres, or None.
+            ``initial_object_pose``: for each an array of its position (x, y), metres, and turn, radians, or
+            None. ``initial_sensor_target_pose``: for each an array of the position (x, y) of the first touch,
+            metres, or None.
         """
         super().reset(seed=seed)
         options = {} if options is None else options
@@ -405,3 +406,8 @@ class TactileEnv(ap_gym.ActivePerceptionVectorToSingleWrapper):  # type: ignore[
         """Take one touch; see gymnasium for what is returned."""
         observation, reward, terminated, truncated, info = super().step(action)
         return observation, float(reward), bool(terminated), bool(truncated), info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture, (240, 336, 3) uint8; None without a render mode."""
+        pictures = self.vector_env.render()
+        return None if pictures is None else pictures[0]

@@ -7,6 +7,7 @@ of the digits takes 0.8 GB, which the processes of a machine share.
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import logging
 from collections.abc import Iterable, Sequence
@@ -32,8 +33,7 @@ FACTS = ("label", "id", "foot_m", "volume_m3", "x_m", "y_m", "z_m")
 _POOLS = DiskCache(
     "environments",
     8 << 30,
-    durable=False,
-    warning="environments sort their meshes anew each time: {problem}",
+    warning="environments sort their meshes again each time: {problem}",
 )
 _FORMAT = 1
 _LOG = logging.getLogger(__name__)
@@ -77,8 +77,13 @@ class MeshPool:
         if name is None:
             return cls.packed(records)
         path = _POOLS.path(name)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with locked(path.with_suffix(".lock")):  # whoever comes later finds it made
+        with contextlib.ExitStack() as stack:
+            try:
+                path.parent.mkdir(parents=True, exist_ok=True)
+                # Whoever comes later finds it made.
+                stack.enter_context(locked(path.with_suffix(".lock")))
+            except OSError:  # nothing can be kept there
+                return cls.packed(records)
             if not path.exists():
                 _LOG.info("sorting the triangles of %d meshes", len(records))
                 parts = _parts_of(records)

@@ -10,6 +10,7 @@ import ap_gym
 import gymnasium as gym
 import numpy as np
 import pytest
+import trimesh
 from gymnasium.utils.env_checker import check_env
 from hypothesis import given
 from hypothesis import strategies as st
@@ -35,6 +36,7 @@ WAY = st.floats(-1e3, 1e3, width=32)
 def test_checkers_pass(env_id, assets):
     single = gym.make(f"tactile_envs:{env_id}", assets=str(assets))
     check_env(single.unwrapped, skip_render_check=True)
+    assert single.unwrapped.render() is None
     assert single.spec.max_episode_steps == single.unwrapped.vector_env.config.step_limit
     for make in (gym.make_vec, ap_gym.make_vec):
         env = make(f"tactile_envs:{env_id}", num_envs=3, assets=str(assets), render_mode="rgb_array")
@@ -158,6 +160,30 @@ def test_what_cannot_be_is_named(assets, options, words):
     action["action"]["sensor_target_pos_rel"] = np.zeros((3, 3), np.float32)
     with pytest.raises(InputError, match="shape"):
         env.step(action)
+
+
+def test_meshes_of_ones_own(assets, tmp_path):
+    """A folder of mesh files, or one data set of several; and what is not there is named."""
+    for number, side_mm in enumerate((20, 30)):
+        trimesh.creation.box([side_mm, 30, 6]).export(tmp_path / f"{number}.stl")
+    env = make_vector("MinecraftPose-Depth-v0", num_envs=3, assets=tmp_path)
+    observation, _ = env.reset(seed=0)
+    assert observation in env.observation_space
+    assert {record.label for record in env.current_data_points} <= {0, 1}
+    one, other = (make_vector(DEPTH, assets=place) for place in (assets, assets / "mnist3d"))
+    assert (one.reset(seed=0)[0]["sensor_img"] == other.reset(seed=0)[0]["sensor_img"]).all()
+    with pytest.raises(InputError, match="give `assets`, a folder of meshes"):
+        make_vector("Minecraft-Depth-v0")
+    with pytest.raises(InputError, match="no meshes of 'minecraft' are published"):
+        make_vector("Minecraft-Depth-v0", assets="published")
+    with pytest.raises(InputError, match="one class"):
+        make_vector("Minecraft-Depth-v0", assets=tmp_path / "0.stl")
+
+
+def test_an_unwritable_cache_costs_time_alone(assets, tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "file"))
+    assert make_vector(DEPTH, assets=assets).reset(seed=0)
 
 
 @pytest.mark.thorough
