@@ -173,14 +173,12 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self, action: Mapping[str, Any]
     ) -> tuple[Observation, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Take one touch in every environment; see gymnasium for what is returned."""
-        was_done = self._done
-        observation, cost, terminated, truncated, info, targets = self._step(
-            action["action"], action["prediction"]
-        )
         predictions = np.asarray(action["prediction"], np.float32)
         if predictions.shape != self.prediction_space.shape:
             message = f"predictions have shape {predictions.shape}; expected {self.prediction_space.shape}"
             raise InputError(message)
+        was_done = self._done
+        observation, cost, terminated, truncated, info, targets = self._step(action["action"], predictions)
         score = self._task.score(predictions, targets)
         self._predicted = None if was_done else (predictions, targets)
         if not was_done:
