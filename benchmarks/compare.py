@@ -337,7 +337,7 @@ def main() -> None:
 
 def _seconds(python: str, job: str, data: Path, settings: dict[str, str]) -> float:
     cache = {"TACTILE_TOOLKIT_CACHE": str(data / f"cache-{abs(hash(python))}"), "OMP_NUM_THREADS": "1"}
-    # -P: files beside this one are called as packages of the toolkit.
+    # -P: files next to this one are called as packages of the toolkit.
     command = [python, "-P", __file__, "--run", job, "--data", str(data)]
     environment = os.environ | settings | cache
     done = subprocess.run(command, env=environment, cwd=data, check=False, capture_output=True, text=True)

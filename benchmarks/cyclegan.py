@@ -3,7 +3,7 @@
 The published generator's pictures, with sensor noise, stand for real touches: what depth belongs to each of
 them is known, though no training sees it. A small CycleGAN is trained on them, without pairs, on one core;
 then ``tactile-sim evaluate`` compares it with Taxim and with weights that were never trained, and what both
-generators make is compared with the truth. Stopped, the same command goes on.
+generators make is compared with the truth. Stopped, the same command continues.
 
     python benchmarks/cyclegan.py WORK [--steps N]
 """

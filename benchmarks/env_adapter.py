@@ -1,4 +1,4 @@
-"""What our adapter saves the published environments, beside their own `SimpleMeshDataset` on the same folder.
+"""What our adapter saves the published environments, compared with their `SimpleMeshDataset` on one folder.
 
 ::
 
@@ -96,7 +96,7 @@ def fetch_us(dataset: Any, order: Sequence[int]) -> float:
 
 
 def reset_s(env: Any) -> float:
-    """Return the seconds that one reset takes; seeded anew, so that no mesh was fetched beforehand."""
+    """Return the seconds that one reset takes; seeded again, so that no mesh was fetched beforehand."""
     start_s = time.perf_counter()
     env.reset(seed=int(start_s * 1e6) % 2**31)
     return time.perf_counter() - start_s

@@ -139,7 +139,7 @@ def in_words(value: float, unit: str) -> str:
 
 
 def is_met(figure: Mapping[str, Any]) -> bool:
-    """Tell whether a figure reaches its target; one without a target does."""
+    """Return whether a figure reaches its target; one without a target does."""
     found = re.fullmatch(r"at (least|most) ([\d.]+)", figure.get("target", "at most inf"))
     if found is None:
         return True

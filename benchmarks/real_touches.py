@@ -84,7 +84,7 @@ def in_turn(works: list[Callable[[], Any]], repeats: int) -> list[float]:
 
 
 def line(what: str, ours_s: float, published_s: float, plain_s: float | None, wanted: float = 0) -> None:
-    """Tell a figure beside the published package's and that of `datasets` alone."""
+    """Tell a figure next to the published package's and that of `datasets` alone."""
     note = f"`datasets` alone {in_words(plain_s, 's')}" if plain_s else ""
     target = f"at least {wanted:g}" if wanted else ""
     tell(re.sub(r"\W+", "_", what), what, ours_s, "s", other=published_s, target=target, note=note)
@@ -261,7 +261,7 @@ def _windows(point: Any) -> Any:
     """Yield decoder and contact frames of each clip of a published data point."""
     times, starts, ends = point.time_stamp_rel_seq, point.touch_start_time_rel, point.touch_end_time_rel
     for decoder, stamps, start, end in zip(point.sensor_video, times, starts, ends, strict=True):
-        yield decoder, [frame for frame, stamp in enumerate(stamps) if start <= stamp <= end]
+        yield decoder, [frame for frame, build_meshes in enumerate(stamps) if start <= build_meshes <= end]
 
 
 _MEMORY = """

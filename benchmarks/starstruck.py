@@ -1,4 +1,4 @@
-"""How fast Starstruck scenes are made, and how small they are stored, beside the published generator.
+"""How fast Starstruck scenes are made, and how small they are stored, next to the published generator.
 
 Run ``python benchmarks/starstruck.py`` with the extra `env` installed. One run prints, each as the median of
 several repetitions in this process:
@@ -25,7 +25,7 @@ from pathlib import Path
 
 from figures import tell
 
-from starstruck_gen import SceneDataset, SceneSpec, load, sample_scenes, stamp
+from starstruck_gen import SceneDataset, SceneSpec, build_meshes, load, sample_scenes
 from starstruck_gen.sampling import require_feasible
 
 __all__ = ["main"]
@@ -79,7 +79,7 @@ def _published(count: int) -> None:
 
 
 def _batched(count: int) -> None:
-    stamp([scene.placements for scene in sample_scenes(SceneSpec(), "train", 0, 0, count)])
+    build_meshes([scene.placements for scene in sample_scenes(SceneSpec(), "train", 0, 0, count)])
 
 
 def _single(count: int) -> None:

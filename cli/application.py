@@ -330,7 +330,7 @@ def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
             # traceback it would end with 1, which says that a validation failed.
             from tactile_toolkit.store.files import of_the_process
 
-            lack = of_the_process(error) or f"{error.strerror}; next: give another path (--debug says where)"
+            lack = of_the_process(error) or f"{error.strerror}; next: give another path (--debug shows where)"
             message = f"{str(error.filename)!r}: {lack}"
             code = InputError.exit_code
         else:
@@ -338,7 +338,7 @@ def _errors_reported(debug: bool, options: Mapping[str, str]) -> Iterator[None]:
         sys.stderr.write(f"error: {printable(message)}\n")
         raise typer.Exit(code) from error
     except KeyboardInterrupt as error:
-        said = str(error) or "interrupted; what was finished is kept, the same command goes on from there"
+        said = str(error) or "interrupted; what was finished is kept, the same command continues from there"
         sys.stderr.write(f"{said}\n")
         raise typer.Exit(EXIT_INTERRUPTED) from error
 
@@ -422,8 +422,8 @@ def run(app: typer.Typer) -> None:
         os.set_inheritable(handle, True)
     os.close(handle)
     output: Any = _Output(sys.stdout)
-    talk: Any = _Output(sys.stderr or _nowhere())
-    with redirect_stdout(output), redirect_stderr(talk):
+    info: Any = _Output(sys.stderr or _nowhere())
+    with redirect_stdout(output), redirect_stderr(info):
         try:
             _require_text(sys.argv)
             _dispatch(app)

@@ -66,7 +66,7 @@ class Job:
     workers: Workers = 0
     overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier export that differ.")
     dry_run: bool = switch(
-        False, panel=JOB, help="Say which files would be made and how large; write nothing."
+        False, panel=JOB, help="State which files would be made and how large; write nothing."
     )
 
 
@@ -104,7 +104,7 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 
         Every file is read back and has to be the same solid, or it is removed and named.
 
-        A stopped export goes on when the same command is given again; what is there already is kept.
+        A stopped export continues when the same command is given again; what is there already is kept.
 
         Exit code 1 when an object or plate could not be written as a solid.
         """
@@ -133,7 +133,7 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
             bodies = physics if file_format == "mjcf" else None
             failures = _export_plates(sink, objects, plates, scale, bodies, job)
         for failure in failures:
-            sink.insist(f"failed: {failure.name}: {failure.detail}")
+            sink.warn(f"failed: {failure.name}: {failure.detail}")
         if failures:
             raise typer.Exit(EXIT_FAILED)
 
@@ -253,13 +253,13 @@ def _export_plates(
     sink.document({"out": out, **asdict(made)})
     if made.removed:
         verb = "would remove" if job.dry_run else "removed"
-        sink.talk(f"{verb} plates of the export that was there before: {', '.join(made.removed)}")
+        sink.info(f"{verb} plates of the export that was there before: {', '.join(made.removed)}")
     rows = [
         (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.plates
     ]
     sink.table(("plate", "objects", "needed of the plate", "size"), rows)
     verb = "would write" if job.dry_run else "wrote"
-    ending = f"maps beside them, and {TABLE_FILE} says which object lies where"
+    ending = f"maps next to them, and {TABLE_FILE} lists which object lies where"
     kept = _kept(sum(plate.state == "kept" for plate in made.plates))
     placed, plates = counted(len(made.objects), "objects"), counted(len(made.plates), "plates")
     sink.line(

@@ -58,7 +58,7 @@ def print_made(
     table: tuple[Sequence[str], Sequence[Sequence[object]]],
     **further: Any,
 ) -> None:
-    """Print what a folder holds: ``table`` where its run is finished, and how it goes on where not.
+    """Print what a folder holds: ``table`` where its run is finished, and how it continues where not.
 
     ``splits`` and ``further`` are JSON values for the document.
     """
@@ -87,17 +87,17 @@ def least_to_most(counts: Sequence[int]) -> str:
 
 
 def print_unfinished(sink: Sink, manifest: Manifest, out: str, unit: str, command: str) -> None:
-    """Print that a folder is unfinished, what it holds so far, and which command goes on."""
+    """Print that a folder is unfinished, what it holds so far, and which command continues."""
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.origin import read_record
 
     table = manifest.split_table()
     record = read_record(DataFolder(out))
     found = "the run is under way or was interrupted" if table else "no shard is finished yet"
-    next_step = f"the same `{command}` goes on where it stopped, --finish says what is missing"
+    next_step = f"the same `{command}` continues where it stopped, --finish names what is missing"
     if record is not None:
         found = "the download is under way or was interrupted"
-        next_step = f"download {record.repo_id} there again, it goes on where it stopped"
+        next_step = f"download {record.repo_id} there again, it continues where it stopped"
     sink.line(f"{out}: unfinished, {found}; {next_step}")
     rows = [
         (split, f"{held['shards']:,} of {planned:,}", held["rows"], bytes_text(held["bytes"]))
@@ -261,7 +261,7 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
         return document
     sink.document(document)
     for finding in result.findings:
-        sink.insist(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
+        sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
     cure = _cure(kind, place, manifest, result.findings)
     message = f"{counted(len(findings), 'problems')} in {folder!r}; next: {cure}"
     raise IntegrityError(message)
@@ -272,7 +272,7 @@ def _cure(kind: DatasetKind, place: DataFolder, manifest: Manifest | None, findi
 
     # Unknown files, links and cards: what no run would mend states itself what to do.
     if all("; next: " in finding.problem for finding in findings):
-        return "do what each of them says"
+        return "follow the next step of each"
     record = read_record(place)
     if record is not None:
         return f"download {record.repo_id} there again, only what is damaged is fetched"

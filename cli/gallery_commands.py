@@ -53,7 +53,7 @@ class Page:
                 f"{counted(view.sampled, nouns)}); nothing was written"
             )
             if not view.fits:
-                sink.talk("that is too large and would be refused; choose fewer with --limit or --split")
+                sink.info("that is too large and would be refused; choose fewer with --limit or --split")
             return
         start_s = time.monotonic()
         try:

@@ -68,7 +68,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
     ) -> None:
         """Fetch a data set of the Hub, or some of its splits, and check every file.
 
-        A download that broke off goes on where it stopped when the same command is given again. The command
+        A download that broke off continues where it stopped when the same command is given again. The command
         list names the published sets.
         """
         from huggingface_hub.utils.tqdm import disable_progress_bars
@@ -80,7 +80,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
         disable_progress_bars()
         _refuse_other_kind(name, kind)
-        plan = plan_download(name, split or (), revision=revision, out=out, on_wait=sink.talk)
+        plan = plan_download(name, split or (), revision=revision, out=out, on_wait=sink.info)
         kind.refuse_other(plan.manifest, plan.repository.repo_id)
         _introduce(sink, name, plan)
         place = ""
@@ -123,17 +123,17 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
 
     known, facts = published_set(name), _facts(plan)
     licence = (known.licence if known else None) or plan.repository.snapshot.licence
-    sink.talk(
+    sink.info(
         f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
         f"{counted(len(plan.record.files), 'files')}, {bytes_text(facts['bytes'])}, of which "
         f"{bytes_text(plan.missing_bytes)} are to be fetched"
     )
     if plan.leftover:
-        sink.talk(f"to remove, the Hub has them no more: {listed(plan.leftover)}")
+        sink.info(f"to remove, the Hub has them no more: {listed(plan.leftover)}")
     if plan.repository.snapshot.is_cache:
-        sink.talk("the Hub gives no answer: what is known here of the data set is taken for all of it")
+        sink.info("the Hub gives no answer: what is known here of the data set is taken for all of it")
     if known is not None and plan.missing:
-        sink.talk(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")
+        sink.info(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")
 
 
 def _facts(plan: DownloadPlan) -> dict[str, Any]:
@@ -195,5 +195,5 @@ def print_sets(sink: Sink, kind: DatasetKind) -> None:
         return
     sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
     if any(row[3] == "?" for row in rows):
-        sink.talk("?: the Hub gave no answer for this one (no network, or no access)")
+        sink.info("?: the Hub gave no answer for this one (no network, or no access)")
     sink.line(f"next: {kind.command} download NAME [--split SPLIT] [--out DIR]")

@@ -36,7 +36,7 @@ PullRequest = Annotated[
 ]
 Message = Annotated[str | None, typer.Option(metavar="TEXT", help="First line of the commit.")]
 Tag = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Name of this state, beside the schema's, such as v1.")
+    str | None, typer.Option(metavar="NAME", help="Name of this state, next to the schema's, such as v1.")
 ]
 Delete = Annotated[
     bool, typer.Option("--delete", help="Remove files from the repository that the folder does not have.")
@@ -76,7 +76,7 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
     ) -> None:
         """Verify a data set folder and bring it to the Hugging Face Hub; only what is missing there is sent.
 
-        Run again after an interruption, it goes on; run again after success, it sends nothing.
+        Run again after an interruption, it continues; run again after success, it sends nothing.
         """
         from huggingface_hub.utils.tqdm import disable_progress_bars
 
@@ -87,10 +87,10 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
         logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
         options = UploadOptions(**asdict(sending))
         require_manifest(kind, DataFolder(folder))
-        sink.talk(f"checking {folder}")
+        sink.info(f"checking {folder}")
         check = partial(check_folder, kind, workers=process_count(workers))
         prepared = prepare_upload(
-            folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.talk
+            folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info
         )
         _print_plan(sink, prepared)
         result = None
@@ -129,7 +129,7 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
         ),
     ):
         if paths:
-            sink.talk(words.format(listed(paths)))
+            sink.info(words.format(listed(paths)))
     if target.held is None:
         visible = "private" if prepared.options.private else "public"
         sink.line(f"{visible} repository to create: {where}")

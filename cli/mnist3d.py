@@ -51,7 +51,7 @@ def generate(
 
     Example: mnist3d generate --split train --per-class 10 --out digits
 
-    A run that was stopped goes on when the same command is given again; finished shards are never made twice.
+    A stopped run continues when the same command is given again; finished shards are never made twice.
     """
     from mnist3d.generation import GenerateSpec, forecast
     from mnist3d.generation import generate as make
@@ -115,7 +115,7 @@ def _range(spread: tuple[float, ...]) -> str:
 def _print_checked(sink: Sink, results: Sequence[Checked]) -> None:
     # Named even with --quiet: a mesh that could not be read has no row in any table.
     for item in (item for result in results for item in result.unreadable):
-        sink.insist(f"unreadable: {item.report.detail}")
+        sink.warn(f"unreadable: {item.report.detail}")
     for result in results:
         sink.table(*result.table())
     failed = sum(result.failed for result in results)

@@ -147,7 +147,7 @@ DryRun = Annotated[
     typer.Option(
         "--dry-run",
         rich_help_panel=JOB,
-        help="Say what would be made, how large and how long; write nothing.",
+        help="State what would be made, how large and how long; write nothing.",
     ),
 ]
 Limit = Annotated[
@@ -201,7 +201,7 @@ class Work:
         "call this job.",
     )
     finish: bool = switch(
-        False, panel=JOB, help="Put together what all parts have made, or say which are missing."
+        False, panel=JOB, help="Put together what all parts have made, or name those that are missing."
     )
     check: bool = switch(
         False, panel=JOB, help="Read all that is finished again, in stores too, and remake what is damaged."

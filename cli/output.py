@@ -48,12 +48,12 @@ class Sink:
         if not (self.as_json or self.quiet):
             sys.stdout.write(printable(text, keep="\n") + "\n")
 
-    def talk(self, text: str) -> None:
+    def info(self, text: str) -> None:
         """Say something on stderr."""
         if not self.quiet:
-            self.insist(text)
+            self.warn(text)
 
-    def insist(self, text: str) -> None:
+    def warn(self, text: str) -> None:
         """Say something on stderr to those too who want to hear nothing else, such as what is damaged."""
         sys.stderr.write(printable(text, keep="\n") + "\n")
 
@@ -100,7 +100,7 @@ class Sink:
             with _bar(what, unit) as update:
                 yield update
         else:
-            yield _plain_lines(self.talk, what, unit)
+            yield _plain_lines(self.info, what, unit)
 
 
 def _widths(header: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
@@ -172,7 +172,7 @@ def _bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
         yield update
 
 
-def _plain_lines(talk: Callable[[str], None], what: str, unit: str) -> Callable[[int, int], None]:
+def _plain_lines(info: Callable[[str], None], what: str, unit: str) -> Callable[[int, int], None]:
     start_s = last_s = time.monotonic()
 
     def update(done: int, total: int) -> None:
@@ -181,7 +181,7 @@ def _plain_lines(talk: Callable[[str], None], what: str, unit: str) -> Callable[
         # The last one always: a log that ends at 80 % looks like work that was stopped.
         if done and (done == total or now_s - last_s >= _PLAIN_INTERVAL_S):
             last_s = now_s
-            talk(f"{what}: {_state(done, total, unit, now_s - start_s)}")
+            info(f"{what}: {_state(done, total, unit, now_s - start_s)}")
 
     return update
 

@@ -47,7 +47,7 @@ class Pictures:
 
         folder, pictures = renamed(plan.pictures, self.out or usual)
         for reason in plan.left_out:
-            sink.talk(f"left out: {reason}")
+            sink.info(f"left out: {reason}")
         left_out = {"left_out": list(plan.left_out)}
         if self.dry_run:
             planned = [{"file": picture.name, "what": picture.what} for picture in pictures]

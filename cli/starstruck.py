@@ -51,7 +51,7 @@ def generate(
 
     Example: starstruck generate --stars 1-5 --scenes 10000 --out scenes
 
-    A run that was stopped goes on when the same command is given again; finished shards are never made twice.
+    A stopped run continues when the same command is given again; finished shards are never made twice.
     """
     from starstruck_gen.generation import PUBLISHED_SIZES, GenerateSpec, forecast
     from starstruck_gen.generation import generate as make
@@ -91,7 +91,7 @@ def trial_reporter(sink: Sink) -> Callable[[int, int], None]:
         now_s = time.monotonic()
         if now_s - last_s >= _TRIAL_INTERVAL_S:
             last_s = now_s
-            sink.talk(f"trying whether the fullest scene has room: {failed:,} of {allowed:,} layouts failed")
+            sink.info(f"trying whether the fullest scene has room: {failed:,} of {allowed:,} layouts failed")
 
     return report
 

@@ -52,7 +52,7 @@ def generate(
 
     Example: tactile-sim generate digits --split test --rounds 1 --touches 32 --out touches
 
-    A run that was stopped goes on when the same command is given again; finished shards are never made twice.
+    A stopped run continues when the same command is given again; finished shards are never made twice.
     """
     from tactile_sim.generation import forecast
     from tactile_sim.generation import generate as make
@@ -170,7 +170,7 @@ def render(
     )
     if not seen.contact:
         (low_x, low_y), (high_x, high_y) = (1e3 * seen.bounds_m).tolist()
-        sink.talk(
+        sink.info(
             f"the gel met the plate only; the mesh is at x {low_x:.1f} to {high_x:.1f} mm, y {low_y:.1f} to "
             f"{high_y:.1f} mm; next: --at-mm object, or a larger --size where it is thinner than a pixel"
         )

@@ -96,7 +96,7 @@ def train(
 
     Example: tactile-sim train pairs --steps 7000 --config train.toml --out weights
 
-    A run that was stopped, also by a kill, goes on from its last checkpoint when the same command is given
+    A run that was stopped, also by a kill, continues from its last checkpoint when the same command is given
     again.
     On several GPUs: torchrun --nproc-per-node 4 -m tactile_sim train pairs --out weights
     """

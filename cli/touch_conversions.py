@@ -47,7 +47,7 @@ def _frame() -> Any:
 
 def _object_ids(words: str) -> list[int]:
     if not all(map(is_count, listed(words))):
-        message = f"--ids has {words!r}; expected whole numbers, such as 12,408"
+        message = f"--ids has {words!r}; expected integers, such as 12,408"
         raise InputError(message)
     return [int(each) for each in listed(words)]
 
@@ -255,7 +255,7 @@ def _place(sink: Sink, out: str | None, former_out: str | None = None) -> str:
         message = "--out was not given; expected the folder to write; next: add --out DIR"
         raise InputError(message)
     if former_out is not None:
-        sink.insist(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
+        sink.warn(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
     return str(out or former_out)
 
 
@@ -305,9 +305,9 @@ def import_touches(
         return
     skipped = [item for record in made.manifest.shards for item in record.skipped]
     for item in skipped[:_SKIPPED_SHOWN]:
-        sink.talk(f"left out: {item.message} ({item.reason})")
+        sink.info(f"left out: {item.message} ({item.reason})")
     fields = add_up(list(made.manifest.statistics().values())).get(NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
-        sink.talk(f"fields that were not imported, and of how many touches: {counts}")
+        sink.info(f"fields that were not imported, and of how many touches: {counts}")
     print_converted(sink, made.manifest, place, "touches")

@@ -24,7 +24,7 @@ def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
     if hub_name(place) is None or expanded(place).exists():
         return
     part = f"the files of split {split!r}" if split else "the files of all splits (--split takes one)"
-    sink.talk(f"{place}: fetching from the Hub what is not here yet of {part}")
+    sink.info(f"{place}: fetching from the Hub what is not here yet of {part}")
 
 
 def raise_findings(sink: Sink, result: TouchVerification, name: str) -> None:
@@ -40,7 +40,7 @@ def raise_findings(sink: Sink, result: TouchVerification, name: str) -> None:
     if result.ok:
         return
     for finding in result.findings:
-        sink.insist(f"damaged: {finding}")
+        sink.warn(f"damaged: {finding}")
     message = (
         f"{counted(len(result.findings), 'problems')} in {name!r}; next: download or convert it again, or "
         "open it with on_error='skip' to leave them out"

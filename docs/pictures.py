@@ -28,7 +28,7 @@ SLATE = "#4a7d94"
 
 
 def main() -> None:
-    """Write the picture beside this file."""
+    """Write the picture next to this file."""
     source = SyntheticSource()
     meshes = [solidify(source.image(980 + digit * 14).pixels) for digit in range(10)]
     placed = [(mesh, (0.08 * (place % 5), -0.105 * (place // 5))) for place, mesh in enumerate(meshes)]

@@ -75,7 +75,7 @@ def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
     Sub-folders called ``train`` and ``test`` are splits; a folder without them is the same for both. Other
     sub-folders are classes; files that lie in none are a class each, named as they are. Ids count files in
     the order of their names. InputError: the folder holds another split alone, a class is there twice, or
-    files lie beside classes.
+    files lie next to classes.
     """
     root = expanded(fspath(place))
     if not is_there(root):
@@ -98,7 +98,7 @@ def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
     classes = {name: files for name, files in classes.items() if files}
     if loose and classes:
         message = (
-            f"{str(root)!r} holds mesh files ({loose[0].name}) beside folders of them "
+            f"{str(root)!r} holds mesh files ({loose[0].name}) next to folders of them "
             f"({next(iter(classes))}); next: put each file into the folder of its class, or give a folder of "
             "files alone"
         )

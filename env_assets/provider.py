@@ -174,7 +174,7 @@ class AssetProvider:
         opened = self._opened.get(("touches", name, split))
         if opened is None:
             place = place_of(self._place(name))
-            # By commit and not by branch: rounds stay as they were when somebody pushes meanwhile.
+            # By commit and not by branch: rounds stay as they were when a user pushes meanwhile.
             opened = load(place, split, revision=self._commit_of(place))
             opened = self._opened.setdefault(("touches", name, split), opened)
         found: TouchSeqDataset | TouchSingleDataset = opened

@@ -135,7 +135,7 @@ def _limits(manifest: Manifest, summaries: list[SplitSummary], words: SourceWord
     lines = [
         words.limit,
         f"{in_pieces}; `--join-bodies` makes bridges.",
-        f"The print profile raises {warned:,} warnings; one says what to look at, not that it fails.",
+        f"The print profile raises {warned:,} warnings; each names what to look at; the digit may print.",
         "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
     ]
     if manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None:
@@ -178,7 +178,7 @@ _SOURCES = (
         "strokes drawn by the toolkit, seed {seed}, {count:,} digits, drawing version {drawing_version}",
         "mit",
         "MIT, as the toolkit: no one's handwriting is in it.",
-        "The strokes are drawn by a program. They vary like handwriting, but nobody wrote them.",
+        "The strokes are drawn by a program. They vary like handwriting, but were not written by people.",
         "; this copy stands in for it with drawn digits",
     ),
     SourceWords(

@@ -49,7 +49,7 @@ _MEASURES = (
 
 
 def plan_gallery(choice: Choice) -> Gallery:
-    """Say what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
+    """State what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
     # What the data set's own report says of each digit that is shown; nothing where it has none.
     is_folder = expanded(choice.name).is_dir()
     has_report = is_folder and DataFolder(choice.name).exists(REPORT_FILE)

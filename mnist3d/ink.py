@@ -49,12 +49,13 @@ _SENTENCES = {
     "bad-range": "grey levels run from {} to {}; expected 0 to 255, or floats from 0 to 1",
     "too-small": "the image has {} x {} px, which make {:g} mm; expected {} px or more; next: "
     "solidify(..., resample=True) draws it again with 500",
-    "unclear-ink": "{}: the ink cannot be told from the paper, found {:.0%} of the margin light and the rest "
-    "dark, expected nearly all of it to be paper; next: say dark or light (--ink, ink=), or crop the image",
+    "unclear-ink": "{}: the ink cannot be distinguished from the paper, found {:.0%} of the margin light and "
+    "the rest dark, expected nearly all of it to be paper; next: give dark or light (--ink, ink=), or crop the "
+    "image",
     "one-level": "the image has one grey level only ({}); expected dark ink on light paper",
     "no-ink": "no pixel is dark enough to be ink; expected a digit",
     "all-ink": "ink covers {:.0%} of the margin of the image, which would make a slab; expected a digit on "
-    "paper, with less than {:.0%} of the margin ink; next: say ink='light' if the ink is the lighter part, "
+    "paper, with less than {:.0%} of the margin ink; next: give ink='light' if the ink is the lighter part, "
     "or leave room around the digit",
     "only-specks": "no piece of ink is as large as {} mm^2 (min_speck_mm2); expected a digit",
     "topology": "no lattice keeps the {} bodies and {} holes of the ink; the finest has {} and {}",

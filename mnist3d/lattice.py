@@ -290,7 +290,7 @@ def _first_pitch_px(distance: Singles, spec: SolidSpec) -> float:
 
 
 def _crossed_edges(s_px: Singles, pitch_px: float, spec: SolidSpec) -> int:
-    """Count the edges that pass through the whole surface: beside and above the nodes, the rim only once."""
+    """Count the edges that pass through the whole surface: next to and above the nodes, the rim only once."""
     layers = np.ceil(half_height_px(s_px, spec) / np.float32(pitch_px)).astype(np.int32)
     beside = np.abs(np.diff(layers, axis=0)).sum() + np.abs(np.diff(layers, axis=1)).sum()
     inked = layers > 0
@@ -307,7 +307,7 @@ def _narrow_parts(distance: Singles) -> Mask:
 
 
 def _refined(nodes: Doubles, lines: Places, count: int) -> Doubles:
-    """Put nodes on every pixel of the lines in which something is missed, and on those beside them."""
+    """Put nodes on every pixel of the lines in which something is missed, and on those next to them."""
     missed = np.zeros(count, dtype=bool)
     missed[lines] = True
     wanted = np.flatnonzero(missed | np.append(missed[1:], False) | np.append(False, missed[:-1])) * 1.0

@@ -136,7 +136,7 @@ def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
 
 def _plan_steps(opened: MeshPreviews[MeshDataset]) -> list[PlannedPicture]:
     if "source" not in opened.made_by:
-        message = f"{opened.name!r} does not say where its images came from; next: give a picture of a digit"
+        message = f"{opened.name!r} does not name the source of its images; next: give a picture of a digit"
         raise InputError(message)
     given = opened.spec if isinstance(opened.spec, DigitPreviewSpec) else DigitPreviewSpec()
     with specification_read(opened.name):

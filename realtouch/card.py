@@ -88,7 +88,7 @@ _PLAIN_COLUMNS: dict[str, Column] = {
     "image": ("JPEG", "what the sensor saw at contact, as it was stored"),
     "file": ("", "file of a picture or of the foreign format, from the folder of the data set"),
     "sha256": ("hexadecimal", "checksum of the file"),
-    "meta_file": ("", "what the foreign format says of the episodes in it"),
+    "meta_file": ("", "what the foreign format states about the episodes in it"),
     "meta_sha256": ("hexadecimal", "checksum of that file"),
     "round_id": ("", "name of the round"),
     "touch": ("", "number of the touch in its round, from 0"),

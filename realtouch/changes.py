@@ -1,6 +1,6 @@
 """What differs between a picture and its background, and whether that is contact: arrays of pixels only.
 
-Grey is what OpenCV and JPEG call luma (ITU-R BT.601), in whole numbers: (4899 R + 9617 G + 1868 B + 8192) >>
+Grey is what OpenCV and JPEG call luma (ITU-R BT.601), in integers: (4899 R + 9617 G + 1868 B + 8192) >>
 14. Everything here is exact and gives the same numbers on every machine.
 """
 
@@ -176,7 +176,7 @@ class ContactRule:
         check_fields(self, "the contact rule")
 
     def holds(self, score: ContactScore) -> Any:
-        """Tell whether pictures of such scores show contact: bool, or an array of them."""
+        """Return whether pictures of such scores show contact: bool, or an array of them."""
         return (score.area_px >= self.min_area_px) & (score.intensity >= self.min_intensity)
 
     def window(self, height: int, width: int) -> tuple[slice, slice]:

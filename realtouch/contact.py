@@ -100,7 +100,7 @@ def changed_area(
     """
     chosen = np.unique(np.linspace(0, len(frames) - 1, _MEDIAN_FRAMES).round().astype(int))
     median = np.median(frames[chosen], axis=0).astype(np.int16)
-    # Summed over the channels: a third of the threshold's work, and whole numbers throughout.
+    # Summed over the channels: a third of the threshold's work, and integers throughout.
     differences = [np.abs(frame - median).sum(axis=-1, dtype=np.int32) for frame in frames]
     area = np.array([np.count_nonzero(each > 3 * min_change) / each.size for each in differences])
     return area, np.array([each.mean() / 3 for each in differences])

@@ -31,7 +31,7 @@ _RENDERED = tuple(
     for prefix, things in (("", "digits"), ("starstruck-", "scenes"))
     for width, height in ((320, 240), (64, 64))
 )
-# Patterns of what `verify` and `upload` take for the data set's own beside `data`.
+# Patterns of what `verify` and `upload` take for the data set's own next to `data`.
 _EXCHANGED = (
     "webdataset/*.tar",
     "lerobot/data/*/*.parquet",

@@ -15,7 +15,7 @@ __all__ = ["InversePose", "Pose", "angle_of"]
 
 
 class Pose(RigidTransform):
-    """One rigid transform, or several: scipy's, with the attributes of the published type beside its own.
+    """One rigid transform, or several: scipy's, with the attributes of the published type next to its own.
 
     ``translation``, ``rotation`` and ``single`` mean the same in both. ``inv`` is the inverse, as published;
     ``inv()`` gives the same, as in scipy. Positions are metres.

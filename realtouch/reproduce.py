@@ -149,7 +149,7 @@ def _gels(rounds: list[_Round], touches: int) -> list[PaperNumber]:
     """Say after how many touches the gel was replaced, rounds in the order in which they were recorded."""
     what, paper = "gel replaced after", f"{_TOUCHES_OF_A_GEL:,} touches, once"
     if any(each.gel is None for each in rounds):
-        return [PaperNumber(what, paper, "the set does not say", False)]
+        return [PaperNumber(what, paper, "not stated", False)]
     ends, done = [], 0
     # Ids begin with the time of recording, so that their order is that of the gels.
     for before, after in pairwise(rounds):

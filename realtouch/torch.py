@@ -43,9 +43,9 @@ TARGETS: dict[str, Callable[[Touch], Any]] = {
     "gel_position": lambda touch: torch.tensor(touch.gel_pose.translation, dtype=torch.float32),
     "round_id": lambda touch: touch.round_id,
 }
-"""What may stand beside an image; positions are metres in the cell frame, float32.
+"""What may stand next to an image; positions are metres in the cell frame, float32.
 
-``"gel_position"`` is that of the frame which is given; beside a whole clip, of the last frame of contact.
+``"gel_position"`` is that of the frame which is given; next to a whole clip, of the last frame of contact.
 """
 
 
@@ -145,7 +145,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return [images, collate(targets)]
 
     def _decoded(self, indices: Sequence[int]) -> tuple[torch.Tensor, list[Touch]] | None:
-        """Decode images of one size, shape (n, 3, H, W), beside their touches; None where they are not that.
+        """Decode images of one size, shape (n, 3, H, W), next to their touches; None where they are not that.
 
         Where an image is damaged it is None, too: whoever asks for the item by itself is told of it.
         """

@@ -122,7 +122,7 @@ class Touch:
         return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
 
     def __eq__(self, other: object) -> bool:
-        """Tell whether the other is the same touch of an equal round, by what is stored of it."""
+        """Return whether the other is the same touch of an equal round, by what is stored of it."""
         if not isinstance(other, Touch):
             return NotImplemented
         if hash(self) != hash(other):  # the number in the round, and the round's id

@@ -227,7 +227,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         return indices
 
     def int_column(self, name: str) -> NDArray[np.int64]:
-        """Read one column of whole numbers of the rounds, shape (len,), int64."""
+        """Read one column of integers of the rounds, shape (len,), int64."""
         return self.dataset.int_column(name)[self.round_positions]
 
     @property
@@ -385,11 +385,11 @@ class Touches(LazySequence[Touch], Generic[R]):
         Raises
         ------
         InputError
-            Something else than whole numbers is given.
+            Something else than integers is given.
         """
         numbers = list(map(plain_number, flattened(wanted)))
         if not is_whole(*numbers):
-            message = f"{wanted!r} was given; expected object ids as whole numbers"
+            message = f"{wanted!r} was given; expected object ids as integers"
             raise InputError(message)
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]

@@ -121,7 +121,7 @@ def _acceptance_table(summaries: list[SplitSummary]) -> str:
 def _limits(manifest: Manifest, spec: SceneSpec) -> str:
     lines = [
         "Objects lie flat and are of one height each; nothing is stacked.",
-        "Scenes are drawn anew from the seed: they are not the published scenes, only made by the same rule.",
+        "Scenes are drawn from the seed: they are not the published scenes, only made by the same rule.",
     ]
     if spec.to_dict() != SceneSpec().to_dict():
         lines.append("The specification is not the published one; results do not compare with the paper's.")

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from starstruck_gen.columns import scene_schema
 from starstruck_gen.dataset import SceneMeshDataset
 from starstruck_gen.make import make_rows
-from starstruck_gen.placement import SceneMeshes, stamp
+from starstruck_gen.placement import SceneMeshes, build_meshes
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
@@ -68,7 +68,7 @@ class SceneTable(ShardedTable):
 
     def locate(self, row: int) -> tuple[RowGroup, int]:
         """Return a row as a group of its own; nothing of it is made yet."""
-        return _MadeRow(self, row), 0
+        return LazyRow(self, row), 0
 
     def made(self, start: int, count: int) -> Any:
         """Make some rows at once, as an Arrow table."""
@@ -94,7 +94,7 @@ class SceneTable(ShardedTable):
         raise KeyError(name)
 
 
-class _MadeRow(RowGroup):
+class LazyRow(RowGroup):
     """One row that looks like a stored one; scene and mesh are made on first use."""
 
     _origin: SceneTable
@@ -121,7 +121,7 @@ class _MadeRow(RowGroup):
 
     @cached_property
     def _meshes(self) -> SceneMeshes:
-        meshes = stamp([self._scene.placements])
+        meshes = build_meshes([self._scene.placements])
         for column in (meshes.vertices_m, meshes.faces):
             column.values.setflags(write=False)
         return meshes
@@ -188,7 +188,7 @@ class SceneDataset(SceneMeshDataset):
         super().__init__([SceneTable(spec, split, size, seed)], label_names=spec.class_names)
 
     def int_column(self, name: str) -> NDArray[np.int64]:
-        """Return one column of whole numbers, shape (len,), int64; none is stored, so that none is damaged.
+        """Return one column of integers, shape (len,), int64; none is stored, so that none is damaged.
 
         Raises
         ------

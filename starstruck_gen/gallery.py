@@ -44,7 +44,7 @@ _MEASURES = (
 
 
 def plan_gallery(choice: Choice) -> Gallery:
-    """Say what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
+    """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
     return gallery_of_rows(KIND, choice, "Starstruck scenes", _FACETS, _MEASURES, _item, _ROWS_PER_TASK)
 
 

@@ -10,7 +10,7 @@ from typing import Any
 
 from starstruck_gen.columns import PARQUET_STYLE, SceneRow, scene_schema
 from starstruck_gen.kind import KIND
-from starstruck_gen.make import make_rows, require_sound
+from starstruck_gen.make import make_rows, validate_rows
 from starstruck_gen.sampling import LayoutFailed, SamplingExhausted, require_feasible
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import MOST_SCENES, SPLITS, scene_seed
@@ -77,7 +77,7 @@ class GenerateSpec:
         )
         for name, holds, expected in (
             ("scene", isinstance(self.scene, SceneSpec), "a SceneSpec"),
-            ("scenes", pairs, "a whole number for each split, such as {'train': 3000, 'test': 300}"),
+            ("scenes", pairs, "an integer for each split, such as {'train': 3000, 'test': 300}"),
         ):
             if not holds:
                 message = (
@@ -143,7 +143,7 @@ class SceneMaking(making.Making):
         """Make the rows and prove them; SamplingExhausted when a scene cannot be made."""
         with without_collecting():
             rows = make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
-            require_sound(self.spec.scene, rows)
+            validate_rows(self.spec.scene, rows)
         return rows
 
     def statistics(self, rows: Sequence[SceneRow]) -> Mapping[str, Any]:

@@ -8,14 +8,14 @@ from itertools import combinations
 import numpy as np
 
 from starstruck_gen.columns import SceneRow
-from starstruck_gen.placement import CLEAR, stamp
+from starstruck_gen.placement import COLLISION_TESTS, build_meshes
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import scene_id, scene_seed
 from tactile_toolkit.errors import IntegrityError
 
-__all__ = ["make_rows", "require_sound"]
+__all__ = ["make_rows", "validate_rows"]
 
 
 def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
@@ -24,7 +24,7 @@ def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) ->
     Raises SamplingExhausted when a scene cannot be made.
     """
     scenes = sample_scenes(spec, split, seed, start, count)
-    meshes = stamp([scene.placements for scene in scenes])
+    meshes = build_meshes([scene.placements for scene in scenes])
     return [
         SceneRow(
             id=scene_id(split, number),
@@ -42,7 +42,7 @@ def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) ->
     ]
 
 
-def require_sound(spec: SceneSpec, rows: Sequence[SceneRow]) -> None:
+def validate_rows(spec: SceneSpec, rows: Sequence[SceneRow]) -> None:
     """Prove rows before they are written; raises IntegrityError naming a scene that is invalid.
 
     The solids of the shapes were proved once by manifold3d (:mod:`starstruck_gen.solid`). A scene only turns,
@@ -67,7 +67,7 @@ def _misplaced(spec: SceneSpec, row: SceneRow) -> str | None:
     for placement in row.placements:
         if abs(placement.x_m) > half_x_m or abs(placement.y_m) > half_y_m:
             return f"a {placement.shape} stands outside the valid area, at {placement.x_m}, {placement.y_m} m"
-    clear = CLEAR[spec.collision]
+    clear = COLLISION_TESTS[spec.collision]
     for one, other in combinations(row.placements, 2):
         if not clear(one, other, spec.clearance_m):
             return f"a {one.shape} and a {other.shape} collide"

@@ -17,7 +17,7 @@ from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.read.columns import RaggedColumn
 
 __all__ = [
-    "CLEAR",
+    "COLLISION_TESTS",
     "Clear",
     "Placement",
     "Rejected",
@@ -25,7 +25,7 @@ __all__ = [
     "SceneMeshes",
     "circles_clear",
     "outlines_clear",
-    "stamp",
+    "build_meshes",
 ]
 
 STORAGE_MARGIN_M = 1e-7
@@ -83,14 +83,14 @@ Clear = Callable[[Placement, Placement, float], bool]
 
 
 def circles_clear(one: Placement, other: Placement, clearance_m: float) -> bool:
-    """Tell whether circumscribed circles keep a clearance: the rule of package tactile-mnist 0.13.0."""
+    """Return whether circumscribed circles keep a clearance: the rule of package tactile-mnist 0.13.0."""
     least_m = one.radius_m + other.radius_m + clearance_m + STORAGE_MARGIN_M
     # Squares, no root: this is asked up to 100 times for each pair of objects.
     return (one.x_m - other.x_m) ** 2 + (one.y_m - other.y_m) ** 2 > least_m * least_m
 
 
 def outlines_clear(one: Placement, other: Placement, clearance_m: float) -> bool:
-    """Tell whether the outlines themselves keep a clearance; measured by manifold3d.
+    """Return whether the outlines themselves keep a clearance; measured by manifold3d.
 
     An object inside another's hole is clear of it, one inside its solid is not.
     """
@@ -103,7 +103,7 @@ def outlines_clear(one: Placement, other: Placement, clearance_m: float) -> bool
     return bool((first ^ second).is_empty() and first.min_gap(second, 2 * least_mm) > least_mm)
 
 
-CLEAR: dict[str, Clear] = {"circles": circles_clear, "exact": outlines_clear}
+COLLISION_TESTS: dict[str, Clear] = {"circles": circles_clear, "exact": outlines_clear}
 """Collision rules by their name in the specification."""
 
 
@@ -138,7 +138,7 @@ class SceneMeshes:
         return Mesh(self.vertices_m[index], self.faces[index])
 
 
-def stamp(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
+def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     """Make the meshes of a batch of scenes.
 
     Each object is one solid of its own, in order of the placements, standing on z = 0; see

@@ -23,7 +23,7 @@ from starstruck_gen.picture import (
     paint_object,
     reduced,
 )
-from starstruck_gen.placement import Placement, Rejected, stamp
+from starstruck_gen.placement import Placement, Rejected, build_meshes
 from starstruck_gen.sampling import SceneTrace, trace_scene
 from starstruck_gen.shapes import outline
 from starstruck_gen.spec import SceneSpec
@@ -219,5 +219,8 @@ def _bodies(record: SceneRecord, spec: SceneSpec) -> tuple[Body, ...]:
         return (plate, Body(Mesh(record.vertices_m, record.faces), _OBJECT))
     return (
         plate,
-        *(Body(stamp([[each]])[0], STAR if each.is_star else DISTRACTOR) for each in record.placements),
+        *(
+            Body(build_meshes([[each]])[0], STAR if each.is_star else DISTRACTOR)
+            for each in record.placements
+        ),
     )

@@ -10,7 +10,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from starstruck_gen.placement import CLEAR, Clear, Placement, Rejected
+from starstruck_gen.placement import COLLISION_TESTS, Clear, Placement, Rejected
 from starstruck_gen.scene import Scene
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
@@ -19,7 +19,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
 __all__ = [
-    *("LayoutFailed", "SamplingExhausted", "SceneTrace", "is_hopeless", "most_objects_that_fit"),
+    *("LayoutFailed", "SamplingExhausted", "SceneTrace", "is_infeasible", "most_objects_that_fit"),
     *("rejection_sampling", "require_feasible", "sample_scene", "sample_scenes", "trace_scene"),
 ]
 
@@ -33,14 +33,14 @@ LayoutFailed = Callable[[int, int], None]
 _LOCAL = threading.local()
 _ROUNDING = 1e-9
 _RECENT_LAYOUTS = 10
-_HOPELESS_DEVIATIONS = 8.0
+_INFEASIBLE_DEVIATIONS = 8.0
 
 
 def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> Scene:
     """Make one scene.
 
     Draws the number of distractors and their shapes, then places the stars, then the distractors, each at a
-    uniform position and rotation; a position that collides is drawn anew, and a scene in which one object
+    uniform position and rotation; a position that collides is drawn again, and a scene in which one object
     found no position starts over.
 
     Parameters
@@ -119,7 +119,7 @@ class SceneTrace:
 
 def trace_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> SceneTrace:
     """Make one scene as :func:`sample_scene` does, and keep the positions that were rejected."""
-    rule = CLEAR[spec.collision]
+    rule = COLLISION_TESTS[spec.collision]
     met: list[tuple[Placement, Placement]] = []
 
     # The collision rule is where a position is rejected: watching it there costs nothing elsewhere.
@@ -167,7 +167,7 @@ def most_objects_that_fit(spec: SceneSpec) -> int:
     return math.floor(width_m * depth_m / min(sizes_m2) + _ROUNDING)
 
 
-def is_hopeless(reached: list[int], objects: int) -> bool:
+def is_infeasible(reached: list[int], objects: int) -> bool:
     """Return whether no layout will hold all objects, from how many each layout so far held.
 
     These numbers lie close together: for one that is more than eight standard deviations above the mean of
@@ -179,7 +179,7 @@ def is_hopeless(reached: list[int], objects: int) -> bool:
     mean = sum(recent) / len(recent)
     deviation = math.sqrt(sum((count - mean) ** 2 for count in recent) / len(recent))
     # Layouts that all held equally many have a deviation of 0.
-    return objects - mean > _HOPELESS_DEVIATIONS * max(1.0, deviation)
+    return objects - mean > _INFEASIBLE_DEVIATIONS * max(1.0, deviation)
 
 
 def _require_class(spec: SceneSpec, star_count: int | None) -> None:
@@ -204,7 +204,7 @@ def rejection_sampling(
     ``uniform`` gives numbers in [0, 1): the order in which they are drawn is part of every data set's bytes.
     ``clear`` is the collision rule, that of the specification by default.
     """
-    clear = clear or CLEAR[spec.collision]
+    clear = clear or COLLISION_TESTS[spec.collision]
     if star_count is None:
         star_count = _choice(spec.stars, uniform)
     least, most = spec.distractors
@@ -214,7 +214,7 @@ def rejection_sampling(
     attempts = [0] * len(shapes)
     reached: list[int] = []
     clearance_m, (half_x_m, half_y_m) = spec.clearance_m, spec.half_area_m
-    while len(reached) <= spec.restarts and not is_hopeless(reached, len(shapes)):
+    while len(reached) <= spec.restarts and not is_infeasible(reached, len(shapes)):
         placed: list[Placement] = []
         for number, shape in enumerate(shapes):
             # Drawn once for an object, not for each attempt.
@@ -238,9 +238,9 @@ def rejection_sampling(
         reached.append(len(placed))
         on_failure(len(reached), spec.restarts + 1)
     failed, restarts = reached[-1], len(reached) - 1
-    hopeless = is_hopeless(reached, len(shapes))
+    infeasible = is_infeasible(reached, len(shapes))
     counts = (failed + 1, len(shapes), spec.attempts, restarts)
-    raise SamplingExhausted(shapes[failed].name, *counts, _area_mm(spec), hopeless=hopeless)
+    raise SamplingExhausted(shapes[failed].name, *counts, _area_mm(spec), infeasible=infeasible)
 
 
 def _area_mm(spec: SceneSpec) -> tuple[float, float]:
@@ -283,7 +283,7 @@ class SamplingExhausted(InputError):  # noqa: N818
     area_mm: tuple[float, float]
     kept_in: str = ""
     most: int = 0
-    hopeless: bool = False
+    infeasible: bool = False
 
     def __post_init__(self) -> None:
         # The fields are the arguments, so that the error crosses process borders.
@@ -301,7 +301,7 @@ class SamplingExhausted(InputError):  # noqa: N818
                 f"{self.attempts} attempts failed, and the scene was started over {self.restarts} times "
                 "(restarts)"
             )
-            if self.hopeless:
+            if self.infeasible:
                 story += "; no layout came near"
             else:
                 patience = ", or in Python raise attempts or restarts of SceneSpec"

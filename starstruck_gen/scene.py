@@ -57,9 +57,9 @@ class Scene:
             Arrays ``vertices_m`` and ``faces``, with ``volume_m3`` and ``bounds_m``; its ``to_trimesh()`` is
             the `trimesh.Trimesh` that ``mesh`` of a record is.
         """
-        from starstruck_gen.placement import stamp
+        from starstruck_gen.placement import build_meshes
 
-        return stamp([self.placements])[0]
+        return build_meshes([self.placements])[0]
 
     def draw(self, cell_m: tuple[float, float] = (0.12, 0.12), px_per_mm: float = 4.0) -> Image:
         """Draw the scene from above, x right and y up, stars in their own colour.
@@ -181,7 +181,7 @@ def _placement(values: Any, where: str) -> Placement:
 def _count(what: str, value: Any) -> int:
     number: int = plain_number(value)
     if not is_whole(number) or number < 0:
-        _refuse(f"{what} is", value, "a whole number from 0")
+        _refuse(f"{what} is", value, "an integer from 0")
     return number
 
 

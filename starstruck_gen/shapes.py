@@ -76,7 +76,7 @@ class Proportions:
             except (TypeError, ValueError):
                 fine = False
             if not fine:
-                what = "a whole number from " if kind is int else ""
+                what = "an integer from " if kind is int else ""
                 message = (
                     f"{entry.name} of shape {self.name!r} is {value!r}; expected {what}{least:g} to {most:g}"
                 )

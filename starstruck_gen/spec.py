@@ -168,10 +168,10 @@ _Rule = tuple[str, Callable[[SceneSpec], bool], str]
 _RULES: tuple[_Rule, ...] = (
     ("cell_m", lambda s: _pair(s.cell_m), f"two lengths up to {_LARGEST_CELL_M} m"),
     ("padding_m", lambda s: _pair(s.padding_m), "two lengths from 0 m"),
-    ("stars", lambda s: len(s.stars) > 0 and is_whole(*s.stars) and s.stars[0] >= 0, "whole numbers from 0"),
+    ("stars", lambda s: len(s.stars) > 0 and is_whole(*s.stars) and s.stars[0] >= 0, "integers from 0"),
     ("stars", lambda s: all(a < b for a, b in pairwise(s.stars)), "each number larger than the one before"),
     ("distractors", lambda s: _pair(s.distractors, _MOST_OBJECTS), "the least and the most, from 0"),
-    ("distractors", lambda s: is_whole(*s.distractors), "two whole numbers"),
+    ("distractors", lambda s: is_whole(*s.distractors), "two integers"),
     ("distractors", lambda s: s.distractors[0] <= s.distractors[1], "the least first, then the most"),
     ("stars", lambda s: s.stars[0] + s.distractors[0] > 0, "at least 1, or distractors: no scene is empty"),
     ("stars", lambda s: s.most_objects <= _MOST_OBJECTS, f"with distractors up to {_MOST_OBJECTS} objects"),
@@ -200,8 +200,8 @@ _RULES: tuple[_Rule, ...] = (
     ("rotation_rad", lambda s: 0 <= s.rotation_rad <= math.tau, "0 to 2 pi"),
     ("collision", lambda s: s.collision in COLLISION_RULES, " or ".join(COLLISION_RULES)),
     ("clearance_m", lambda s: 0 <= s.clearance_m <= _LARGEST_CELL_M, "a length from 0 m"),
-    ("attempts", lambda s: is_whole(s.attempts) and s.attempts >= 1, "a whole number from 1"),
-    ("restarts", lambda s: is_whole(s.restarts) and s.restarts >= 0, "a whole number from 0"),
+    ("attempts", lambda s: is_whole(s.attempts) and s.attempts >= 1, "an integer from 1"),
+    ("restarts", lambda s: is_whole(s.restarts) and s.restarts >= 0, "an integer from 0"),
     ("cell_m", lambda s: min(s.half_area_m) >= 0, "room for the padding and one object side by side"),
 )
 """What every field must keep to, in the order of asking; later rules rely on earlier ones."""

@@ -60,7 +60,7 @@ def scene_id(split: str, index: int) -> int:
 def scene_rng(seed: int) -> np.random.Generator:
     """Return the generator of one scene, from its own seed (see :func:`scene_seed`); InputError below 0."""
     if seed < 0:
-        message = f"the seed of a scene is {seed}; expected a whole number from 0"
+        message = f"the seed of a scene is {seed}; expected an integer from 0"
         raise InputError(message)
     return np.random.Generator(np.random.Philox(key=seed))
 
@@ -101,7 +101,7 @@ def _split_start(seed: int, split: str) -> int:
         message = f"unknown split {split!r}; expected one of {', '.join(SPLITS)}"
         raise InputError(message)
     if seed < 0:
-        message = f"seed is {seed}; expected a whole number from 0"
+        message = f"seed is {seed}; expected an integer from 0"
         raise InputError(message)
     words = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split),)).generate_state(1, np.uint64)
     return int(words[0])

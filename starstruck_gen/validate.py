@@ -11,7 +11,7 @@ import numpy as np
 
 from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.kind import KIND
-from starstruck_gen.placement import stamp
+from starstruck_gen.placement import build_meshes
 from starstruck_gen.shapes import KINDS, Proportions, outline
 from starstruck_gen.solid import own_kinds, register_shape
 from tactile_toolkit.catalog.checking import check_rows, shards_to_check
@@ -160,13 +160,13 @@ def _inspect(record: SceneRecord, names: Sequence[str]) -> tuple[str | None, int
     verdict = check_manifold(mesh)
     if verdict.problem is not None:
         return f"{verdict.problem}: {verdict.detail}", verdict.bodies
-    problem = _afloat(mesh, verdict.manifold.decompose())
+    problem = _check_on_plate(mesh, verdict.manifold.decompose())
     if record.has_placements:
-        problem = problem or _undeclared(mesh, verdict.bodies, record)
-    return problem or _miscounted(record, names), verdict.bodies
+        problem = problem or _check_placements(mesh, verdict.bodies, record)
+    return problem or _check_star_count(record, names), verdict.bodies
 
 
-def _afloat(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
+def _check_on_plate(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
     lowest_m = float(mesh.bounds_m[0, 2])
     if lowest_m != 0.0:
         return f"the lowest point is at z = {lowest_m} m; expected 0"
@@ -180,7 +180,7 @@ def _afloat(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
     return None
 
 
-def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
+def _check_placements(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
     try:
         for placement in record.placements:
             outline(placement.shape)
@@ -188,7 +188,7 @@ def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
         return f"an object is declared that cannot be: {error}"
     if bodies != len(record.placements):
         return f"{bodies} bodies stand there, {len(record.placements)} objects are declared"
-    declared = stamp([record.placements])[0]
+    declared = build_meshes([record.placements])[0]
     same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
     if not same or not np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
         return "the mesh is not that of the declared objects"
@@ -201,7 +201,7 @@ def _undeclared(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
     return f"{wrong} triangles of flat faces are turned over or have no area" if wrong else None
 
 
-def _miscounted(record: SceneRecord, names: Sequence[str]) -> str | None:
+def _check_star_count(record: SceneRecord, names: Sequence[str]) -> str | None:
     declared = record.star_count
     if not 0 <= record.label < len(names) or names[record.label] != str(declared):
         return f"{declared} stars are declared, the class is {record.label} of {', '.join(names)}"

@@ -302,7 +302,9 @@ def _require_known_objects(name: str, splits: Mapping[str, SolidSplit], spec: Ge
     unknown = np.setdiff1d(given.object_id, np.concatenate(held))
     if len(unknown):
         shown = ", ".join(map(str, unknown[:5])) + (", ..." if len(unknown) > 5 else "")
-        message = f"touches of objects {shown} are given, and {name} holds no such id; next: mend `object_id`"
+        message = (
+            f"touches of objects {shown} are given, and {name} holds no such id; next: correct `object_id`"
+        )
         raise InputError(message)
 
 

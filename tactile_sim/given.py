@@ -185,7 +185,7 @@ def _column(name: str, value: Any) -> NDArray[Any]:
         raise InputError(message)
     if whole:
         wrong = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)) & (numbers >= 0) & (numbers < 2**53))
-        expected = "a whole number from 0"
+        expected = "an integer from 0"
     elif name == "object_turn_rad":
         wrong, expected = ~(np.abs(numbers) <= _MOST_TURNS_RAD), "radians"
     else:

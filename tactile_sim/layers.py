@@ -7,7 +7,7 @@ gel feels at a point is where the line of sight through that point leaves them. 
 for each layer nearby, whichever way the solid or the sensor leans.
 
 What follows from that: a layer is printed where the solid reaches its middle, as slicers decide; tops end at
-a whole number of layers; edges of faces that meet at an angle are rounded by the slope of each face alone.
+an integer of layers; edges of faces that meet at an angle are rounded by the slope of each face alone.
 Bridges, seams, strings and the lines inside of a layer are not made.
 """
 

@@ -81,7 +81,7 @@ def as_matrices(value: Any, name: str) -> Matrix:
     square = (turn[..., :, None, :] * turn[..., None, :, :]).sum(axis=-1)
     rigid = np.abs(square - np.eye(3)).max() <= _SLACK and (np.linalg.det(turn) > 0).all()
     if not rigid or np.abs(matrices[..., 3, :] - [0, 0, 0, 1]).max() > _SLACK:
-        message = f"{name} is no rigid pose; expected a rotation and a translation, no mirror and no scale"
+        message = f"{name} is not a rigid pose; expected a rotation and a translation, no mirror and no scale"
         raise InputError(message)
     return matrices
 

@@ -138,9 +138,9 @@ def _require_closed(mesh: Mesh) -> None:
         merged = Mesh(*merge_equal_vertices(np.asarray(mesh.vertices_m, np.float64), mesh.faces))
         verdict = check_manifold(merged)
     if verdict.problem not in _HARMLESS:
-        mend = "mend it, `mnist3d validate FILE` says what is wrong"
+        mend = "repair it, `mnist3d validate FILE` names the problem"
         if verdict.problem == "no-volume":
-            mend = "look at its unit: metres in Python, millimetres in files but GLB; or mend it"
+            mend = "look at its unit: metres in Python, millimetres in files but GLB; or repair it"
         message = (
             f"the mesh bounds no solid ({verdict.problem}: {verdict.detail}); a gel can be pressed onto "
             f"closed meshes only; next: {mend}"

@@ -61,7 +61,7 @@ class TouchPlan:
     Attributes
     ----------
     rounds : int
-        Rounds of each object; the object lies anew in each.
+        Rounds of each object; the object lies again in each.
     touches : int
         Touches of a round.
     place : str
@@ -165,7 +165,7 @@ class TrainConfig:
     decay_from : float
         Share of the steps after which the learning rate falls linearly to 0 (Zhu et al. 2017).
     depth_cycle_weight, touch_cycle_weight, identity_weight : float
-        Weights of the losses beside the adversarial one (Zhu et al. 2017: 10, 10 and 5). Most of a touch is
+        Weights of the losses next to the adversarial one (Zhu et al. 2017: 10, 10 and 5). Most of a touch is
         background: where no relief is learned, weigh the cycle of touches more.
     level_weight : float
         Weight of what is known without pairs, if there are touches without contact: they have no depth, and

@@ -23,7 +23,7 @@ _USUAL_EXPANSION = 32
 
 
 def cache_limit_bytes() -> int:
-    """Return the limit of the cache of row groups; InputError unless the variable holds a whole number."""
+    """Return the limit of the cache of row groups; InputError unless the variable holds an integer."""
     return _limit_bytes(CACHE_LIMIT_VARIABLE, _CACHE_MIB)
 
 
@@ -31,7 +31,7 @@ def _limit_bytes(variable: str, usual_mib: int) -> int:
     named = os.environ.get(variable) or str(usual_mib)
     # Eleven digits of MiB are less than 2^63 bytes, which Arrow and file systems count in.
     if not (named.isascii() and named.isdigit() and len(named) < 12):
-        message = f"{variable} is {named[:40]!r}; expected a whole number of MiB, such as {usual_mib}"
+        message = f"{variable} is {named[:40]!r}; expected an integer of MiB, such as {usual_mib}"
         raise InputError(message)
     return int(named) << 20
 

@@ -78,7 +78,7 @@ def integer(
         return is_whole(value) and least <= value and (most is None or value <= most)
 
     span = f"of at least {least:,}" if most is None else f"from {least:,} to {most:,}"
-    return _field(default, Rule(int, fits, f"a whole number {span}", {"metavar": "N", **option}))
+    return _field(default, Rule(int, fits, f"an integer {span}", {"metavar": "N", **option}))
 
 
 def real(

@@ -7,7 +7,7 @@
     |   +-- SpecMismatchError    the folder belongs to another specification
     |   +-- MissingExtraError    install an optional package
     |   +-- StorageError         make room, or choose a folder that can be written (4: in a download)
-    |   +-- ItemError            one image or mesh cannot be used; a run lists it and goes on
+    |   +-- ItemError            one image or mesh cannot be used; a run lists it and continues
     +-- IntegrityError           stored data is damaged: fetch or make it again       (3)
     +-- RemoteError              an object store or the network did not do what was asked (4)
         +-- HubError             so with the Hub
@@ -133,7 +133,7 @@ class IntegrityError(ToolkitError):
 
     @classmethod
     def in_file(cls, path: str, found: str) -> IntegrityError:
-        """Return the error for a file of a data set; ``found`` goes on right behind the path, in quotes."""
+        """Return the error for a file of a data set; ``found`` continues right behind the path, in quotes."""
         again = "run `verify` on the data set, then generate, convert or download it again"
         return cls(f"{path!r}{found}; next: {again}")
 

@@ -33,7 +33,7 @@ _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
 
 
 def is_export(manifest: Any) -> bool:
-    """Tell whether a manifest is that of a copy for other libraries, with columns of their own."""
+    """Return whether a manifest is that of a copy for other libraries, with columns of their own."""
     return manifest is not None and manifest.spec.get("operation") == EXPORT
 
 
@@ -127,8 +127,8 @@ class DatasetKind:
     published : tuple of PublishedSet
         The published data sets of this kind.
     extra_files : tuple of str
-        Patterns of the files that such data sets may have beside the usual ones, such as ``images/*.png``;
-        of all others in these places ``--overwrite`` knows that they are somebody's.
+        Patterns of the files that such data sets may have next to the usual ones, such as ``images/*.png``;
+        of all others in these places ``--overwrite`` knows that they are a user's.
     plan_previews, plan_gallery : callable
         Plan pictures, or a page, of a data set, where the command line offers that.
     recipe : callable

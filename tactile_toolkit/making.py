@@ -242,7 +242,7 @@ def forecast(
                 return Sample(len(rows), size / len(rows), elapsed_s / len(items))
         message = (
             f"none of {counted(len(skipped), making.kind.nouns)} that were tried could be made; the first: "
-            f"{skipped[0].message}; nothing was written; next: mend the source, or choose another one"
+            f"{skipped[0].message}; nothing was written; next: correct the source, or choose another one"
         )
         raise InputError(message)
 
@@ -272,5 +272,5 @@ class Recipe:
         return " ".join(f"--{name} {value}" for name, value in options.items() if value)
 
     def make(self, out: str, split: str, workers: int) -> None:
-        """Make one split in a folder, going on where an interrupted run stopped."""
+        """Make one split in a folder, continuing where an interrupted run stopped."""
         generate(self.making, out, (split,), workers=workers)

@@ -1,7 +1,7 @@
 """Text from data as it is shown to people: what it holds is seen, and is not obeyed.
 
-Names of classes, files and splits may be anybody's. A terminal obeys control characters, Markdown and pages
-of a browser obey marks; some characters turn the direction of what stands beside them.
+Names of classes, files and splits may be any user's. A terminal obeys control characters, Markdown and pages
+of a browser obey marks; some characters turn the direction of what stands next to them.
 """
 
 from __future__ import annotations

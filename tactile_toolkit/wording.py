@@ -53,7 +53,7 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 def plain(value: Any, kind: type[int] | type[float] = int) -> Any:
     """Return a value with tuples for all that can be iterated over and Python's numbers for all numbers.
 
-    ``kind`` is ``float`` where whole numbers mean measures; ``int`` leaves each number of its own kind. What
+    ``kind`` is ``float`` where integers mean measures; ``int`` leaves each number of its own kind. What
     is neither a number nor a collection of them comes back as it is, for the checks that follow.
     """
     if isinstance(value, (str, bytes, Mapping)):
@@ -84,7 +84,7 @@ def plain_pairs(values: Any) -> Any:
 
 
 def is_whole(*values: object) -> bool:
-    """Return whether all values are whole numbers; True and False are not."""
+    """Return whether all values are integers; True and False are not."""
     return all(isinstance(value, int) and not isinstance(value, bool) for value in values)
 
 
@@ -103,6 +103,6 @@ def whole_number(value: object, name: str, least: int = 0, most: int | None = No
     number = plain_number(value)
     if not (is_whole(number) and least <= number and (most is None or number <= most)):
         bounds = f"from {least}" if most is None else f"from {least} to {most:,}"
-        message = f"{name} is {value!r}; expected a whole number {bounds}"
+        message = f"{name} is {value!r}; expected an integer {bounds}"
         raise InputError(message)
     return int(number)

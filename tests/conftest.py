@@ -62,7 +62,7 @@ def _own_cache(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.Mon
 
 @pytest.fixture
 def shared() -> Path:
-    """Folder of real input beside the repository."""
+    """Folder of real input next to the repository."""
     if not SHARED.is_dir():
         pytest.skip(NO_REAL_INPUT)
     return SHARED

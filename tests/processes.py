@@ -59,7 +59,7 @@ def printed_by(code: str, *words: object, **environment: str) -> str:
 def start_held(command_line: str, shards: int, marker: Path, *words: object) -> subprocess.Popen[bytes]:
     """Start a command that makes data and stands still when it has made so many shards; wait for that.
 
-    With none it stands still before the first. It goes on when there is a file of the marker's name with
+    With none it stands still before the first. It continues when there is a file of the marker's name with
     ``.go`` behind it.
     """
     program = [sys.executable, "-c", _HELD, command_line, str(shards), str(marker), *map(str, words)]
@@ -84,7 +84,7 @@ def children(pid: int) -> list[int]:
 
 
 def alive(pid: int) -> bool:
-    """Tell whether a process runs; one that has ended and whose status nobody asked for does not."""
+    """Return whether a process runs; one that has ended and whose status nobody asked for does not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except FileNotFoundError:

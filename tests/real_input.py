@@ -1,4 +1,4 @@
-"""Where real input lies: a folder beside the repository, which need not be there."""
+"""Where real input lies: a folder next to the repository, which need not be there."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ import pytest
 __all__ = ["NO_REAL_INPUT", "SHARED", "needs_shared"]
 
 SHARED = Path(__file__).resolve().parents[2] / "shared"
-NO_REAL_INPUT = "real input is not here: the folder ../shared beside the repository is absent"
+NO_REAL_INPUT = "real input is not here: the folder ../shared next to the repository is absent"
 needs_shared = pytest.mark.skipif(not SHARED.is_dir(), reason=NO_REAL_INPUT)

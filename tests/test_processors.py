@@ -43,7 +43,7 @@ PROCESSORS = {
 
 def made_on(settings: dict[str, str], folder: Path, touches: Path) -> dict[str, str]:
     environment = {**os.environ, **settings, "TACTILE_TOOLKIT_CACHE": str(folder.with_suffix(".cache"))}
-    # The features of a processor that has fewer cannot be switched off: numpy warns, and goes on.
+    # The features of a processor that has fewer cannot be switched off: numpy warns, and continues.
     command = [sys.executable, "-W", "ignore", "-m", "tests.processor_bytes", str(folder), str(touches)]
     result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

@@ -54,7 +54,7 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Pat
                 "HF_HOME": str(base / "hf"),
                 "HF_TOKEN": server.account("YOU"),
                 "HF_HUB_DISABLE_XET": "1",
-                "OMP_NUM_THREADS": "1",  # beside other tests, threads mostly wait for each other
+                "OMP_NUM_THREADS": "1",  # next to other tests, threads mostly wait for each other
                 "PYTHONPATH": str(ROOT),
                 "TACTILE_TOOLKIT_CACHE": str(base / "cache"),
             },

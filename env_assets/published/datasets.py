@@ -188,7 +188,7 @@ def mesh_keywords(record: Any) -> dict[str, Any]:
 
 
 def has_equal_rows(vertices_m: NDArray[np.float32]) -> bool:
-    """Tell whether vertices may be equal; now and then two unlike ones look so, which only costs time."""
+    """Return whether vertices may be equal; now and then two unlike ones look so, which only costs time."""
     grid = np.round(vertices_m.astype(np.float64) / _MERGED_M).astype(np.int64)
     # One number a row: of 5,000 vertices this takes 0.08 ms, and `np.unique` of rows 3.3 ms.
     mixed = grid @ _MIXERS
@@ -314,7 +314,7 @@ class StoredRows(Sequence[dict[str, Any]]):
     """Rows as dictionaries, with the part of the interface of ``datasets.Dataset`` that environments use.
 
     ``readers`` say, for each column, how its value comes from a record, by functions that pickle;
-    ``features`` are what ``datasets`` would say of a column, for those that somebody asks about.
+    ``features`` are what ``datasets`` would say of a column, for those that a user asks about.
     """
 
     records: Records

@@ -144,7 +144,7 @@ def _require_number(environment: PublishedEnvironment, num_envs: int | None) -> 
     """Refuse a number of environments that cannot be run."""
     if num_envs is not None:
         if not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
-            message = f"num_envs is {num_envs!r}; expected a whole number from 1 on, or None for a single one"
+            message = f"num_envs is {num_envs!r}; expected an integer from 1 on, or None for a single one"
             raise InputError(message)
     elif environment.sparse and version("ap_gym") in SPARSE_SINGLE_BROKEN:
         message = (
@@ -219,7 +219,7 @@ def assets_for(
     if own is not None:
         message = (
             f"{environment.spec.id!r} plays recorded touches, no objects can be given for them; next: leave "
-            "`assets` out, and let `places` of the provider say where the touches are"
+            "`assets` out, and name the place of the touches in `places` of the provider"
         )
         raise InputError(message)
     source = _required(provider, environment)
@@ -236,7 +236,7 @@ def assets_for(
 
 
 def takes_recorded_noise(settings: Mapping[str, Any]) -> bool:
-    """Tell whether the noise of the sensor is drawn from recorded touches, as in ``-DR`` environments."""
+    """Return whether the noise of the sensor is drawn from recorded touches, as in ``-DR`` environments."""
     return getattr(settings.get("sensor_noise"), "real_base_depth_dataset", None) is not None
 
 
@@ -346,7 +346,7 @@ def folder_of_links(files: Sequence[str]) -> Path:
     it has read of a folder (as ``datasets`` does) need not read it again.
     """
     targets = [Path(file).resolve() for file in files]
-    # Size and time as well: a link does not tell that its file was written anew.
+    # Size and time as well: a link does not tell that its file was written again.
     facts = [(str(target), target.stat().st_size, target.stat().st_mtime_ns) for target in targets]
     folder = cache_folder() / "linked" / hashlib.sha256(repr(facts).encode()).hexdigest()[:32]
     with named_failures(str(folder)):

@@ -106,7 +106,7 @@ class _FastRenderer:
         return self._objects
 
     def _show(self, objects: tuple[Any, ...]) -> None:
-        # One environment that resets gives the objects of all beside it again, which are prepared already.
+        # One environment that resets gives the objects of all next to it again, which are prepared already.
         solids = dict(zip(map(id, self._meshes), self._solids, strict=True))
         self._meshes = tuple(point.mesh for point in objects)
         # Whether meshes are closed was found out before the environment started.

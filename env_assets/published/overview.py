@@ -88,10 +88,10 @@ def _state(environment: PublishedEnvironment) -> EnvironmentState:
     )
 
 
-# Hundreds of ids share three sensors, and a failing import is tried anew each time.
+# Hundreds of ids share three sensors, and a failing import is tried again each time.
 @cache
 def _lacking(sensor: str) -> str:
-    """Say what a sensor lacks on this machine; empty where nothing is missing."""
+    """State what a sensor lacks on this machine; empty where nothing is missing."""
     published_package("tactile_mnist")
     try:
         require_sensor(sensor, "auto", sensor_factories())

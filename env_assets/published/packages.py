@@ -64,7 +64,7 @@ def _imported_beside_native() -> Any:
 
 
 def require_drawing(renderer: str) -> None:
-    """Refuse to go on where OpenGL is to draw, and cannot or would need a screen that is not there.
+    """Refuse to continue where OpenGL is to draw, and cannot or would need a screen that is not there.
 
     OpenGL decides when it is imported, which may have been before this toolkit was asked.
     """
@@ -86,7 +86,7 @@ NO_OPENGL = (
 
 
 def has_opengl() -> bool:
-    """Tell whether OpenGL has a library behind it; it is imported for that."""
+    """Return whether OpenGL has a library behind it; it is imported for that."""
     return _opengl_platform() != "NoOpenGL"
 
 

@@ -175,7 +175,7 @@ def _require_proportions(spec: WrenchSpec) -> None:
     if (spec.opening_mm, spec.head_mm) == (spec.second_opening_mm, spec.second_head_mm):
         message = (
             f"both ends of the wrench are alike ({spec.opening_mm:g} mm): turned about it would look the "
-            "same, and nobody could tell its pose; next: choose another second size"
+            "same, so that its pose could not be found; next: choose another second size"
         )
         raise InputError(message)
     if spec.length_mm < spec.head_mm + spec.second_head_mm:

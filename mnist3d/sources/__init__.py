@@ -90,6 +90,6 @@ class DigitSource(Protocol):
         ------
         ItemError
             When this one image cannot be used (unreadable, wrong shape, NaN pixels); a run lists it and
-            goes on.
+            continues.
         """
         ...

@@ -62,7 +62,7 @@ class HwdPlusSource:
         """Check both files and return ids, labels and writers.
 
         Raises InputError when a file is missing, damaged or of another shape or type, when the two differ in
-        rows, or when a label is not a whole number from 0 to 9.
+        rows, or when a label is not an integer from 0 to 9.
         """
         stack, (labels, writers) = self._stack(), self._people()
         if len(labels) != stack.shape[0]:
@@ -190,7 +190,7 @@ def _int_column(table: NDArray[Any], column: int, path: str) -> NDArray[np.int64
     if cells.dtype.kind in "biu":
         return cells.astype(np.int64)
     if cells.dtype.kind == "f":
-        # From 2**53 on a float no longer tells one whole number from the next.
+        # From 2**53 on a float no longer tells one integer from the next.
         whole = np.isfinite(cells) & (np.rint(cells) == cells) & (np.abs(cells) < 2.0**53)
         numbers = np.where(whole, cells, 0).astype(np.int64)
     else:
@@ -200,7 +200,7 @@ def _int_column(table: NDArray[Any], column: int, path: str) -> NDArray[np.int64
         numbers = np.array([int(match[1]) if match else 0 for match in found], np.int64)
     if not whole.all():
         row = int(np.argmin(whole))
-        raise _bad_cell(path, row, column, cells[row], "a whole number")
+        raise _bad_cell(path, row, column, cells[row], "an integer")
     return numbers
 
 

@@ -232,5 +232,5 @@ def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
 
 
 def _unusable(path: Path, story: str) -> InputError:
-    """Say what is wrong with a file that has to be fetched again."""
+    """State what is wrong with a file that has to be fetched again."""
     return InputError(f"{path}: {story}; next: remove it, then download or copy it again")

@@ -47,7 +47,7 @@ class Info(Mapping[str, Any]):
 
 
 def has_info(row: Row) -> bool:
-    """Tell whether a round has metadata."""
+    """Return whether a round has metadata."""
     return row.has("info") or any(name.startswith("info.") for name in row.group.names)
 
 

@@ -44,7 +44,7 @@ def _as_timedelta(values: NDArray[Any]) -> NDArray[np.timedelta64]:
     # Durations arrive as seconds in floats, too.
     nanoseconds = np.round(np.asarray(values, np.float64) * 1e9)
     unknown = ~np.isfinite(nanoseconds)
-    # What NaN becomes as a whole number differs between processors.
+    # What NaN becomes as an integer differs between processors.
     times = np.where(unknown, 0, nanoseconds).astype(np.int64).astype("timedelta64[ns]")
     times[unknown] = np.timedelta64("NaT", "ns")
     return times
@@ -241,7 +241,7 @@ def _padded(column: NestedColumn, first: int, last: int, width: int) -> NDArray[
 
 
 def _same_length(column: NestedColumn, first: int, last: int) -> bool:
-    """Tell whether all touches have equally many entries, so that some may be padding."""
+    """Return whether all touches have equally many entries, so that some may be padding."""
     starts = column.levels[1]
     if isinstance(starts, int):
         return True

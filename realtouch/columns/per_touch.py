@@ -174,11 +174,11 @@ def plain_value(row: Row, name: str) -> Any:
 def int_value(row: Row, name: str) -> int:
     """Return a field as an int from 0 to below 2**63; IntegrityError for any other, else as plain_value."""
     value = plain_value(row, name)
-    if isinstance(value, float) and np.isfinite(value):  # a null beside it made numpy's column inexact
+    if isinstance(value, float) and np.isfinite(value):  # a null next to it made numpy's column inexact
         value = stored_value(row, name)
-    # Files of others store whole numbers as floats, and missing ones as NaN.
+    # Files of others store integers as floats, and missing ones as NaN.
     if not np.isfinite(value) or int(value) != value or not 0 <= value < _INT_LIMIT:
-        raise damaged(row, name, f"the value is {value}; expected a whole number of 0 or more, below 2**63")
+        raise damaged(row, name, f"the value is {value}; expected an integer of 0 or more, below 2**63")
     return int(value)
 
 

@@ -1,6 +1,6 @@
 """The conversions: from clips to images, to another size, to plain files, to a selection.
 
-Each writes a data set folder with a manifest. An interrupted one goes on where it stopped; the same source
+Each writes a data set folder with a manifest. An interrupted one continues where it stopped; the same source
 and options give byte-identical Parquet, whatever the number of workers.
 """
 
@@ -340,7 +340,7 @@ def convert(
     overwrite: bool,
     on_progress: Callable[[Progress], None],
 ) -> Manifest:
-    """Write a conversion as a data set folder with a card; an interrupted one goes on where it stopped."""
+    """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped."""
     folder = DataFolder(fspath(out))
     source = conversion.source
     refuse_source(folder, source.name, chain.from_iterable(source.shards.values()))
@@ -367,7 +367,7 @@ def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
 
 def _require_limit(limit: int | None) -> int | None:
     if limit is not None and limit < 1:
-        message = f"the limit is {limit}; expected a whole number of at least 1"
+        message = f"the limit is {limit}; expected an integer of at least 1"
         raise InputError(message)
     return None if limit is None else operator.index(limit)
 
@@ -376,5 +376,5 @@ def _object_id(value: SupportsIndex) -> int:
     try:
         return operator.index(value)
     except TypeError as error:
-        message = f"objects holds {value!r}; expected whole numbers, such as 12"
+        message = f"objects holds {value!r}; expected integers, such as 12"
         raise InputError(message) from error

@@ -90,7 +90,7 @@ class Source:
         return next(iter(self.shards.values()))[0].schema
 
     def manifest(self) -> Manifest | None:
-        """Return the manifest beside the shards, where there is one."""
+        """Return the manifest next to the shards, where there is one."""
         return manifest_beside(next(iter(self.shards.values()))[0])
 
     def row_bytes(self) -> int:

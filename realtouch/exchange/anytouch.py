@@ -60,7 +60,7 @@ def _write_lists(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
             _, _, name, _, image = path.split("/")
             lines.setdefault(record.shard.split, []).append(f"{name}/{image},{label},{_BACKGROUND}\n")
     paths = {f"{_FOLDER}/{split}{_LIST_END}": "".join(each).encode() for split, each in lines.items()}
-    # The index vouches for the images: as many checksums would make the manifest larger than it.
+    # The index holds the checksums of the images: as many checksums would make the manifest larger than it.
     return {path: write_changed(folder, path, content) for path, content in paths.items()}
 
 

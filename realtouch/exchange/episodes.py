@@ -86,7 +86,7 @@ class Numbering:
         if self.starts[shard.index + 1] != [episode + len(starts), frame + len(rows)]:
             message = (
                 f"{shard}: {len(starts):,} episodes of {len(rows):,} frames in all, other than "
-                "'video_length_frames' said when the export was planned; nothing of this file was written; "
+                "'video_length_frames' stated when the export was planned; nothing of this file was written; "
                 "next: run `realtouch verify` on the source"
             )
             raise IntegrityError(message)

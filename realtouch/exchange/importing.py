@@ -382,7 +382,7 @@ class _ImportShard:
         if columns.object_id:
             text = _whole(_text(values, columns.object_id))
             if not (text.isdecimal() and text.isascii() and len(text) < 19):
-                problem = f"the object {text[:_LONGEST_SHOWN]!r}; expected a whole number"
+                problem = f"the object {text[:_LONGEST_SHOWN]!r}; expected an integer"
                 raise ItemError(Reason.object, problem)
             object_id = int(text)
         if before and (number, object_id) != tuple(before[0][each] for each in _OF_ROUND):

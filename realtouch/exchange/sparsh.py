@@ -82,7 +82,7 @@ def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
                 message = f"{name!r} holds something else than a list of encoded images ({opcode.name})"
                 raise InputError(message)
     except ValueError as error:
-        message = f"{name!r} is no intact pickle ({error}); next: fetch it again"
+        message = f"{name!r} is not an intact pickle ({error}); next: fetch it again"
         raise InputError(message) from error
 
 

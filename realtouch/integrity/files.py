@@ -1,4 +1,4 @@
-"""Files next to the rows: each row of the index names its own, with a checksum that vouches for it."""
+"""Files next to the rows: each row of the index names its own, with its checksum."""
 
 from __future__ import annotations
 

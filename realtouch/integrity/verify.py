@@ -93,12 +93,12 @@ def verify(
     place = place_of(name)
     folder = folder_meant(place)
     findings: list[Damage] = []
-    vouched_for = False
+    has_checksums = False
     if folder is not None:
         manifest = read_manifest(folder)
         # Files of a folder of ours are held against its manifest and card, others against what the Hub said.
-        vouched_for = manifest is not None or read_record(folder) is not None
-        if vouched_for:
+        has_checksums = manifest is not None or read_record(folder) is not None
+        if has_checksums:
             for finding in verify_files(folder, check_card=check_card, workers=workers).findings:
                 findings.append(Damage(finding.file, None, None, "", finding.problem))
         if manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
@@ -112,7 +112,7 @@ def verify(
         files = TouchFiles(str(name))
         findings += files.add_undamaged(open_shards(place, part, revision=revision), at_least_one=False)
         findings += _lacking_columns(files.shards)
-        if not vouched_for:
+        if not has_checksums:
             unprotected += [shard.path for shard in files.shards if _is_unprotected(shard, place)]
         splits.append(files)
     total = sum(len(shard) for files in splits for shard in files.shards)
@@ -136,7 +136,7 @@ def verify(
 
 
 def _is_unprotected(shard: Shard, place: Place) -> bool:
-    """Tell whether nothing says what a file should be; files of the Hub were compared when they came."""
+    """Return whether nothing says what a file should be; files of the Hub were compared when they came."""
     given = (place,) if isinstance(place, str) else place
     if not any(name == shard.path or folder_named(name) is not None for name in given):
         return False
@@ -184,7 +184,7 @@ def _verify_index(
 def _damage_in_file(folder: DataFolder, path: str, sha256: str | None, *, decode: bool) -> Iterator[Damage]:
     """Compare a file with its checksum, if one is given, and look at its images; yield what is wrong."""
     if sha256 is not None and not is_unchanged(folder, path, sha256, reads=True):
-        problem = f"its sha256 differs from the index, which says {sha256}"
+        problem = f"its sha256 differs from the index, which has {sha256}"
         yield Damage(path, None, None, "", problem if folder.exists(path) else "is missing")
         return
     look = decode_image if decode else image_size

@@ -143,7 +143,7 @@ def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None
             while run := next_run():
                 for piece in run:
                     work(piece)
-        # The others would go on with pieces that nobody wants any more.
+        # The others would continue with pieces that nobody wants any more.
         except BaseException:
             while next_run():
                 pass

@@ -72,7 +72,7 @@ class RoundChoice(Choice):
 
 
 def plan_gallery(choice: RoundChoice) -> Gallery:
-    """Say what a gallery of rounds shows; reads labels and poses, no image and no clip.
+    """State what a gallery of rounds shows; reads labels and poses, no image and no clip.
 
     InputError: no such data set or split, or one that does not hold touches. IntegrityError: it is damaged or
     unfinished. HubError: the repository cannot be reached or does not exist.

@@ -185,7 +185,7 @@ def draw_grid(record: TouchRound, most: int) -> Pixels:
         tiles.append(Tile(fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
-        words += [f"framed: {height_text(rule.min_height_m)}; its height beside the number"]
+        words += [f"framed: {height_text(rule.min_height_m)}; its height next to the number"]
     return sheet(tiles, Sheet(_COLUMNS, _title(record), ("; ".join(words),)))
 
 

@@ -81,7 +81,7 @@ def claim_folder(folder: DataFolder, settings: Mapping[str, Any], *, resume: boo
         folder.remove_temporaries()
         return True
     if resume:
-        message = f"{folder.address()!r} holds no training to go on with; next: leave --resume away"
+        message = f"{folder.address()!r} holds no training to continue with; next: leave --resume away"
         raise InputError(message)
     strangers = [name for name in folder.names() if not name.startswith(".")]
     if strangers:
@@ -124,7 +124,7 @@ def read_checkpoint(folder: DataFolder) -> dict[str, Any] | None:
 
 def foreign_checkpoint(folder: DataFolder, error: Exception) -> IntegrityError:
     """Return the error for a checkpoint that is intact, and not one of this training."""
-    # The first sentence: torch goes on with advice to run the code of the file.
+    # The first sentence: torch continues with advice to run the code of the file.
     problem = str(error).partition(".")[0] or type(error).__name__
     message = (
         f"{folder.address(_CHECKPOINT)!r} is not a checkpoint of this training ({problem}); expected one "

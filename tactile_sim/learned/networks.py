@@ -80,7 +80,7 @@ def discriminator(filters: int = 64) -> Any:
 
 
 def initialise(network: Any, seed: int) -> None:
-    """Draw all weights anew: normal, deviation 0.02 (Zhu et al. 2017); biases are 0.
+    """Draw all weights again: normal, deviation 0.02 (Zhu et al. 2017); biases are 0.
 
     What doubles the size begins as linear interpolation: drawn freely, it draws a chequered grain.
     """

@@ -73,7 +73,7 @@ def train(
     tensorboard: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Trained:
-    """Train both generators of a CycleGAN; the same call goes on where a run was stopped.
+    """Train both generators of a CycleGAN; the same call continues where a run was stopped.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def train(
         On one thread of the CPU: the same weights from every run on one machine, stopped or not. Refused on
         a GPU.
     resume : bool
-        Refuse to begin: there must be a training to go on with.
+        Refuse to begin: there must be a training to continue with.
     compiled : bool
         Compile the generators first, for GPUs.
     tensorboard : bool
@@ -303,7 +303,7 @@ def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
     torch.use_deterministic_algorithms(deterministic)
     if deterministic:
         torch.utils.deterministic.fill_uninitialized_memory = False  # nothing reads it; an eighth of the time
-        torch.set_num_threads(1)  # sums are divided among threads, and a run may go on where there are others
+        torch.set_num_threads(1)  # sums are divided among threads, and a run may continue on another machine
     if count > 1:
         torch.distributed.init_process_group("nccl" if chosen != "cpu" else "gloo")
     try:

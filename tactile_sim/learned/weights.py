@@ -201,7 +201,7 @@ def _noted_size(comment: bytes, where: str) -> tuple[int, int]:
     try:
         width, height = json.loads(comment)["size_px"]
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        message = f"{where!r} does not say the size of its pictures as `tactile-sim train` does"
+        message = f"{where!r} does not state the size of its pictures as `tactile-sim train` does"
         raise IntegrityError(message) from error
     for side in (width, height):
         if not isinstance(side, int) or isinstance(side, bool) or side not in _SIDES_PX or side % 4:

@@ -96,7 +96,7 @@ class PairsSpec:
         return (as_sensor if self.like == "published" else as_environment)(*self.size_px)
 
     def is_empty(self, number: int) -> bool:
-        """Tell whether a touch meets no object: evenly spread, so that every shard has its share."""
+        """Return whether a touch meets no object: evenly spread, so that every shard has its share."""
         return int((number + 1) * self.without_contact) > int(number * self.without_contact)
 
     def to_dict(self) -> dict[str, Any]:

@@ -62,7 +62,7 @@ class Domain:
             width, height = image.shape[1::-1]
             message = (
                 f"{group.path!r}, row {row}: a picture of {width} x {height} pixels; expected "
-                f"{self.size_px[0]} x {self.size_px[1]} as the manifest says; next: make the set again"
+                f"{self.size_px[0]} x {self.size_px[1]} as in the manifest; next: make the set again"
             )
             raise IntegrityError(message)
         return image
@@ -107,7 +107,7 @@ class Pairs:
             (width, height), like = options["size_px"], options["like"]
         except (KeyError, TypeError, ValueError) as error:
             message = (
-                f"the specification in {folder!r} does not say size and window of the pictures; "
+                f"the specification in {folder!r} does not state size and window of the pictures; "
                 "next: make the set again"
             )
             raise IntegrityError(message) from error
@@ -116,6 +116,6 @@ class Pairs:
             Domain(table, split == "depth", (width, height))
             for table, split in zip(tables, SPLITS, strict=True)
         )
-        # Content and order of the rows: what a training may go on with.
+        # Content and order of the rows: what a training may continue with.
         checksums = "/".join(record.sha256 for split in SPLITS for record in manifest.shards_of(split))
         return cls(depth, real, (width, height), like, checksums)

@@ -40,7 +40,7 @@ def check_card(
 ) -> list[Finding]:
     """List all in the cards of a finished folder that manifest, Parquet files or pictures contradict.
 
-    ``text`` is a card to check instead of the stored ones; ``held`` are files that will lie beside it where
+    ``text`` is a card to check instead of the stored ones; ``held`` are files that will lie next to it where
     it is to stand elsewhere: its pictures must be among them. ``manifest`` is the one that it will have.
     """
     is_stored = text is None
@@ -93,7 +93,7 @@ def _first_line(error: Exception) -> str:
 def _lies(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
     """Yield every file, number or column in the head that the folder contradicts."""
     if not isinstance(head.get("dataset_info"), dict):
-        yield "its head has no 'dataset_info'; next: write the card anew with the command `card`"
+        yield "its head has no 'dataset_info'; next: write the card again with the command `card`"
         return
     held = [path for split in facts.splits for path in split.paths]
     held += [path for paths in facts.viewer.values() for path in paths]
@@ -161,7 +161,7 @@ def _pictures(folder: DataFolder, text: str, held: Collection[str] | None) -> It
         elif not folder.exists(path) and held is None:
             yield Finding(path, f"is missing; {CARD_FILE} shows it")
         elif folder.exists(path) and not _is_whole(folder.read_bytes(path)):
-            yield Finding(path, "is not a whole picture; next: write it anew with the command `card`")
+            yield Finding(path, "is not an intact picture; next: write it again with the command `card`")
 
 
 def _is_whole(content: bytes) -> bool:

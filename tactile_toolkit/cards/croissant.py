@@ -199,7 +199,7 @@ def _data_type(dtype: Any) -> tuple[str | list[str], str]:
         return ["cr:Int64", "cr:Label"], f"classes: {listed}"
     if _NUMBERS.fullmatch(str(dtype)):
         return f"cr:{dtype.replace('uint', 'UInt').replace('int', 'Int').replace('float', 'Float')}", ""
-    # Spans of time and moments alike are stored as whole numbers.
+    # Spans of time and moments alike are stored as integers.
     if _TIMES.fullmatch(str(dtype)):
         return "cr:Int64", f"stored as {dtype}"
     return _PLAIN_TYPES.get(str(dtype), "sc:Text"), ""
@@ -259,7 +259,7 @@ def check_croissant(folder: DataFolder, facts: FolderFacts, manifest: Manifest |
     """List what of the file is not as the folder is; none where there is no such file."""
     if not folder.exists(CROISSANT_FILE):
         return []  # data sets made before there was one
-    cure = "; next: write it anew with the command `card`"
+    cure = "; next: write it again with the command `card`"
     try:
         values = json.loads(folder.read_bytes(CROISSANT_FILE).decode())
     except (ValueError, RecursionError, ToolkitError) as error:

@@ -33,7 +33,7 @@ _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
 @dataclass(frozen=True)
 class SplitFacts:
-    """One split: its files (opened when somebody looks into them), their paths in the folder, and sizes.
+    """One split: its files (opened when a user looks into them), their paths in the folder, and sizes.
 
     ``unpacked_bytes`` is the size of the rows in memory; see
     :func:`tactile_toolkit.store.parquet.unpacked_bytes`.

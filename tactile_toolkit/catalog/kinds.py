@@ -61,10 +61,10 @@ def finished_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest | None:
     if manifest is not None and not manifest.complete:
         record = read_record(folder)
         if record is None:
-            what, next_step = "the run that makes", "the same command goes on where it stopped"
+            what, next_step = "the run that makes", "the same command continues where it stopped"
         else:
             what = "the download into"
-            next_step = f"download {record.repo_id} there again, it goes on where it stopped"
+            next_step = f"download {record.repo_id} there again, it continues where it stopped"
         message = f"{what} {folder.address()!r} is not finished; next: {next_step}"
         raise InputError(message)
     return manifest

@@ -279,7 +279,7 @@ def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], 
         message = (
             f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
             f"{split!r} are there, {MANIFEST_FILE} does not list them all); next: run the same command "
-            "again, it goes on"
+            "again, it continues"
         )
         raise IntegrityError(message)
 
@@ -304,7 +304,7 @@ def repository_shards(repository: HubRepository) -> list[ShardFile]:
     files = shard_files(repository.files())
     if repository.manifest is None:
         return files
-    # An upload removes nothing that it was not told to: shards of an older layout may lie beside these.
+    # An upload removes nothing that it was not told to: shards of an older layout may lie next to these.
     listed = {record.shard.data_path for record in repository.manifest.shards}
     return [file for file in files if file.path in listed]
 

@@ -114,7 +114,7 @@ def plan_download(
     ``name`` is a short name of a published set, or ``USER/NAME``; ``out`` a folder to fill instead of the
     Hub's cache. No split named means all; splits that are in the folder already stay in step with them. A
     Hub in trouble is waited for; in place of one that stays silent the cache and the folder's record answer.
-    Raises InputError (not a repository, no such split, somebody's own files in the folder),
+    Raises InputError (not a repository, no such split, a user's own files in the folder),
     SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
     """
     known = published_set(name)
@@ -271,8 +271,8 @@ def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambd
     """Carry out a plan and return the folder that holds the files: that of a commit in the cache, or its own.
 
     ``on_progress`` gets the bytes that have arrived and the bytes in all. Raises IntegrityError (a file
-    arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call goes on where it
-    stopped) or StorageError, with the exit code of HubError.
+    arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call continues)
+    or StorageError, with the exit code of HubError.
     """
     repository, folder = plan.repository, plan.folder
     _require_space(plan)
@@ -378,7 +378,7 @@ def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest |
         folder.write_bytes(CARD_FILE, _fitted_card(card, plan, folder, is_part) if is_fitted else card)
     if CROISSANT_FILE in contents:
         content = contents[CROISSANT_FILE]
-        with contextlib.suppress(ToolkitError, ValueError, RecursionError):  # somebody's own stays as it is
+        with contextlib.suppress(ToolkitError, ValueError, RecursionError):  # a user's own stays as it is
             if manifest is not None:
                 content = croissant_of_folder(content.decode(), folder).encode()
         folder.write_bytes(CROISSANT_FILE, content)

@@ -69,7 +69,7 @@ class UploadOptions:
     message : str or None
         First line of the commit.
     tag : str or None
-        Name to give to the commit, beside that of the schema version; what is not merged yet gets none.
+        Name to give to the commit, next to that of the schema version; what is not merged yet gets none.
     delete : bool
         Remove files from the repository that the folder does not have.
     viewer : bool
@@ -154,7 +154,7 @@ class UploadPlan:
 def compare(files: Iterable[LocalFile], there: Mapping[str, HubFile], *, delete: bool = False) -> UploadPlan:
     """Compare all that is to be in a repository with its files by path, by checksums.
 
-    Of what it has beside them goes what former uploads made for the Hub's page, and all else with ``delete``.
+    Of other files, those that former uploads made for the Hub's page go, and all others with ``delete``.
     """
     local = {file.path: file for file in files}
     others = [path for path in sorted(there) if path not in local and path not in _WRITTEN_BY_HUB]
@@ -311,7 +311,7 @@ class PreparedUpload:
 
     @cached_property
     def plan(self) -> UploadPlan:
-        """What the Hub lacks of the folder, and has beside it."""
+        """What the Hub lacks of the folder, and has next to it."""
         return compare(self.files, self.target.files, delete=self.options.delete)
 
     def at(self, target: UploadTarget) -> PreparedUpload:
@@ -542,7 +542,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     """Send what is missing, compare what arrived, and name it.
 
     What fails for the moment is done once more, with what is then missing: nothing, where only the answer was
-    lost. Raises HubError (what was sent stays there, and the same call goes on from it) or IntegrityError
+    lost. Raises HubError (what was sent stays there, and the same call continues from it) or IntegrityError
     (what the Hub holds afterwards is not what the folder has).
     """
     target, now, tries = prepared.target, prepared, 0

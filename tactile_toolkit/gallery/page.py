@@ -35,7 +35,7 @@ __all__ = [
 _SCRIPTS = ("state.js", "filters.js", "grid.js", "viewer.js", "film.js", "dialog.js", "page.js")
 
 ASSETS = ("page.css", "theme.js", *_SCRIPTS)
-"""Our own files of the page, as they lie in the folder ``assets`` beside this module."""
+"""Our own files of the page, as they lie in the folder ``assets`` next to this module."""
 
 
 def asset(name: str) -> str:

@@ -1,4 +1,4 @@
-"""Making the folder of a gallery: beside its place, or within it, and put in place when it is whole.
+"""Making the folder of a gallery: next to its place, or within it, and put in place when it is whole.
 
 A page cannot be made in place: whoever looks at it would see half of it for hours. Its marker lists its
 files, so that a run replaces those and no other.
@@ -177,7 +177,7 @@ def _marker(gallery: Gallery, files: Iterable[str]) -> bytes:
 def _staging(path: Path) -> Iterator[Path]:
     """Give a new folder on the disk of ``path``, which is removed in the end.
 
-    What a killed process left beside or within ``path`` is removed first: its lock is free.
+    What a killed process left next to or within ``path`` is removed first: its lock is free.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     for left in (*path.parent.glob(f"{_PREFIX}*"), *path.glob(f"{_PREFIX}*")):

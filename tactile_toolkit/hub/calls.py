@@ -100,11 +100,11 @@ def call_with_retry(
             failure = failure_of(error, repo_id, revision, doing, tries, is_answer=True)
             if failure is None:
                 raise
-            asked_s = requested_wait_s(error)
-            waited_s += asked_s
+            requested_s = requested_wait_s(error)
+            waited_s += requested_s
             if tries > len(waits) or not is_transient(error) or waited_s > WAIT_S:
                 raise failure from shown_cause(error)
-            wait_s = max(waits[tries - 1], asked_s)
+            wait_s = max(waits[tries - 1], requested_s)
             what = str(failure).partition("; next: ")[0].partition(" (tried ")[0]
             on_wait(f"{what}; trying again in {wait_s:g} s")
         time.sleep(wait_s)

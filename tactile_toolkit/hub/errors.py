@@ -68,7 +68,7 @@ _SENTENCES = {
     "ConnectError": f"the Hub at {{endpoint}} cannot be reached ({{kind}}) while {{task}}{{uncached}}; "
     f"{_AGAIN}",
     "ConnectionError": "the connection to the Hub broke while {task}; next: run the same command again, it "
-    "goes on where it stopped",
+    "continues where it stopped",
     "TooLargeError": "{endpoint} does not answer as a Hub does while {task} ({kind}: {words}); next: check "
     "HF_ENDPOINT, and whether the network asks for a login",
     "OSError": "{task} failed: {kind}: {words}; next: check the network and run the same command again",

@@ -64,7 +64,7 @@ class HubName:
 def hub_name(name: str, revision: str | None = None) -> HubName | None:
     """Read ``USER/NAME[@REVISION]`` or ``hf://datasets/USER/NAME[@REVISION][/PATH]``; None for other names.
 
-    A revision may be given beside the name instead; two different ones are an InputError.
+    A revision may be given next to the name instead; two different ones are an InputError.
     """
     match = _NAME.fullmatch(name.removeprefix(_PREFIX))
     is_address = name.startswith(_PREFIX)
@@ -73,7 +73,7 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
     named = match["revision"].replace("%2F", "/") if match["revision"] else None
     if named and revision and named != revision:
         message = (
-            f"{name!r} names the revision {named!r}, and {revision!r} is given beside it; "
+            f"{name!r} names the revision {named!r}, and {revision!r} is given next to it; "
             "next: leave one of them out"
         )
         raise InputError(message)

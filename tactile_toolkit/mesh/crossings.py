@@ -24,7 +24,7 @@ _TOLERANCE = 2.0**-21
 # Each of them takes a pass over all faces.
 _MOST_ODD = 64
 # Each takes 26 winding numbers, every one over all faces.
-_DOUBTS_ASKED = 32
+_DOUBTS_TRIED = 32
 # How many tolerances from a doubtful place the winding number is asked for.
 _ASIDE = 16.0
 
@@ -76,7 +76,7 @@ def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
     x, y, z = np.ascontiguousarray(vertices_mm.T)
     level = (z.max() + z.min()) / 2
     corners = np.ascontiguousarray(faces.T)
-    # Of a corner: above, in or below the level; a half has corners of one kind beside those in the level.
+    # Of a corner: above, in or below the level; a half has corners of one kind next to those in the level.
     side = np.sign(z - level).astype(np.int8)[corners]
     least, most = np.minimum.reduce(side), np.maximum.reduce(side)
     # A face passes through the level, none reaches it, or one lies in it: there are no two halves.
@@ -163,7 +163,7 @@ def _crossing_among(vertices_mm: Numbers, faces: Indices, suspects: Indices) -> 
     certain, places = passages(points, triangles, normal, pairs, tolerance)
     if certain:
         return np.asarray(places[0])
-    chosen = np.linspace(0, len(places) - 1, min(len(places), _DOUBTS_ASKED)).astype(np.int64)
+    chosen = np.linspace(0, len(places) - 1, min(len(places), _DOUBTS_TRIED)).astype(np.int64)
     for place in places[chosen]:
         winding = _winding_numbers(vertices_mm, faces, place + _ASIDE * tolerance * _DIRECTIONS)
         # Off the surface these are integers: 1 inside, 0 outside, and the quarter is for rounding.

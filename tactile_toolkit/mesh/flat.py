@@ -23,7 +23,7 @@ SIZES = ("size_x_m", "size_y_m", "size_z_m")
 
 
 def flat_table(rows: RecordDataset[Any]) -> Any:
-    """Return an Arrow table of rows: all that is stored beside the mesh, its class by name, size and file."""
+    """Return an Arrow table of rows: all stored columns but the mesh, its class by name, size and file."""
     import pyarrow as pa
 
     stored = rows.to_hf()

@@ -24,7 +24,7 @@ _EDGE_PX = 1e-9
 _AT_ONCE = 1 << 20
 
 # Heights that :func:`highest_faces` tells apart: 1e-7 mm on a solid of 10 cm.
-# Beside 32 bits of the triangle's number this fills a signed integer of 64.
+# Next to 32 bits of the triangle's number this fills a signed integer of 64.
 _DEPTH_STEPS = 1 << 30
 
 Numbers = NDArray[np.float64]
@@ -115,7 +115,7 @@ def scan_lines(
 ) -> Iterator[ScanLines]:
     """Cut triangles, of which upright ones cover nothing, into scan lines, some at a time.
 
-    ``points``, shape (3, V), are column and row, in pixels whose centres have whole numbers, and height of
+    ``points``, shape (3, V), are column and row, in pixels whose centres have integers, and height of
     each vertex; ``shape`` is rows and columns, and what lies outside is cut off. Triangles that run clockwise
     seen from above have lines only with ``both_sides``.
     """

@@ -14,7 +14,7 @@ from tactile_toolkit.mesh.raster import highest_values, pixels_of, scan_lines
 
 __all__ = ["Box", "heights_in", "surface_points", "voxels_in"]
 
-# Columns of voxels are followed this far beside their centres, in voxels: there no edge of a solid lies, and
+# Columns of voxels are followed this far next to their centres, in voxels: there no edge of a solid lies, and
 # only one of the triangles that share it is met.
 _ASIDE_PX = (0.618e-5, 0.414e-5)
 
@@ -56,7 +56,7 @@ class Box:
         return layers, rows, columns
 
     def grid_points(self, vertices_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
-        """Return column, row and layer of vertices, shape (3, V); voxel centres have whole numbers."""
+        """Return column, row and layer of vertices, shape (3, V); voxel centres have integers."""
         _, rows, columns = self.shape
         middle = np.array([[columns / 2.0], [rows / 2.0], [0.0]])
         return np.asarray(vertices_m.T.astype(np.float64) / self.pitch_m + (middle - 0.5))
@@ -82,7 +82,7 @@ def surface_points(
 def heights_in(
     box: Box, vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]
 ) -> NDArray[np.float32]:
-    """Return the height of the top surface over each pixel centre, 0 beside the solid.
+    """Return the height of the top surface over each pixel centre, 0 next to the solid.
 
     Shape (rows, columns), float32, metres; row 0 has the least y. See
     :func:`tactile_toolkit.mesh.height_map.top_surface`.
@@ -96,7 +96,7 @@ def heights_in(
 def voxels_in(
     box: Box, vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]
 ) -> NDArray[np.uint8]:
-    """Tell which voxel centres lie inside a solid: shape (layers, rows, columns) of z, y, x, uint8."""
+    """Return which voxel centres lie inside a solid: shape (layers, rows, columns) of z, y, x, uint8."""
     layers, rows, columns = box.shape
     points = box.grid_points(vertices_m)
     points[:2] += np.array(_ASIDE_PX)[:, None]

@@ -32,7 +32,7 @@ TARGETS: dict[str, Callable[[Any], Any]] = {
     "id": lambda record: record.id,
     "volume_m3": lambda record: torch.tensor(record.volume_m3, dtype=torch.float32),
 }
-"""What may stand beside a solid: its class, its id, or its volume in cubic metres, float32."""
+"""What may stand next to a solid: its class, its id, or its volume in cubic metres, float32."""
 
 
 class MeshItem(NamedTuple):
@@ -78,7 +78,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
       the same for the same seed, epoch and i, in every process;
     - ``"voxels"``: which voxel centres lie inside, shape (1, layers, rows, columns), uint8, 0 or 1: z upwards
       from 0, then y, then x, both centred on the origin;
-    - ``"height_map"``: the top surface, shape (1, rows, columns), float32, metres, 0 beside the solid; row 0
+    - ``"height_map"``: the top surface, shape (1, rows, columns), float32, metres, 0 next to the solid; row 0
       has the least y;
     - ``"mesh"``: a :class:`MeshItem`; batch with ``collate_fn=collate_meshes``.
 
@@ -131,7 +131,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
             raise InputError(message)
         counts = plain_number(points), plain_number(seed)
         if not (is_whole(*counts) and counts[0] >= 1 and counts[1] >= 0):
-            message = f"points is {points!r} and seed is {seed!r}; expected whole numbers from 1 and from 0"
+            message = f"points is {points!r} and seed is {seed!r}; expected integers from 1 and from 0"
             raise InputError(message)
         from tactile_toolkit.read.torch import shared_zeros  # here: without torch its message is another
 

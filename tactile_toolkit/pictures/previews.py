@@ -123,7 +123,7 @@ def draw_by_class(
 
 
 def draw_two_views(above: Tile, oblique: Picture3d, title: str, facts: tuple[str, ...]) -> Pixels:
-    """Draw a picture from above beside an oblique view."""
+    """Draw a picture from above next to an oblique view."""
     view = with_scale_bar(draw_bodies(oblique), oblique.px_per_m / MM_PER_M)
     tiles = (above, Tile(view, "oblique view; the bar holds along the picture plane"))
     return sheet(tiles, Sheet(2, title, facts))

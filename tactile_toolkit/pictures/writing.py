@@ -166,11 +166,11 @@ def figure_html(pixels: Pixels, caption: str, style: str = "") -> str:
 
 
 def parse_ids(option: str, text: str | None) -> tuple[int, ...]:
-    """Read ``3,17`` as numbers; InputError where a part is not a whole number."""
+    """Read ``3,17`` as numbers; InputError where a part is not an integer."""
     parts = [] if text is None else [part.strip() for part in text.split(",")]
     for part in parts:
         if not (part.isascii() and part.isdigit() and len(part) <= _MOST_DIGITS):
-            message = f"{option} has {part!r}; expected whole numbers, such as 12,408"
+            message = f"{option} has {part!r}; expected integers, such as 12,408"
             raise InputError(message)
     return tuple(int(part) for part in parts)
 

@@ -1,4 +1,4 @@
-"""Build plates in a folder: a 3MF file and a map of each, and one table that says which object lies where."""
+"""Build plates in a folder: a 3MF file and a map of each, and a table of which object lies where."""
 
 from __future__ import annotations
 
@@ -235,7 +235,7 @@ def _rows(layout: Layout) -> Iterator[dict[str, Any]]:
 
 
 def _table_product(rows: Sequence[dict[str, Any]], unknown: Sequence[str]) -> Product[str]:
-    """Return the table as a product, which plates that it does not list are not to stand beside."""
+    """Return the table as a product, which plates that it does not list are not to stand next to."""
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -246,7 +246,7 @@ def _table_product(rows: Sequence[dict[str, Any]], unknown: Sequence[str]) -> Pr
 
 def _unknown_files(layout: Layout, folder: Path) -> tuple[str, ...]:
     """Name plates and maps of the export whose table is in the folder that this layout has not."""
-    # Files that only have such a name may be anybody's.
+    # Files that only have such a name may be any user's.
     table = (content_of(folder / TABLE_FILE) or b"").decode(errors="replace")
     listed = re.findall(r"^\d+,(plate-\d{2,})\.(3mf|xml),", table, re.ASCII | re.MULTILINE)
     before = {f"{plate}.{each}" for plate, ending in listed for each in (ending, "png")}

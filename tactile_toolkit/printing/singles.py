@@ -107,7 +107,7 @@ def export_files(
     """Write one file per object, in the pose that it has, its lowest point at z = 0.
 
     Each file is read back from disk and has to be the same solid before it gets its name. A file that is
-    there already with the very same bytes is kept, so a stopped export goes on where it was.
+    there already with the very same bytes is kept, so a stopped export continues where it was.
 
     Objects that are not solids are listed in the result, and do not stop the others. ``kind`` is ``"stl"``,
     ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres), ``"glb"``, or ``"mjcf"``, ``"urdf"`` or ``"usd"`` for

@@ -278,7 +278,7 @@ class RecordDataset(LazySequence[T]):
         return self._chosen(name, lambda table: table.column(name))
 
     def int_column(self, name: str) -> NDArray[np.int64]:
-        """Read one column of whole numbers, shape (len,), int64, without touching any other.
+        """Read one column of integers, shape (len,), int64, without touching any other.
 
         Raises
         ------
@@ -294,7 +294,7 @@ class RecordDataset(LazySequence[T]):
             row = self._row(int(self._rows[int(np.argmax(unusable))]))
             value = row.group.arrow(name)[row.index].as_py()
             found = "no value is stored" if value is None else f"the value is {value}"
-            expected = "expected a whole number below 2**63"
+            expected = "expected an integer below 2**63"
             raise IntegrityError.in_file(row.path, f", row {row.number}, field {name!r}: {found}; {expected}")
         return np.ascontiguousarray(values, np.int64)
 

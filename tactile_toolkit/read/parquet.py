@@ -201,7 +201,7 @@ class Shard:
         with _DECODING.lock:  # two threads would decode the same blocks
             group = BLOCKS.get((self.digest, index, number))
             reached, groups = _DECODING.pop((self.digest, index)) or (0, self.blocks(index))
-            if group is None and reached > number:  # else it goes on where it stopped, as a full pass does
+            if group is None and reached > number:  # else it continues where it stopped, as a full pass does
                 reached, groups = 0, self.blocks(index)
             while group is None or reached <= number:
                 group = next(groups)

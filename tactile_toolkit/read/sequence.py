@@ -177,7 +177,7 @@ class LazySequence(Sequence[T], Generic[T]):
 
     @abstractmethod
     def int_column(self, name: str) -> NDArray[np.int64]:
-        """Read one column of whole numbers, shape (len,), int64, without touching any other."""
+        """Read one column of integers, shape (len,), int64, without touching any other."""
 
     @abstractmethod
     def to_hf(self) -> Any:
@@ -295,7 +295,7 @@ class LazySequence(Sequence[T], Generic[T]):
         IndexError
             One is out of range.
         TypeError
-            They are not whole numbers.
+            They are not integers.
         """
         return self._select(
             positions(indices if isinstance(indices, np.ndarray) else list(indices), len(self))
@@ -341,7 +341,7 @@ class LazySequence(Sequence[T], Generic[T]):
         Raises
         ------
         InputError
-            The seed is not a whole number from 0.
+            The seed is not an integer from 0.
         """
         return self._select(self._order(seed))
 
@@ -552,7 +552,7 @@ class LazySequence(Sequence[T], Generic[T]):
         if is_whole(number) and 0 <= number < len(known):
             return int(number)
         listed = ", ".join(known)
-        message = f"no class {label!r}; expected a whole number below {len(known)} or one of {listed}"
+        message = f"no class {label!r}; expected an integer below {len(known)} or one of {listed}"
         raise InputError(message)
 
     def _class_counts(self) -> dict[str, int]:
@@ -588,7 +588,7 @@ def _part_ends(parts: Sequence[Any], length: int) -> list[int]:
         asked = ", ".join(map(repr, parts)) or "nothing"
         message = (
             f"a split into {asked} was asked for; expected shares such as 0.8, 0.2 that add up to at most 1, "
-            f"or whole numbers that add up to at most {counted(length, 'rows')}"
+            f"or integers that add up to at most {counted(length, 'rows')}"
         )
         raise InputError(message)
     if numbers:

@@ -29,7 +29,7 @@ _FORMAT = "tactile_toolkit_training"
 _VERSION = 1
 # How torchdata 0.11 calls the batches that a StatefulDataLoader has given since it asked its workers.
 _SINCE = "_steps_since_snapshot"
-# The table that workers share is made before anybody knows how many there will be.
+# The table that workers share is made before anyone knows how many there will be.
 _MOST_WORKERS = 255
 
 
@@ -161,7 +161,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         return int(self._next[:, 0].max())
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch of the next pass; a resumed one goes on where it was left.
+        """Choose the epoch of the next pass; a resumed one continues where it was left.
 
         Needed only to repeat or skip epochs, or when another number of workers takes over.
         """
@@ -193,8 +193,8 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         began = self._next[1:, 3]
         if ((began != 0) & (began != worker.num_workers + 1)).any():
             message = (
-                f"{worker.num_workers} workers go on after {int(began.max()) - 1}; next: call set_epoch() in "
-                "between, so that all begin the same epoch"
+                f"{worker.num_workers} workers continue after {int(began.max()) - 1}; next: call set_epoch() "
+                "in between, so that all begin the same epoch"
             )
             raise InputError(message)
         mine = self._next[1 + worker.id]
@@ -299,7 +299,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         since = [each[_SINCE] for each in _holding(_SINCE, state_dict)]
         epoch, reached = self._reached(states, sum(since))
         if state_dict is not states[0] and not len(self._share(reached)):
-            epoch, reached = epoch + 1, 0  # a loader goes on with the next epoch, too
+            epoch, reached = epoch + 1, 0  # a loader continues with the next epoch, too
         self._resumed = epoch, reached
         self._set(epoch, reached)
 
@@ -357,6 +357,6 @@ def _rank_of(rank: int | None, world_size: int | None) -> tuple[int, int]:
     else:
         numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
     if not (is_whole(*numbers) and 0 <= numbers[0] < numbers[1]):
-        message = f"rank is {rank!r} of {world_size!r}; expected whole numbers, the rank below the world size"
+        message = f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
         raise InputError(message)
     return numbers

@@ -78,7 +78,7 @@ class Finish:
 
 @dataclass(frozen=True)
 class Check:
-    """Reads all that is finished again before it goes on, and makes again what is damaged.
+    """Reads all that is finished again before it continues, and makes again what is damaged.
 
     Without it runs believe sizes and records.
 
@@ -112,7 +112,7 @@ def part_of(text: str, workers: int | Runner = 1, environment: Mapping[str, str]
         count = length if count is None else count
     if count is None:
         found = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
-        message = f"--part auto: nothing says how many parts there are, {found}; next: say --part auto/N"
+        message = f"--part auto: the number of parts is unknown, {found}; next: give --part auto/N"
         raise InputError(message)
     return Part(index, count, workers)
 
@@ -128,7 +128,7 @@ def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
     if index is None:
         message = (
             "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the "
-            "environment; next: run it in an array of Slurm or an indexed job of Kubernetes, or say K/N"
+            "environment; next: run it in an array of Slurm or an indexed job of Kubernetes, or give K/N"
         )
         raise InputError(message)
     return index, _number(environment, "JOB_COMPLETION_COUNT")

@@ -148,7 +148,7 @@ def _main_hidden() -> Iterator[None]:
     """Start workers without running the caller's script again.
 
     Spawned processes import the main script; one without an ``if __name__ == "__main__"`` guard, or typed
-    into an interpreter, would fail or start the work anew in each of them. Nothing of ours lives there.
+    into an interpreter, would fail or start the work again in each of them. Nothing of ours lives there.
     """
     main = sys.modules["__main__"].__dict__
     hidden: dict[str, Any] = {name: main[name] for name in ("__spec__", "__file__") if name in main}
@@ -171,7 +171,7 @@ def _work(pipe: Any, function: bytes) -> None:
 
 
 def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:
-    # Also in the middle of a task: no worker may go on writing into the folder of a parent that was killed.
+    # Also in the middle of a task: no worker may write into the folder of a parent that was killed.
     with contextlib.suppress(EOFError, OSError):
         while True:
             inbox.put(pipe.recv_bytes())

@@ -1,6 +1,6 @@
 """Tasks on the machines of a Ray cluster.
 
-The cluster is somebody else's: it is joined, never started, and left as it was. What runs on its nodes is the
+The cluster is another user's: it is joined, never started, and left as it was. What runs on its nodes is the
 toolkit as installed there, so every worker compares versions before it works; the few lines that do so travel
 with the first task, because a node may lack the toolkit altogether.
 """

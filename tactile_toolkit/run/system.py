@@ -104,7 +104,7 @@ def _lock(handle: int, shared: bool) -> Iterator[None]:
 def held(path: Path, *, wait: bool = True) -> Iterator[bool]:
     """Hold a file or folder that only one process uses, so that others see it; yield whether this one does.
 
-    Without ``wait``, one that somebody holds is left to them, as is one that cannot be locked, and folders on
+    Without ``wait``, one that a user holds is left to them, as is one that cannot be locked, and folders on
     Windows, where an open file cannot be removed anyway. Raises OSError.
     """
     fcntl = _module("fcntl")

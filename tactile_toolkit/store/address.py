@@ -30,7 +30,7 @@ def scheme_of(place: str) -> str:
 
 
 def is_remote(place: str) -> bool:
-    """Tell whether a place is not on a local file system."""
+    """Return whether a place is not on a local file system."""
     return bool(scheme_of(place))
 
 

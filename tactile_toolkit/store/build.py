@@ -4,7 +4,7 @@ begin   creates the manifest (complete: false, no shards) if there is none, and 
 work    makes a shard; then, under the shared lock: still our job? rows, report rows, files, record
 finish  under the lock: every task has its record; report, small columns, further files, card, manifest
 
-The kinds of data bring a :class:`~tactile_toolkit.store.plan.BuildPlan`. Whatever is interrupted goes on when
+The kinds of data bring a :class:`~tactile_toolkit.store.plan.BuildPlan`. What is interrupted continues when
 the same is asked for again: a task whose record is true is done.
 """
 
@@ -312,7 +312,7 @@ def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
 
 
 def _require_records(folder: DataFolder, tasks: Sequence[ShardTask], records: Sequence[ShardRecord]) -> None:
-    """Refuse to go on where a task has no record, or this machine does not see what a record is of."""
+    """Refuse to continue where a task has no record, or this machine does not see what a record is of."""
     folder.refresh(DATA_FOLDER)
     sizes = folder.sizes(DATA_FOLDER)
     found = {record.shard for record in records if record.is_size_of(sizes)}
@@ -321,7 +321,7 @@ def _require_records(folder: DataFolder, tasks: Sequence[ShardTask], records: Se
         names = ", ".join(lacking[:_CAUSES_SHOWN]) + (", ..." if len(lacking) > _CAUSES_SHOWN else "")
         message = (
             f"{len(lacking):,} of {len(tasks):,} shards that were to be made are not in "
-            f"{folder.address()!r}, or have other sizes: {names}; the runner did not make them, somebody "
+            f"{folder.address()!r}, or have other sizes: {names}; the runner did not make them, a user "
             "removed them, or a node writes to a folder that this machine does not see; finished shards "
             "stay; next: run the same command again, on a folder that all nodes share, or s3://BUCKET/PATH"
         )
@@ -346,7 +346,7 @@ def _require_rows(records: Sequence[ShardRecord]) -> None:
         causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
         message = (
             f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each "
-            f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}; next: mend the source, or choose another one"
+            f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}; next: correct the source, or choose another one"
         )
         raise (IntegrityError if set(first) == {DAMAGED} else InputError)(message)
 

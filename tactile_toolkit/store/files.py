@@ -42,7 +42,7 @@ TEMPORARY_PREFIX = ".writing-"
 _SCRATCH_PREFIX = "tactile-toolkit-"
 _TRIES = 10
 _UNIQUE = re.compile("[0-9a-f]{32}-")
-"""Follows the prefix: what has none may be anybody's."""
+"""Follows the prefix: what has none may be any user's."""
 
 _HINTS = {
     errno.ENOSPC: "no space is left on the device; free some and run the same command again",

@@ -132,7 +132,7 @@ class DataFolder:
         return "" if Path(self.root).is_dir() else f"{self.root!r} is a file, a folder was expected"
 
     def lacks(self, what: str) -> str:
-        """Say what is wrong with a folder in which something was not found: it, or what was looked for."""
+        """State what is wrong with a folder in which something was not found: it, or what was looked for."""
         return self.problem() or f"no {what} in {self.root!r}"
 
     def exists(self, path: str = "") -> bool:

@@ -306,7 +306,7 @@ def refuse_links(folder: DataFolder, extra_dirs: Iterable[str] = ()) -> None:
 
 
 def refuse_unknown_files(folder: DataFolder) -> None:
-    """Refuse a folder without a data set that holds somebody's files: a run must never mix with them."""
+    """Refuse a folder without a data set that holds a user's files: a run must never mix with them."""
     unknown = [name for name in folder.names() if not name.startswith(".")]
     if unknown:
         message = (
@@ -327,7 +327,7 @@ def _refuse_difference(folder: DataFolder, what: str, there: object, wanted: obj
 
 
 def differences(there: Any, wanted: Any, path: str = "") -> list[str]:
-    """Say how two JSON values differ, one line for each difference."""
+    """State how two JSON values differ, one line for each difference."""
     pairs: Iterable[tuple[str, Any, Any]]
     if isinstance(there, Mapping) and isinstance(wanted, Mapping):
         keys = [*there, *(key for key in wanted if key not in there)]

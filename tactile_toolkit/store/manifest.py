@@ -105,7 +105,7 @@ class Manifest:
         return {split: add_up(parts) for split, parts in counted.items()}
 
     def with_shards(self, records: Iterable[ShardRecord]) -> Manifest:
-        """Return a manifest that holds these records beside its own, each shard once, in order."""
+        """Return a manifest that holds these records next to its own, each shard once, in order."""
         merged = {record.shard: record for record in (*self.shards, *records)}
         order = {split: rank for rank, split in enumerate(self.split_order)}
         ordered = sorted(merged.values(), key=lambda record: (order[record.shard.split], record.shard.index))

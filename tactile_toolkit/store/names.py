@@ -1,6 +1,6 @@
 """Names of files that come from outside: manifests, records, rows, archives, the Hub.
 
-Whoever wrote them may be anybody, and a name decides what is read, overwritten or deleted. All of them pass
+Whoever wrote them may be anyone, and a name decides what is read, overwritten or deleted. All of them pass
 :func:`names_inside`.
 """
 

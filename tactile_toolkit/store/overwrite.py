@@ -56,7 +56,7 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list
         )
         raise InputError(message)
     manifest = _manifest(folder)
-    # A manifest may be anybody's, of a data set from the Hub: what it names counts where kinds know it.
+    # A manifest may be any user's, of a data set from the Hub: what it names counts where kinds know it.
     named = () if manifest is None else manifest.extra_dirs
     further = [pattern for pattern in _extra_files() if pattern.partition("/")[0] in named]
     refuse_links(folder, (*extra_dirs, *(pattern.partition("/")[0] for pattern in further)))
@@ -73,12 +73,12 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list
                 )
                 raise InputError(message)
             found.append(path)
-    # A damaged manifest of ours has shards beside it; other programs have files of that name, too.
+    # A damaged manifest of ours has shards next to it; other programs have files of that name, too.
     if manifest is None and not any(
         path.startswith((f"{DATA_FOLDER}/", f"{PENDING_FOLDER}/")) for path in found
     ):
         message = (
-            f"{folder.address(MANIFEST_FILE)!r} may be anybody's: it is not a manifest of this toolkit, and "
+            f"{folder.address(MANIFEST_FILE)!r} may be any user's: it is not a manifest of this toolkit, and "
             "no data lies next to it; nothing was changed; next: choose an empty or new folder (--out or OUT)"
         )
         raise InputError(message)
@@ -152,7 +152,7 @@ def _carry_on(folder: DataFolder) -> None:
     manifest = read_manifest(after)
     if manifest is not None:  # it is the last file to move
         write_manifest(folder, replace(manifest, complete=False))
-        # The list may be anybody's, of a folder that was given to us.
+        # The list may be any user's, of a folder that was given to us.
         every = _extra_files()
         for path in promotion.leave:
             if _is_ours(path, every):

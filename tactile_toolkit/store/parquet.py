@@ -226,7 +226,7 @@ def _require_checked_footer(source: str | IO[bytes]) -> None:
 
 
 def has_page_checksums(folder: DataFolder, path: str) -> bool:
-    """Tell whether the pages of a Parquet file carry checksums, by the first page of each column.
+    """Return whether the pages of a Parquet file carry checksums, by the first page of each column.
 
     Raises IntegrityError when the file is damaged.
     """
@@ -246,7 +246,7 @@ def has_page_checksums(folder: DataFolder, path: str) -> bool:
 
 
 _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
-"""How the head of a page with a checksum begins: four whole numbers (type, two sizes, the checksum), each
+"""How the head of a page with a checksum begins: four integers (type, two sizes, the checksum), each
 after the mark of a field that follows on the one before it (Thrift's compact protocol)."""
 
 
@@ -272,7 +272,7 @@ def unpacked_bytes(footer: Any, schema: Any, read_text: Callable[[list[str]], An
     It follows from the footer, except for text, whose size a dictionary hides there: ``read_text`` takes the
     paths of such columns and returns a table that has them, and maybe others. Exact within some bytes per row
     group for numbers and text. Pictures and clips count as they lie in the file uncompressed, which is more
-    by their page headers, and the names beside them not at all; offsets of inner lists are left out.
+    by their page headers, and the names next to them not at all; offsets of inner lists are left out.
     """
     import pyarrow as pa
 
@@ -298,7 +298,7 @@ def unpacked_bytes(footer: Any, schema: Any, read_text: Callable[[list[str]], An
 
 
 def _texts(siblings: list[Any], *, beside_blobs: bool) -> Iterator[Any]:
-    """Yield the arrays of text among columns and below them, except the names beside pictures or clips."""
+    """Yield the arrays of text among columns and below them, except the names next to pictures or clips."""
     for array in siblings:
         if array.type.num_fields:
             inner = array.flatten()

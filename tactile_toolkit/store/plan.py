@@ -23,7 +23,7 @@ class ShardContent:
 
     ``skipped`` are items that gave no row; ``report`` rows are merged over all shards into the plan's
     ``report_file``; ``statistics`` are JSON values that add up over shards, for the manifest. ``files`` lie
-    beside the rows, by path.
+    next to the rows, by path.
     """
 
     table: Any
@@ -70,7 +70,7 @@ class BuildPlan:
     report_file : str or None
         Path of the merged report, where shards have one.
     extra_dirs : tuple of str
-        Sub-folders (or files) beside the rows that belong to the data set: what tasks give as ``files`` lies
+        Sub-folders (or files) next to the rows that belong to the data set: what tasks give as ``files`` lies
         there.
     is_current : callable, optional
         Takes the folder, the record of a finished shard and whether to read all; returns whether what goes

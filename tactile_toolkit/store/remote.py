@@ -161,7 +161,7 @@ _SENTENCES: tuple[tuple[str, str], ...] = (
     ("ExpiredToken TokenRefreshRequired RequestExpired",
      "the credentials for {where} have expired ({code}); next: renew them, and run it again"),
     ("RequestTimeTooSkewed",
-     "{where}: the clock of this machine is wrong, says the store; next: set it right"),
+     "{where}: the store reports that the clock of this machine is wrong; next: set it right"),
     ("InvalidAccessKeyId SignatureDoesNotMatch InvalidToken AuthFailure 401",
      f"{{where}}: the store does not take the credentials ({{code}}); {_CREDENTIALS}"),
     # The answer of S3 to a question for the head of a file.
@@ -177,10 +177,10 @@ _SENTENCES: tuple[tuple[str, str], ...] = (
      f"that; {_CREDENTIALS}, or ask the owner of the bucket"),
 )  # fmt: skip
 _NO_ANSWER = (
-    "the store of {where} gives no answer ({said}); finished files stay; next: check the network and the "
+    "the store of {where} gives no answer ({answer}); finished files stay; next: check the network and the "
     "address of the store (for S3: AWS_ENDPOINT_URL), and run the same command again"
 )
-_OTHER = "{doing} {where} failed: {code}: {said}; finished files stay; next: run the same command again"
+_OTHER = "{doing} {where} failed: {code}: {answer}; finished files stay; next: run the same command again"
 _SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
 _ACCESS_KEY = re.compile(r"\b(?:AKIA|ASIA)[A-Z0-9]{12,}\b|\bhf_[A-Za-z0-9]{6,}")
 _ADDRESS = re.compile(r"\w+://[^\s'\"<>]+")
@@ -203,7 +203,7 @@ class _Failure:
         link = next((each for each in reversed(self.chain) if _is_of_client(each)), self.chain[0])
         said = (_hidden(str(link)).strip().splitlines() or [""])[0][:300] or type(link).__name__
         code = self.code or type(self.chain[0]).__name__
-        words = {"where": repr(address), "doing": doing, "code": code, "said": said}
+        words = {"where": repr(address), "doing": doing, "code": code, "answer": said}
         if "FileExpired" in self.names:
             message = f"{address!r} was replaced while it was read; next: run the same command again"
             return IntegrityError(message)

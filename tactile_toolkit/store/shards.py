@@ -83,7 +83,7 @@ class ShardName(msgspec.Struct, frozen=True, order=True):
         if match is None:
             return None
         shard = cls(match["split"], int(match["index"]), int(match["count"]))
-        # One shard, one name: what has more zeros than we write is a file of somebody else.
+        # One shard, one name: what has more zeros than we write is a file of another user.
         return shard if file_name == f"{shard}.parquet" else None
 
     @property
@@ -244,7 +244,7 @@ def shard_files(paths: Iterable[str]) -> list[ShardFile]:
 def _by_number(path: str) -> list[Any]:
     """Return what orders names as people count, 99999 before 100000: text and numbers by turns."""
     parts: list[Any] = _NUMBERS.split(path)
-    # The length of a number and its digits: names may be anybody's, and Python reads 4,300 digits at most.
+    # The length of a number and its digits: names may be any user's, and Python reads 4,300 digits at most.
     numbers = (part.lstrip("0") for part in parts[1::2])
     parts[1::2] = [(len(digits), digits) for digits in numbers]
     return parts

@@ -1,4 +1,4 @@
-"""JSON that anybody may have written or a disk may have changed, decoded into typed values."""
+"""JSON that anyone may have written or a disk may have changed, decoded into typed values."""
 
 from __future__ import annotations
 

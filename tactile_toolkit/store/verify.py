@@ -81,7 +81,7 @@ def verify(
         if record is None:
             message = (
                 f"{folder.lacks(f'{MANIFEST_FILE} and no record of a download')}; next: give the folder of a "
-                "generated or downloaded data set, whose files can be compared with what those say"
+                "generated or downloaded data set, whose files can be compared with those"
             )
             raise InputError(message)
         return _verify_copy(folder, record, on_file, workers)
@@ -107,7 +107,7 @@ def verify(
 
 
 def _is_left_out(folder: DataFolder, path: str) -> bool:
-    """Tell whether a file for the Hub's page is not here, as in the cache of who wanted the rows alone."""
+    """Return whether a file for the Hub's page is not here, as in the cache of who wanted the rows alone."""
     return path.startswith(f"{VIEWER_FOLDER}/") and not folder.exists(path)
 
 
@@ -154,7 +154,7 @@ def problem_of_place(folder: DataFolder, path: str) -> str:
     """Say why a path of a folder is not one of its own files; empty where it is one.
 
     A link may lead to another file of the folder, and from a snapshot of the Hub's cache to its contents.
-    What lies elsewhere is not read: the folder may be anybody's.
+    What lies elsewhere is not read: the folder may be any user's.
     """
     if not folder.exists(path):
         return "is missing"
@@ -170,7 +170,7 @@ def problem_of_place(folder: DataFolder, path: str) -> str:
 def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     """Find shards that a manifest lacks, and files that it does not list."""
     if not manifest.complete:
-        return [Finding(MANIFEST_FILE, "the run was interrupted; the same command goes on")]
+        return [Finding(MANIFEST_FILE, "the run was interrupted; the same command continues")]
     findings = []
     for split in manifest.splits:
         shards = [record.shard for record in manifest.shards_of(split)]
@@ -266,7 +266,7 @@ def _repeated_ids(
 
 
 def _suspects(ids: Sequence[Any]) -> set[object]:
-    """Return the ids that stand in some arrays more than once; whole numbers without an object for each."""
+    """Return the ids that stand in some arrays more than once; integers without an object for each."""
     import numpy as np
     import pyarrow as pa
 

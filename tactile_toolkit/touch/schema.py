@@ -52,14 +52,14 @@ _TIME: _Tests = (pa.types.is_duration, *_FLOAT)
 _BYTES: _Tests = (pa.types.is_binary, pa.types.is_large_binary)
 KNOWN_COLUMNS: dict[str, tuple[int, _Tests, str]] = {
     "id": (0, _TEXT, "a string"),
-    "label": (0, _WHOLE, "a whole number"),
-    "object_id": (0, _WHOLE, "a whole number"),
+    "label": (0, _WHOLE, "an integer"),
+    "object_id": (0, _WHOLE, "an integer"),
     PLATE_COLUMN: (0, _FLOAT, "a float: metres"),
     "pos_in_cell": (2, _FLOAT, "two floats per touch"),
     "gel_pose_cell_frame.position": (2, _FLOAT, "three floats per touch"),
     "gel_pose_cell_frame.quaternion": (2, _FLOAT, "four floats per touch"),
     "sensor_image": (1, _BYTES, "a struct of bytes and path per touch"),
-    "video_length_frames": (1, _WHOLE, "a whole number per touch"),
+    "video_length_frames": (1, _WHOLE, "an integer per touch"),
     "gel_pose_cell_frame_seq.position": (3, _FLOAT, "three floats per frame of each touch"),
     "gel_pose_cell_frame_seq.quaternion": (3, _FLOAT, "four floats per frame of each touch"),
     "time_stamp_rel_seq": (2, _TIME, "a duration or float seconds per frame of each touch"),

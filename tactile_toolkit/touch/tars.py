@@ -33,7 +33,7 @@ def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
                     raise tarfile.ReadError(problem) from error
                 raise
             name = header.name
-            # Reading goes on where the content ends, which with a negative size is an earlier header.
+            # Reading continues where the content ends, which with a negative size is an earlier header.
             if header.size < 0 or (header.size > _MOST_HEADER_BYTES and header.type in _EXTENDED):
                 problem = f"{name!r} has a size of {header.size:,} bytes"
                 raise tarfile.ReadError(problem)

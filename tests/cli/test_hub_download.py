@@ -83,9 +83,9 @@ class Said:
 
     def __init__(self, done: subprocess.CompletedProcess[str]) -> None:
         assert done.returncode == 0, done.stderr
-        *talk, last = done.stderr.strip().splitlines()
+        *info, last = done.stderr.strip().splitlines()
         self.code = int(last.removeprefix("exit "))
-        self.err, self.out = "\n".join(talk), done.stdout
+        self.err, self.out = "\n".join(info), done.stdout
 
 
 def call(
@@ -149,7 +149,7 @@ def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path)
     assert call(server, tmp_path, "mnist3d", "download", BARE, "--out", out).code == 0
     stray = call(server, tmp_path, "mnist3d", "verify", out)
     assert stray.code == 3
-    assert stray.err.splitlines()[1].endswith("; next: do what each of them says")
+    assert stray.err.splitlines()[1].endswith("; next: follow the next step of each")
     (out / "data" / "mine.parquet").unlink()
     assert call(server, tmp_path, "mnist3d", "verify", out).code == 0
 

@@ -17,7 +17,7 @@ from tests.realtouch.factories import make_round, single_rows, write_set
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# As if the user pressed Ctrl-C while pandas is imported: pyarrow, which imports it, would go on without it.
+# As if the user pressed Ctrl-C while pandas is imported: pyarrow, which imports it, continues without it.
 PRESSED = """
 import sys
 from importlib import import_module

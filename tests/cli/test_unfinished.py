@@ -44,7 +44,7 @@ def test_digits_finished_so_far_are_counted(stopped):
     shown = info(stopped)
     assert "unfinished" in shown
     assert "3 of 4" in shown
-    assert "the same `mnist3d generate` goes on where it stopped" in shown
+    assert "the same `mnist3d generate` continues where it stopped" in shown
 
 
 def test_a_run_without_a_finished_shard_says_so(tmp_path):
@@ -58,4 +58,4 @@ def test_conversions_of_touches_name_themselves(tmp_path):
     write_manifest(DataFolder(str(tmp_path)), manifest)
     result = CliRunner().invoke(touches, ["info", str(tmp_path)])
     assert result.exit_code == 0, result.output
-    assert "no shard is finished yet; the same `realtouch resize` goes on" in result.stdout
+    assert "no shard is finished yet; the same `realtouch resize` continues" in result.stdout

@@ -129,7 +129,7 @@ class Damage:
         yield from (Bad(trial, f"{kind} manifest", damage, end) for end in ends)
 
     def cache(self, trial: str, rng: random.Random) -> Iterator[Bad]:
-        """A file of the cache: it is made anew, and what is read is what was stored."""
+        """A file of the cache: it is made again, and what is read is what was stored."""
         kind, copy = self._copied(rng)
         cache = self.work / "cache"
         assert self._read(kind, copy, "cache")[0] == "value"
@@ -157,13 +157,13 @@ class Damage:
         yield from (Bad(trial, f"{kind} {name}", damage, end) for end in ends)
 
     def mesh(self, trial: str, rng: random.Random) -> Iterator[Bad]:
-        """A mesh file of somebody: a mesh whose faces have their corners, or a named error."""
+        """A mesh file of a user: a mesh whose faces have their corners, or a named error."""
         ending = rng.choice(_MESHES)
         target = self.work / f"digit.{ending}"
         yield from self._foreign(trial, "mesh", self.folder / "mesh" / f"digit.{ending}", target, rng)
 
     def source(self, trial: str, rng: random.Random) -> Iterator[Bad]:
-        """Images of digits of somebody: pixels, or a named error."""
+        """Images of digits of a user: pixels, or a named error."""
         kind = rng.choice(("mnist", "hwdplus"))
         file = rng.choice(sorted((self.folder / kind).iterdir()))
         copy = self.work / kind

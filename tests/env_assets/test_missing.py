@@ -79,7 +79,7 @@ def test_the_command_goes_on_with_what_is_there(tmp_path, kind, split, other):
     """Whatever numbers the provider was made with that names it."""
     made = env_assets.AssetProvider(tmp_path, generate=True, per_class=1, seed=2)
     made.meshes(kind, split)
-    with pytest.raises(InputError, match="goes on with the settings of that folder") as caught:
+    with pytest.raises(InputError, match="continues with the settings of that folder") as caught:
         env_assets.AssetProvider(tmp_path).meshes(kind, other)
     run_named_command(str(caught.value))
     assert len(made.meshes(kind, other))

@@ -71,7 +71,7 @@ class Faults:
         self.stalled = threading.Event()
         """Set when an answer stands still; see :meth:`stall`."""
         self.released = threading.Event()
-        """Set it to let answers that stand still go on."""
+        """Set it to let answers that stand still continue."""
 
     def add(self, fault: Fault) -> None:
         """Add a fault."""

@@ -120,7 +120,7 @@ class Repository:
         return Blob(content, self.is_lfs(path, len(content), content[:512]))
 
     def is_lfs(self, path: str, size: int, sample: bytes) -> bool:
-        """Tell whether a file is kept as a large one."""
+        """Return whether a file is kept as a large one."""
         suffix = PurePosixPath(path).suffix
         binary = b"\0" in sample and bool(self.lfs_suffixes)
         return size > 0 and (suffix in self.lfs_suffixes or binary or size > _LFS_LIMIT)

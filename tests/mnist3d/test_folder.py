@@ -154,7 +154,9 @@ def test_ink_that_cannot_be_told_from_paper(tmp_path: Path) -> None:
     halves = np.repeat(np.array([[0] * 50 + [255] * 50], np.uint8), 100, axis=0)
     path = save(tmp_path / "7" / "a.png", halves)
     message = item_refusal(tmp_path, "unclear-ink")
-    assert message.startswith(f"{path}: the ink cannot be told from the paper, found 50% of the margin light")
+    assert message.startswith(
+        f"{path}: the ink cannot be distinguished from the paper, found 50% of the margin light"
+    )
     assert ink_box(read(tmp_path, "dark"))[2:] == [0, 250]
     assert ink_box(read(tmp_path, "light"))[2:] == [250, 500]
 

@@ -174,7 +174,7 @@ def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow
     _, words = process.communicate(timeout=PATIENCE_S)
     if blow == signal.SIGINT:
         assert process.returncode == 130
-        assert b"the same command goes on" in words
+        assert b"the same command continues" in words
         assert not list(folder.rglob(".writing-*"))
     else:
         assert process.returncode == -signal.SIGKILL

@@ -159,11 +159,11 @@ def test_labels_of_every_kind(tmp_path: Path, labels: NDArray[Any]) -> None:
     [
         (np.array([0, 10, 11]), "row 1, column 0: found 10, expected a digit from 0 to 9"),
         (np.array([0, 1, -1]), "row 2, column 0: found -1, expected a digit from 0 to 9"),
-        (np.array([0, 1.5, 2]), "row 1, column 0: found 1.5, expected a whole number"),
-        (np.array([np.nan, 1, 2]), "row 0, column 0: found nan, expected a whole number"),
-        (np.array([1e300, 1, 2]), "row 0, column 0: found 1e+300, expected a whole number"),
-        (np.array(["1", "two", "3"]), "row 1, column 0: found 'two', expected a whole number"),
-        (np.array([b"1", b"\xff", b"3"]), r"row 1, column 0: found b'\xff', expected a whole number"),
+        (np.array([0, 1.5, 2]), "row 1, column 0: found 1.5, expected an integer"),
+        (np.array([np.nan, 1, 2]), "row 0, column 0: found nan, expected an integer"),
+        (np.array([1e300, 1, 2]), "row 0, column 0: found 1e+300, expected an integer"),
+        (np.array(["1", "two", "3"]), "row 1, column 0: found 'two', expected an integer"),
+        (np.array([b"1", b"\xff", b"3"]), r"row 1, column 0: found b'\xff', expected an integer"),
     ],
 )
 def test_labels_that_are_no_digits(tmp_path: Path, labels: NDArray[Any], found: str) -> None:

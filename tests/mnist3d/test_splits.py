@@ -130,7 +130,7 @@ def test_sizes_of_ones_own():
             {"by": "Writer"},
             "by of the division into splits is 'Writer'; expected None or one of digit, writer, none",
         ),
-        ({"seed": -1}, "seed of the division into splits is -1; expected a whole number"),
+        ({"seed": -1}, "seed of the division into splits is -1; expected an integer"),
         ({"seed": 1.5}, "seed of the division into splits is 1.5"),
         ({"sizes": "train"}, "split sizes are 'train'; expected pairs"),
         ({"sizes": {"train": True}}, "size of split 'train' is True"),

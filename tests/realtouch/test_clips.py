@@ -394,7 +394,7 @@ def test_one_frame_does_not_read_the_whole_index(clip: TouchClip, monkeypatch: p
 
 
 def test_an_index_with_an_entry_that_leads_nowhere(seq_rows: list[dict], tmp_path: Path) -> None:
-    """Frames beside it are found; it is named when it is asked for."""
+    """Frames next to it are found; it is named when it is asked for."""
 
     def damage(row: dict, _: int) -> None:
         data = bytearray(row["sensor_video"][0]["bytes"])

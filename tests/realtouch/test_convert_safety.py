@@ -271,7 +271,7 @@ def test_options_of_numpy_and_paths(single_folder: Path, tmp_path: Path) -> None
     realtouch.select(single_folder, tmp_path / "a", objects=np.array([4001]), limit=np.int64(1))
     realtouch.select(str(single_folder), str(tmp_path / "b"), objects=[4001], limit=1)
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
-    with pytest.raises(InputError, match=r"objects holds 1\.5; expected whole numbers"):
+    with pytest.raises(InputError, match=r"objects holds 1\.5; expected integers"):
         realtouch.select(single_folder, tmp_path / "c", objects=[1.5])
     with pytest.raises(InputError, match="no class '²'"):
         realtouch.select(single_folder, tmp_path / "c", labels=["²"])

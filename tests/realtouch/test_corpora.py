@@ -1,4 +1,4 @@
-"""Touches in the layouts that others train on: each read by the steps of its consumer, written anew here."""
+"""Touches in the layouts that others train on: each read by the steps of its consumer, written again here."""
 
 from __future__ import annotations
 

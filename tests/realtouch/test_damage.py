@@ -83,8 +83,8 @@ SINGLE: dict[str, tuple[Edit, int | None, str, str]] = {
     "endless position": (endless_position, 0, "gel_pose_cell_frame", "not finite"),
     "one image less": (one_image_less, None, "sensor_image", "4 touches; expected 5"),
     "one touch less": (one_touch_less, None, "pos_in_cell", "4 touches; expected 5"),
-    "wild object": (wild_object, None, "object_id", "-7; expected a whole number of 0 or more"),
-    "no label": (no_label, None, "label", "nan; expected a whole number"),
+    "wild object": (wild_object, None, "object_id", "-7; expected an integer of 0 or more"),
+    "no label": (no_label, None, "label", "nan; expected an integer"),
 }
 
 
@@ -304,8 +304,8 @@ def test_repeated_ids_are_found(single_rows: list[dict], tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("column", "values", "expected"),
     [
-        ("label", pa.array(["a", "b", "c"]), "a whole number"),
-        ("object_id", pa.array([1.5, 2.5, 3.5]), "a whole number"),
+        ("label", pa.array(["a", "b", "c"]), "an integer"),
+        ("object_id", pa.array([1.5, 2.5, 3.5]), "an integer"),
         ("pos_in_cell", pa.array([[1.0], [2.0], [3.0]]), "two floats per touch"),
         ("sensor_image", pa.array([["x"], ["y"], ["z"]]), "a struct of bytes and path"),
         ("gel_pose_cell_frame.position", pa.array([[["x"]]] * 3), "three floats per touch"),

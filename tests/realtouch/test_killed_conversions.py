@@ -1,4 +1,4 @@
-"""Conversions that are killed at any moment, and go on to the same bytes."""
+"""Conversions that are killed at any moment, and continue to the same bytes."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def with_object_ids(folder: Path, rows: list[dict], ids: pa.Array) -> Path:
 def test_object_ids_that_do_not_fit(single_rows: list[dict], tmp_path: Path) -> None:
     ids = pa.array([4000, 2**64 - 1, 2**63 - 1], pa.uint64())
     dataset = realtouch.load(with_object_ids(tmp_path, single_rows, ids))
-    named = f"row 1, field 'object_id': the value is {2**64 - 1}; expected a whole number"
+    named = f"row 1, field 'object_id': the value is {2**64 - 1}; expected an integer"
     touches = dataset.touches()
     for ask in (lambda: dataset[1].object_id, lambda: touches.object_ids, lambda: touches.objects(4000)):
         with pytest.raises(IntegrityError, match=named):

@@ -205,7 +205,7 @@ def test_rows_that_cannot_be_read_are_left_out(column: str, single_rows: list[di
         assert len(view.touches().with_contact().objects(4000, 4002).filter(lambda touch: touch.label)) == 4
         assert realtouch.summarise(view).touches == 10
     stream = realtouch.load(tmp_path, streaming=True, on_error="skip")
-    for _ in range(2):  # it counts anew each time
+    for _ in range(2):  # it counts again each time
         assert [record.label for record in stream] == [0, 2]
         assert [each.row for each in stream.skipped] == [1]
 

@@ -1,4 +1,4 @@
-"""What :func:`realtouch.verify` is given, and what it sees beside damaged pictures."""
+"""What :func:`realtouch.verify` is given, and what it sees next to damaged pictures."""
 
 from __future__ import annotations
 

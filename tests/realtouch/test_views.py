@@ -93,10 +93,10 @@ def test_classes_and_objects_are_given_one_by_one_or_together(single_folder: Pat
     for objects in ((4000, 4001), ([4000, 4001],), (np.array([4000, 4001]),), ({4000}, 4001, -3, 2**70)):
         assert sorted(set(touches.objects(*objects).object_ids.tolist())) == [4000, 4001]
     for classes in (1.5, True, None, [0, 1.0], b"1", np.array([True, False])):
-        with pytest.raises(InputError, match=r"no class .* expected a whole number below 10 or one of"):
+        with pytest.raises(InputError, match=r"no class .* expected an integer below 10 or one of"):
             touches.filter_labels(classes)
     for objects in ("4000", 4000.0, False, ["4000"]):
-        with pytest.raises(InputError, match="expected object ids as whole numbers"):
+        with pytest.raises(InputError, match="expected object ids as integers"):
             touches.objects(objects)
 
 

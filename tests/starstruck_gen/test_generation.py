@@ -11,8 +11,8 @@ import pytest
 
 from starstruck_gen.columns import scene_schema
 from starstruck_gen.generation import GenerateSpec, SceneMaking, generate
-from starstruck_gen.make import make_rows, require_sound
-from starstruck_gen.placement import Placement, stamp
+from starstruck_gen.make import make_rows, validate_rows
+from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.sampling import SamplingExhausted
 from starstruck_gen.shapes import Disc, Shape, Star
 from starstruck_gen.spec import SceneSpec
@@ -202,11 +202,11 @@ def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept_and_named(t
         ({"scenes": (("train", -1),)}, "--scenes of split 'train' is -1"),
         ({"scenes": (("train", 1), ("train", 2))}, "names a split twice"),
         ({"scenes": (("validation", 5),)}, "unknown split 'validation'"),
-        ({"seed": -3}, "seed .* is -3; expected a whole number of at least 0"),
+        ({"seed": -3}, "seed .* is -3; expected an integer of at least 0"),
         ({"limit": 0}, "limit of .* is 0"),
-        ({"limit": 2.5}, "limit of .* is 2.5; expected a whole number of at least 1"),
-        ({"seed": "a"}, "seed .* is 'a'; expected a whole number"),
-        ({"scenes": {"train": "many"}}, "scenes .* expected a whole number for each split"),
+        ({"limit": 2.5}, "limit of .* is 2.5; expected an integer of at least 1"),
+        ({"seed": "a"}, "seed .* is 'a'; expected an integer"),
+        ({"scenes": {"train": "many"}}, "scenes .* expected an integer for each split"),
         ({"scenes": 5}, "scenes .* is 5"),
         ({"scene": {}}, "scene .* expected a SceneSpec"),
     ],
@@ -243,7 +243,7 @@ def _rows_with(change):
     spec = SceneSpec()
     rows = make_rows(spec, "train", 0, 0, 6)
     placements = change(rows[2].placements)
-    mesh = stamp([placements])[0]
+    mesh = build_meshes([placements])[0]
     rows[2] = replace(rows[2], placements=placements, vertices_m=mesh.vertices_m, faces=mesh.faces)
     return spec, rows
 
@@ -261,15 +261,15 @@ def _rows_with(change):
 )
 def test_scene_that_breaks_a_promise_is_never_written(change, message):
     with pytest.raises(IntegrityError, match=rf"scene 2 must not be written: .*{message}"):
-        require_sound(*_rows_with(change))
+        validate_rows(*_rows_with(change))
 
 
 def test_triangle_turned_by_rounding_is_found():
     spec, rows = _rows_with(lambda objects: objects)
-    require_sound(spec, rows)
+    validate_rows(spec, rows)
     rows[4].vertices_m[0] += 0.03
     with pytest.raises(IntegrityError, match=r"scene 4 .* rounding"):
-        require_sound(spec, rows)
+        validate_rows(spec, rows)
 
 
 def test_validate_proves_the_written_scenes(whole):
@@ -303,7 +303,7 @@ def _open(row):
 def _onto_one_another(row):
     first = row["placements"][0]
     objects = [Placement(**first), Placement(**{**first, "x_m": first["x_m"] + 0.004})]
-    mesh = stamp([objects])[0]
+    mesh = build_meshes([objects])[0]
     row["mesh.vertices"], row["mesh.faces"] = mesh.vertices_m.tolist(), mesh.faces.tolist()
 
 

@@ -15,7 +15,7 @@ import starstruck_gen
 from starstruck_gen import SamplingExhausted, SceneSpec, sample_scene, scene_rng
 from starstruck_gen.generation import GenerateSpec, generate
 from starstruck_gen.picture import centre_px, draw_scene
-from starstruck_gen.placement import CLEAR
+from starstruck_gen.placement import COLLISION_TESTS
 from starstruck_gen.previews import REJECTED, draw_one, draw_trace, plan_previews, traced
 from starstruck_gen.sampling import SceneTrace, trace_scene
 from tactile_toolkit.catalog.choose import Choice
@@ -56,7 +56,7 @@ def test_tracing_changes_nothing_and_tells_every_rejected_position(spec, seed):
         assume(False)
     trace = trace_scene(spec, scene_rng(seed))
     assert trace.scene == scene
-    clear = CLEAR[spec.collision]
+    clear = COLLISION_TESTS[spec.collision]
     standing = set(scene.placements)
     for lost in trace.rejected:
         assert not clear(lost.candidate, lost.blocker, spec.clearance_m)
@@ -132,7 +132,7 @@ def test_a_stored_scene_tells_what_was_rejected_while_it_was_made(folder, monkey
         assert traced(record, replace(CROWDED, stars=(1,))) is None
     monkeypatch.setattr(starstruck_gen.SceneRecord, "seed", -5)  # as another tool may have stored it
     assert traced(record, CROWDED) is None
-    with pytest.raises(InputError, match="seed of a scene is -5; expected a whole number from 0"):
+    with pytest.raises(InputError, match="seed of a scene is -5; expected an integer from 0"):
         scene_rng(-5)
 
 

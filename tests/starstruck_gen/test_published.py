@@ -1,4 +1,4 @@
-"""Beside the published generator (package tactile-mnist 0.13.0) and its reader."""
+"""Next to the published generator (package tactile-mnist 0.13.0) and its reader."""
 
 from __future__ import annotations
 

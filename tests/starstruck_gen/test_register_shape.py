@@ -12,7 +12,7 @@ import pytest
 
 from starstruck_gen.dataset import load
 from starstruck_gen.generation import GenerateSpec, generate
-from starstruck_gen.placement import Placement, stamp
+from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.shapes import (
     KINDS,
     OUTLINES,
@@ -86,11 +86,11 @@ def test_class_defined_again_takes_the_place_of_its_former():
     """As when a cell of a notebook is run again."""
     register_shape(Kite)
     placed = [Placement("kite", 0.0, 0.0, 0.0, 0.01, 0.005)] * 2
-    before, stood = prism("kite").area, stamp([placed])[0]
+    before, stood = prism("kite").area, build_meshes([placed])[0]
     again = type("Kite", (Kite,), {"rings": lambda self: (Kite(0.3).rings()[0],), "__slots__": ()})
     register_shape(again)
     assert prism("kite").area == pytest.approx(before / 2)
-    assert stamp([placed])[0].volume_m3 == pytest.approx(stood.volume_m3 / 2)
+    assert build_meshes([placed])[0].volume_m3 == pytest.approx(stood.volume_m3 / 2)
 
 
 @dataclass(frozen=True, slots=True)

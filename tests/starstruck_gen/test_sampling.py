@@ -15,7 +15,7 @@ from scipy import stats
 from starstruck_gen.placement import Placement, circles_clear, outlines_clear
 from starstruck_gen.sampling import (
     SamplingExhausted,
-    is_hopeless,
+    is_infeasible,
     most_objects_that_fit,
     require_feasible,
     sample_scene,
@@ -299,7 +299,7 @@ def test_numbers_that_would_help_are_named_where_little_was_missing():
     [([5] * 9, 40, False), ([5] * 10, 14, True), ([5] * 10, 13, False), ([3, 7] * 5, 21, False)],
 )
 def test_verdict_follows_from_the_spread_of_the_layouts(reached, objects, verdict):
-    assert is_hopeless(reached, objects) is verdict
+    assert is_infeasible(reached, objects) is verdict
 
 
 def test_crowded_scene_that_can_be_made_is_still_made():

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from starstruck_gen.endless import SceneDataset
-from starstruck_gen.placement import stamp
+from starstruck_gen.placement import build_meshes
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
 from starstruck_gen.solid import prism
@@ -37,24 +37,24 @@ def test_mesh_is_one_solid_per_object_and_none_overlap(spec, index):
 @given(placements())
 def test_single_object_is_a_solid_wherever_it_stands(placement):
     """Up to a metre from the origin, where float32 has steps of 60 nm."""
-    verdict = check_manifold(stamp([[placement]])[0])
+    verdict = check_manifold(build_meshes([[placement]])[0])
     assert verdict.problem is None
     assert verdict.bodies == 1
 
 
 @given(st.lists(st.lists(placements(), max_size=4), max_size=4))
 def test_mesh_does_not_depend_on_its_batch(layouts):
-    batch = stamp(layouts)
+    batch = build_meshes(layouts)
     assert len(batch) == len(layouts)
     for index, layout in enumerate(layouts):
-        alone, among = stamp([layout])[0], batch[index]
+        alone, among = build_meshes([layout])[0], batch[index]
         assert alone.vertices_m.tobytes() == among.vertices_m.tobytes()
         assert np.array_equal(alone.faces, among.faces)
 
 
 @given(placements())
 def test_vertices_are_the_turned_scaled_moved_outline(placement):
-    vertices = stamp([[placement]])[0].vertices_m
+    vertices = build_meshes([[placement]])[0].vertices_m
     turn = np.exp(1j * placement.angle_rad)
     corners = prism(placement.shape).corners @ [1, 1j] * turn * placement.radius_m
     expected = corners + placement.x_m + 1j * placement.y_m
@@ -86,8 +86,8 @@ def _object(**changes):
         (_object(x_m=10**400), r"x_m of placements\[0\] is 1000"),
         (_object(shape=None), r"shape of placements\[0\] is None"),
         ({**_object(), "placements": ["star"]}, r"placements\[0\] is 'star'"),
-        ({**_object(), "restarts": -1}, "restarts is -1; expected a whole number from 0"),
-        ({**_object(), "attempts": [1.5]}, r"attempts\[0\] is 1.5; expected a whole number"),
+        ({**_object(), "restarts": -1}, "restarts is -1; expected an integer from 0"),
+        ({**_object(), "attempts": [1.5]}, r"attempts\[0\] is 1.5; expected an integer"),
         ({**_object(), "star_count": True}, "star_count is True"),
         ([1, 2], r"found \[1, 2\]; expected an object"),
         (3, "found 3"),

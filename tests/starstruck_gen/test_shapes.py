@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from starstruck_gen.columns import scene_schema
-from starstruck_gen.make import make_rows, require_sound
+from starstruck_gen.make import make_rows, validate_rows
 from starstruck_gen.scene import Scene
 from starstruck_gen.shapes import KINDS, OUTLINES, Crescent, Cross, Disc, Ring, Shape, Star, outline
 from starstruck_gen.solid import prism
@@ -191,14 +191,14 @@ def test_crescent_keeps_its_horns_where_they_are_asked_for():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Star(points=2), "points of shape 'star' is 2; expected a whole number from 3 to 64"),
-        (lambda: Star(points=5.5), "points of shape 'star' is 5.5; expected a whole number"),
+        (lambda: Star(points=2), "points of shape 'star' is 2; expected an integer from 3 to 64"),
+        (lambda: Star(points=5.5), "points of shape 'star' is 5.5; expected an integer"),
         (lambda: Star(points=True), "points of shape 'star' is True"),
         (lambda: Star(points="5"), "points of shape 'star' is '5'"),
         (lambda: Star(inner_ratio=0.9), r"inner_ratio .* 0.9; expected at most 0.8009 with 5 points"),
         (lambda: Star(points=3), "inner_ratio .* 0.5; expected at most 0.495 with 3 points"),
         (lambda: Ring(hole_ratio=1.0), "hole_ratio of shape 'ring' is 1.0; expected 0.05 to 0.95"),
-        (lambda: Ring(segments=3), "segments of shape 'ring' is 3; expected a whole number from 8 to 256"),
+        (lambda: Ring(segments=3), "segments of shape 'ring' is 3; expected an integer from 8 to 256"),
         (lambda: Disc(10**9), "segments of shape 'disc' is 1000000000"),
         (lambda: Cross(math.nan), "arm_ratio of shape 'cross' is nan"),
         (lambda: Crescent(bite_ratio=None), "bite_ratio of shape 'crescent' is None"),
@@ -256,7 +256,7 @@ def fancy_file(tmp_path_factory):
     import pyarrow.parquet as pq
 
     rows = make_rows(FANCY, "train", 0, 0, 60)
-    require_sound(FANCY, rows)
+    validate_rows(FANCY, rows)
     path = tmp_path_factory.mktemp("fancy") / "train-00000-of-00001.parquet"
     pq.write_table(table_of(rows, scene_schema(FANCY.class_names)), path)
     return path

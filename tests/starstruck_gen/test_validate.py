@@ -12,7 +12,7 @@ from starstruck_gen.columns import scene_schema
 from starstruck_gen.dataset import load
 from starstruck_gen.generation import GenerateSpec, generate
 from starstruck_gen.make import make_rows
-from starstruck_gen.placement import Placement, stamp
+from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import check_scene, validate_folder
 from tactile_toolkit.errors import IntegrityError
@@ -94,7 +94,7 @@ def test_cap_triangles_turned_by_rounding_are_found_although_the_solid_is_one(tm
     (row,) = make_rows(SceneSpec(distractors=(1, 1)), "train", 0, 0, 1)
     fine = Placement("disc(segments=256)", 0.99, 0.4, 0.1, 1e-4, 0.005)
     placements = (row.placements[0], fine)
-    mesh = stamp([placements])[0]
+    mesh = build_meshes([placements])[0]
     turned = replace(row, placements=placements, vertices_m=mesh.vertices_m, faces=mesh.faces)
     pq.write_table(table_of([turned], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))
@@ -129,7 +129,7 @@ def test_objects_that_overlap_are_found(tmp_path, overlap_m):
     (row,) = make_rows(SceneSpec(distractors=(1, 1)), "train", 0, 0, 1)
     side_m = 2**0.5 * 0.010
     pair = [Placement("box", x_m, 0.0, 0.0, 0.010, 0.005) for x_m in (0.0, side_m - overlap_m)]
-    mesh = stamp([pair])[0]
+    mesh = build_meshes([pair])[0]
     overlapping = replace(row, placements=tuple(pair), vertices_m=mesh.vertices_m, faces=mesh.faces)
     pq.write_table(table_of([overlapping], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))

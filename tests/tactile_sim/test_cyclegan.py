@@ -160,9 +160,9 @@ def test_files_that_are_no_weights_are_named(small, tmp_path, monkeypatch):
     for comment, text in (
         (b'{"size_px": [30, 1000000]}', "is of 30 x 1000000 pixels; expected multiples of 4"),
         (b'{"size_px": [true, 32]}', "is of True x 32 pixels"),
-        (b'{"size_px": 32}', "does not say the size of its pictures"),
-        (b"made by somebody", "does not say the size of its pictures"),
-        (b"[" * 60_000, "does not say the size of its pictures"),
+        (b'{"size_px": 32}', "does not state the size of its pictures"),
+        (b"made by somebody", "does not state the size of its pictures"),
+        (b"[" * 60_000, "does not state the size of its pictures"),
     ):
         with zipfile.ZipFile(good, "a") as archive:
             archive.comment = comment

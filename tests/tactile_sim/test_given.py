@@ -96,7 +96,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
         ({"x_m": [0.0, 0.0, 0.0, 0.2]}, "column x_m .* is 0.2 in row 3; expected metres"),
         ({"y_m": [0.0, float("nan"), 0.0, 0.0]}, "is nan in row 1"),
         ({"x_m": ["a", "b", "c", "d"]}, "expected a number for each touch"),
-        ({"round": [0, 1, 2.5, 0]}, "is 2.5 in row 2; expected a whole number"),
+        ({"round": [0, 1, 2.5, 0]}, "is 2.5 in row 2; expected an integer"),
         ({"object_id": [0, -1, 0, 0]}, "is -1 in row 1"),
         ({"object_turn_rad": [0.0, np.inf, 0.0, 0.0]}, "expected radians"),
         ({"object_turn_rad": None}, "lack object_turn_rad"),

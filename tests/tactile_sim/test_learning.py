@@ -196,7 +196,7 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
     verdicts = json.loads(Path(pairs, "manifest.json").read_text())
     del verdicts["spec"]["options"]["size_px"]
     (tmp_path / "manifest.json").write_text(json.dumps(verdicts))
-    with pytest.raises(IntegrityError, match="does not say size and window of the pictures"):
+    with pytest.raises(IntegrityError, match="does not state size and window of the pictures"):
         Pairs.open(str(tmp_path))
 
 
@@ -233,7 +233,7 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
         f"train({pairs!r}, {str(out)!r}, TrainConfig(**{CONFIG.to_dict()!r}), device='cpu',"
         "deterministic=True, on_progress=lambda done, total: print(done, flush=True))"
     )
-    # Where it goes on, there are other threads.
+    # Where it continues, there are other threads.
     threads = {"OMP_NUM_THREADS": str(torch.get_num_threads() + 1)}
     with subprocess.Popen(
         [sys.executable, "-c", program], stdout=subprocess.PIPE, env={**os.environ, **threads}
@@ -258,7 +258,7 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
     assert before == {file: file.stat().st_mtime_ns for file in before}
     with pytest.raises(SpecMismatchError, match="seed is 0 there"):
         train(pairs, trained, TrainConfig(**{**CONFIG.to_dict(), "seed": 9}), device="cpu")
-    with pytest.raises(InputError, match="no training to go on with"):
+    with pytest.raises(InputError, match="no training to continue with"):
         train(pairs, tmp_path / "new", CONFIG, resume=True)
     with pytest.raises(InputError, match="holds no training"):
         train(pairs, sources[0], CONFIG)

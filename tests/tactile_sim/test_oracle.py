@@ -60,7 +60,7 @@ def test_depth_is_that_of_the_environments(kind, size, record_property):
         solid = tactile_sim.Pressable.of(mesh)
         x_m, y_m = rng.uniform(-0.02, 0.02, 2)
         object_pose = tactile_sim.pose(x_m, y_m, 0.0 - solid.foot_m, turn_rad=rng.uniform(-np.pi, np.pi))
-        # Where something is: a corner of the solid, or up to 8 mm beside it.
+        # Where something is: a corner of the solid, or up to 8 mm next to it.
         corner = object_pose @ [*solid.vertices_m[rng.integers(len(solid.vertices_m))], 1.0]
         place = np.clip(corner[:2] + rng.uniform(-0.008, 0.008, 2), -0.038, 0.038)
         target = tactile_sim.pose(*place)

@@ -140,7 +140,7 @@ def test_poses_that_cannot_be_are_refused():
     broken[0, 3] = np.nan
     for pose, message in (
         (broken, "NaN or infinite"),
-        (flat, "no rigid pose"),
+        (flat, "not a rigid pose"),
         (np.eye(3), "expected a pose"),
         ("here", "expected a pose"),
     ):

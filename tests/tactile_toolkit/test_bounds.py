@@ -37,7 +37,7 @@ def test_the_limit_is_raised_by_a_variable(monkeypatch: pytest.MonkeyPatch) -> N
     require_unpackable((512 << 20) + 1, "it")
     for wrong in ("much", "-1", "1.5", "9" * 400):
         monkeypatch.setenv(UNPACKED_VARIABLE, wrong)
-        with pytest.raises(InputError, match="expected a whole number of MiB"):
+        with pytest.raises(InputError, match="expected an integer of MiB"):
             require_unpackable(1, "it")
 
 

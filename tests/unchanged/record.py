@@ -1,6 +1,6 @@
 """What users and stored data rely on, as text: bytes of data sets, pixels of pictures, public names, helps.
 
-``python -m tests.unchanged.record`` writes it anew after a change that was meant, and what notebooks show;
+``python -m tests.unchanged.record`` writes it again after a change that was meant, and what notebooks show;
 review shows the rest.
 """
 

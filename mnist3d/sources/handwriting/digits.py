@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mnist3d.sources.handwriting.strokes import CLEAR, Point, Ring, Run, Shape, Stroke, Vary, arc, lean
+from mnist3d.sources.handwriting.strokes import (
+    CLEAR,
+    Point,
+    Ring,
+    Run,
+    Shape,
+    Stroke,
+    Vary,
+    arc,
+    lean,
+)
 
 __all__ = ["ALLOGRAPHS"]
 
@@ -74,7 +84,7 @@ def one_plain(vary: Vary, pen: float) -> list[Stroke]:
 
 
 def _flag(vary: Vary, reach: float, drop: float) -> Stroke:
-    """Return an upstroke from `drop` below the top and `reach` beside it, and a downstroke."""
+    """Return an upstroke from `drop` below the top and `reach` next to it, and a downstroke."""
     return [
         [(-reach, drop), (-0.45 * reach, 0.5 * drop + vary(-0.001, 0.02)), (0.0, 0.0)],
         [(0.0, 0.0), (vary(-0.021, 0.015), 0.5), (vary(-0.034, 0.047), 1.0)],
@@ -492,7 +502,7 @@ def nine_g_shaped(vary: Vary, pen: float) -> list[Stroke]:
 
 @_allograph(9, 0.15)
 def nine_open(vary: Vary, pen: float) -> list[Stroke]:
-    """Draw a cup that stays open at the top and a stem beside it."""
+    """Draw a cup that stays open at the top and a stem next to it."""
     half = max(vary(0.226, 0.031), 0.5 * pen + CLEAR)
     deep = max(vary(0.236, 0.031), 0.5 * pen + CLEAR)
     cup = lean(arc((half, deep), (half, deep), vary(-57.3, 16.0), -345.0, 9), vary(0.271, 0.12), deep)

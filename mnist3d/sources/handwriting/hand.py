@@ -108,7 +108,7 @@ class Hand:
     tremor_px: float  # deviation of the pen's path
     roughness_px: float  # deviation of the edge of the ink
     gaps: float  # mean number of light flecks in the ink
-    specks: float  # mean number of stray dots beside it
+    specks: float  # mean number of stray dots next to it
     fidelity: float  # chance that a digit takes the writer's preferred shape
 
 
@@ -189,8 +189,8 @@ class Variation:
 
     def __call__(self, mean: float, spread: float) -> float:
         """Return `mean` plus a nearly normal deviation of size `spread`."""
-        habit, whim = self._writer.approx_normal(), self._digit.approx_normal()
-        return mean + spread * (self._habit * habit + self._jitter * whim)
+        habit, digit_noise = self._writer.approx_normal(), self._digit.approx_normal()
+        return mean + spread * (self._habit * habit + self._jitter * digit_noise)
 
 
 def posed(hand: Hand, label: int, vary: Vary) -> Hand:

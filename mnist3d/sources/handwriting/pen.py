@@ -121,7 +121,7 @@ def draw(paths: list[NDArray[np.float64]], pen_px: float, hand: Hand, rng: Keyed
     for path, radius in zip(paths, radii, strict=True):
         _stamp(field, path.astype(np.float32), radius)
     page = _develop(field.reshape(_NODES, _NODES) + _roughness(hand.roughness_px, rng))
-    _fleck(page, paths, radii, hand, rng)
+    _add_speckles(page, paths, radii, hand, rng)
     return page
 
 
@@ -194,10 +194,10 @@ def _develop(field: Floats) -> NDArray[np.uint8]:
     return page
 
 
-def _fleck(
+def _add_speckles(
     page: NDArray[np.uint8], paths: list[NDArray[np.float64]], radii: list[Floats], hand: Hand, rng: KeyedRng
 ) -> None:
-    """Leave light flecks in the ink and dark specks beside it."""
+    """Leave light flecks in the ink and dark specks next to it."""
     for number, light in ((hand.gaps, True), (hand.specks, False)):
         for _ in range(int(number * 2.0 * rng.unit())):
             stroke = rng.pick([float(len(path)) for path in paths])

@@ -75,7 +75,7 @@ def played(env_id: str, provider: Any, steps: int = STEPS) -> Rollout:
 
 
 def running(step: Step) -> list[int]:
-    """Environments whose episode went on in a step; the pose of the object is known for these."""
+    """Environments whose episode continued in a step; the pose of the object is known for these."""
     return np.flatnonzero(~step.was_done).tolist()
 
 

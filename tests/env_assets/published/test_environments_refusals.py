@@ -179,7 +179,7 @@ def test_words_that_no_environment_has(words, told):
 
 @pytest.mark.parametrize("num_envs", [0, -1, 1.5, "2"])
 def test_numbers_of_environments(provider, num_envs):
-    with pytest.raises(InputError, match=r"num_envs is .*expected a whole number from 1 on"):
+    with pytest.raises(InputError, match=r"num_envs is .*expected an integer from 1 on"):
         env_assets.make(ENV, provider=provider, num_envs=num_envs)
 
 

@@ -1,7 +1,7 @@
 """By the front door: our data sets under the published names on a Hub, and the published code unmodified.
 
 A process pushes generated sets to a Hub on 127.0.0.1 with the Hub's own client, makes environments with
-``ap_gym.make`` as anyone would, and beside them the same environments on our provider. With one seed both
+``ap_gym.make`` as anyone would, and next to them the same environments on our provider. With one seed both
 must show the same.
 """
 

@@ -208,7 +208,7 @@ def test_what_cannot_be_used_is_named(folder, tmp_path, assets):
     inverted.export(train / "plate.stl")
     refused(r"\('plate.stl'\) of .* volume of -2.7e-05", folder)
     write(train / "screws", {"a.stl": trimesh.creation.cylinder(3, 20)})
-    refused("beside folders of them", folder)
+    refused("next to folders of them", folder)
 
 
 def test_the_list_tells_the_state_of_every_id(packages):

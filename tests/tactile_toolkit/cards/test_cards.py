@@ -264,7 +264,7 @@ def test_a_damaged_picture_is_named(folder):
     content[len(content) // 2] ^= 1
     picture.write_bytes(content)
     assert problems(folder) == [
-        "previews/digits.png: is not a whole picture; next: write it anew with the command `card`"
+        "previews/digits.png: is not an intact picture; next: write it again with the command `card`"
     ]
 
 

@@ -221,7 +221,7 @@ def test_a_killed_download_leaves_nothing_that_looks_whole(server, tmp_path, to_
     assert (place / SHARD).read_bytes() == CONTENT
     first, second = (request.range for request in server.content_requests(SHARD))
     assert first is None
-    assert second is None or second.endswith("-"), "early releases of the client go on within the file"
+    assert second is None or second.endswith("-"), "early releases of the client continue within the file"
     if out is not None:
         assert not list(out.rglob("*.incomplete"))
 
@@ -260,7 +260,7 @@ def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
 
 
 SMALL_PIECES = "from huggingface_hub import constants; constants.DOWNLOAD_CHUNK_SIZE = 100_000\n"
-"""The client goes on within a file by whole pieces, which are of 10 MB else."""
+"""The client continues within a file by whole pieces, which are of 10 MB else."""
 
 
 @pytest.mark.parametrize("reset", [False, True])
@@ -280,7 +280,7 @@ def test_an_answer_cut_short_is_asked_for_again(server, tmp_path):
     place = Path(fetch(server, tmp_path, script(BIG))[0])
     assert (place / SHARD).read_bytes() == CONTENT
     first, second = (request.sent for request in server.content_requests(SHARD))
-    # Early releases of the client go on within the file.
+    # Early releases of the client continue within the file.
     assert (first, second in (len(CONTENT), len(CONTENT) - first)) == (2_000_000, True)
 
 
@@ -321,7 +321,7 @@ def test_a_full_disk_is_named_and_leaves_nothing(server, tmp_path):
     assert (code, kind) == (4, "StorageError"), "a download that did not come to its end"
     assert "no space is left" in words
     left = [file for file in tmp_path.rglob("*") if file.is_file() and file.stat().st_size > 500_000]
-    # Early releases of the client go on with what has arrived.
+    # Early releases of the client continue with what has arrived.
     assert {file.suffix for file in left} <= {".incomplete"}
     place = Path(fetch(server, tmp_path, script(BIG))[0])
     assert (place / SHARD).read_bytes() == CONTENT

@@ -157,7 +157,7 @@ def test_stale_shards_do_not_get_into_the_card(server, folder, tmp_path, monkeyp
     assert stale not in head
     assert [PurePosixPath(path).name for path in shards_read(server, tmp_path)] == [
         f"train-{index:05}-of-00003.parquet" for index in range(3)
-    ], "those of the manifest, not what lies beside them"
+    ], "those of the manifest, not what lies next to them"
     assert upload(folder).sent == (), "the card on the Hub is what it is to be"
     assert upload(folder, delete=True).sent == ("README.md", "croissant.json"), "the pattern will do now"
 

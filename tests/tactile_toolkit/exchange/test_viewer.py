@@ -114,7 +114,7 @@ def test_a_copy_of_the_repository_is_whole_with_and_without_it(sent, made, tmp_p
     assert verify(copy, check_card=check_card).findings == ()
     assert mnist3d.load(str(tmp_path / "copy"), split="test").ids.tolist()
     there = (tmp_path / "copy" / "croissant.json").read_bytes()
-    shutil.copy(made / "croissant.json", tmp_path / "copy")  # vouches for another manifest
+    shutil.copy(made / "croissant.json", tmp_path / "copy")  # holds the checksums of another manifest
     assert [finding.file for finding in check_card(copy)] == ["croissant.json"]
     (tmp_path / "copy" / "croissant.json").write_bytes(there)
     (tmp_path / "copy" / "viewer" / "test-00000-of-00001.parquet").unlink()

@@ -344,7 +344,7 @@ def test_the_reader_may_choose_light_or_dark(chromium, site):
         assert found.stage()[4, 4].mean() < 80
         found.page.evaluate("theme.next()")
         found.page.emulate_media(color_scheme="light")
-        assert found.stage()[4, 4].mean() > 180  # the view is painted anew
+        assert found.stage()[4, 4].mean() > 180  # the view is painted again
 
 
 def test_phone_width_needs_no_sideways_scrolling(chromium, site):
@@ -393,7 +393,7 @@ def test_missing_files_are_named_not_awaited(chromium, site, tmp_path):
     page = context.new_page()
     page.goto((copy / "index.html").as_uri())
     page.evaluate("gallery.open(0)")
-    page.get_by_text("items/000000.js is missing beside this page").wait_for()
+    page.get_by_text("items/000000.js is missing next to this page").wait_for()
     page.evaluate("gallery.open(1)")
     page.get_by_text("items/000001.js is damaged").wait_for()
     page.keyboard.press("Escape")

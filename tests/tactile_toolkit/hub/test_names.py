@@ -47,7 +47,7 @@ def test_a_revision_is_given_once():
     assert hub_name("a/b", "dev") == HubName("a/b", "dev", "")
     assert hub_name("a/b@dev", "dev") == HubName("a/b", "dev", "")
     with pytest.raises(
-        InputError, match="'a/b@main' names the revision 'main', and 'dev' is given beside it"
+        InputError, match="'a/b@main' names the revision 'main', and 'dev' is given next to it"
     ):
         hub_name("a/b@main", "dev")
 

@@ -1,4 +1,4 @@
-"""Surfaces that cross themselves: bodies with a name, random ones beside exact arithmetic, no false alarm."""
+"""Surfaces that cross themselves: bodies with a name, random ones against exact arithmetic."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources.synthetic import SyntheticSource
-from starstruck_gen.placement import stamp
+from starstruck_gen.placement import build_meshes
 from starstruck_gen.sampling import sample_scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.mesh import crossings
@@ -111,11 +111,11 @@ def _rotation(seed: int) -> np.ndarray:
     return q * np.sign(np.linalg.det(q))
 
 
-# --- beside exact arithmetic ----------------------------------------------------------------------
+# --- next to exact arithmetic ----------------------------------------------------------------------
 
 
 def exact_crossing(vertices: np.ndarray, faces: np.ndarray) -> bool:
-    """Try every edge against every triangle in whole numbers, as the coordinates are; nothing degenerate."""
+    """Try every edge against every triangle in integers, as the coordinates are; nothing degenerate."""
     points = [tuple(map(int, vertex)) for vertex in vertices.tolist()]
     edges = {tuple(sorted(pair)) for face in faces.tolist() for pair in itertools.combinations(face, 2)}
 
@@ -200,7 +200,7 @@ def test_the_literal_solid_crosses_nowhere() -> None:
 def test_scenes_cross_nowhere() -> None:
     for index in range(20):
         scene = sample_scene(SceneSpec(), np.random.default_rng(index))
-        assert inspect(stamp([scene.placements])[0]).problem is None
+        assert inspect(build_meshes([scene.placements])[0]).problem is None
 
 
 @pytest.mark.parametrize(

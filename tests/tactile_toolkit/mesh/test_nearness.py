@@ -1,4 +1,4 @@
-"""The search for the thinnest wall beside a trial of all pairs of triangles, written out in plain numpy."""
+"""The search for the thinnest wall next to a trial of all pairs of triangles, written out in plain numpy."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def unit(u: np.ndarray) -> np.ndarray:
 
 
 def wall_of_all_pairs(vertices: np.ndarray, faces: np.ndarray) -> float:
-    """Return the thinnest wall below the reach: every triangle beside every other, nothing left out."""
+    """Return the thinnest wall below the reach: every triangle next to every other, nothing left out."""
     corners = vertices[faces]
     doubled = np.cross(corners[:, 2] - corners[:, 0], corners[:, 1] - corners[:, 0])
     inward = unit(doubled)

@@ -1,4 +1,4 @@
-"""What a disk has changed is refused by name or made anew, never served: shards and blocks of the cache."""
+"""What a disk has changed is refused by name or made again, never served: shards and blocks of the cache."""
 
 from __future__ import annotations
 

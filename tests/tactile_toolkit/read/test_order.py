@@ -66,7 +66,7 @@ def test_views_are_given_in_the_order_in_which_they_are_stored(sizes, window, da
 
 
 class Job:
-    """A job on some ranks for some batches, which goes on on others; ranks take turns in it."""
+    """A job on some ranks for some batches, which continues on others; ranks take turns in it."""
 
     def __init__(self, total: int) -> None:
         self.total, self.start = total, 0
@@ -138,7 +138,7 @@ def test_batches_of_a_rank_do_not_depend_on_its_workers(total, ranks, batch_size
 
 
 def test_the_order_is_the_same_for_ever():
-    """A checkpoint of today must go on with tomorrow's versions of numpy and of this."""
+    """A checkpoint of today must continue with tomorrow's versions of numpy and of this."""
     order = GlobalOrder(parts_of([3, 4, 2, 5]), 7, 2)
     assert order.epoch(1).positions(np.arange(14)).tolist() == [13, 5, 11, 12, 9, 4, 10, 3, 6, 0, 2, 1, 8, 7]
     assert order.fingerprint == "b82bcb0cd2b98abf"

@@ -148,7 +148,7 @@ def test_filter_and_group_by_label(dataset):
     with pytest.raises(InputError, match="no class 7"):
         dataset.filter_labels(7)
     for wrong in (1.5, True, None):
-        with pytest.raises(InputError, match=r"no class .* expected a whole number below 3 or one of a"):
+        with pytest.raises(InputError, match=r"no class .* expected an integer below 3 or one of a"):
             dataset.filter_labels([wrong])
 
 

@@ -216,10 +216,10 @@ def test_what_is_drawn_is_the_same_everywhere(rows: Rows) -> None:
     assert rows.sample(5, 7).ids.tolist() == rows.shuffle(7).ids.tolist()[:5]
     assert rows.shuffle(7).ids.tolist() != rows.shuffle(8).ids.tolist()
     for wrong in (-1, 1.5, None, "3", True):
-        with pytest.raises(InputError, match="expected a whole number from 0"):
+        with pytest.raises(InputError, match="expected an integer from 0"):
             rows.shuffle(wrong)  # type: ignore[arg-type]
     for wrong in (101, -1, 2.5):
-        with pytest.raises(InputError, match="expected a whole number from 0 to 100"):
+        with pytest.raises(InputError, match="expected an integer from 0 to 100"):
             rows.sample(wrong, 0)  # type: ignore[arg-type]
     assert (len(rows.sample(0, 1)), len(rows.sample(100, 1))) == (0, 100)
 

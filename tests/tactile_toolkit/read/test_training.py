@@ -1,4 +1,4 @@
-"""Training on real data sets: what ranks and workers are given, and how a job that was stopped goes on."""
+"""Training on real data sets: what ranks and workers are given, and how a job that was stopped continues."""
 
 from __future__ import annotations
 
@@ -234,7 +234,7 @@ def states_that_cannot_be_resumed_are_refused_by_name(rows: Rows) -> None:
             next(iter(resumed))
     batches = batches_of(rows)
     assert len(flat(loader_of(batches, 2))) == TOTAL
-    with pytest.raises(InputError, match=r"3 workers go on after 2; next: call set_epoch"):
+    with pytest.raises(InputError, match=r"3 workers continue after 2; next: call set_epoch"):
         list(loader_of(batches, 3))
 
 
@@ -401,7 +401,7 @@ def test_a_cache_that_is_too_small_or_not_there_costs_speed_only(
         assert flat(batches_of(Rows([ShardedTable(tuple(map(Shard, paths)))]))) == expected
     monkeypatch.setenv(CACHE_LIMIT_VARIABLE, "much")
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "other"))
-    with pytest.raises(InputError, match="expected a whole number of MiB"):
+    with pytest.raises(InputError, match="expected an integer of MiB"):
         flat(batches_of(Rows([ShardedTable(tuple(map(Shard, paths)))])))
 
 

@@ -204,7 +204,7 @@ def test_no_task_is_lost_when_workers_die_while_their_parent_is_busy(finished: i
             workers = multiprocessing.active_children()[:doomed]
             for worker in workers:
                 worker.kill()
-            # The parent learns of it when it goes on.
+            # The parent learns of it when it continues.
             while any(worker.is_alive() for worker in workers):
                 time.sleep(0.01)
     assert sorted(results) == [-number for number in reversed(range(8))]

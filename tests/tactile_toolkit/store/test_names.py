@@ -122,7 +122,7 @@ def built(tmp_path_factory):
 
 @pytest.fixture
 def finished(built, tmp_path):
-    """A finished set beside files of somebody."""
+    """A finished set next to files of somebody."""
     shutil.copytree(built, tmp_path / "set")
     (tmp_path / "victim").write_text("years of work")
     return tmp_path / "set"

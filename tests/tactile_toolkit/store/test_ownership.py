@@ -102,7 +102,7 @@ def test_undoing_leaves_what_a_run_of_the_same_set_has_made(tmp_path, fresh):
 
 
 # Two runs: when the first touches the folder for the n-th time, the second begins, and ends before the first
-# goes on; it does not wait for a lock. Who says that it has finished must have finished.
+# continues; it does not wait for a lock. Who says that it has finished must have finished.
 EVERY_MOMENT = """
 import os, shutil, sys
 from dataclasses import replace
@@ -135,7 +135,7 @@ first, second, before = {
     "both replace": ((plans[10], True), (20, True), 30),
     "undone": ((broken, False), (20, True), None),
     "undone and put back": ((broken, True), (20, True), 30),
-    "undone beside the same": ((broken, False), (10, False), None),
+    "undone next to the same": ((broken, False), (10, False), None),
 }[scenario]
 
 def run(place, plan, overwrite):
@@ -156,7 +156,7 @@ def child(action):
     assert os.WIFEXITED(status) and os.WEXITSTATUS(status) in (0, 2), (scenario, moment, status)
     return os.WEXITSTATUS(status) == 0
 
-def beside(place, moment):
+def next to(place, moment):
     seen, said = 0, base / f"second-{moment}"
     def watch(event, arguments):
         nonlocal seen
@@ -180,7 +180,7 @@ while True:
     place, said = base / f"at-{moment}", base / f"second-{moment}"
     if before is not None:
         shutil.copytree(base / str(before), place)
-    a = child(lambda: beside(place, moment))
+    a = child(lambda: next to(place, moment))
     if not said.exists():
         break
     b = said.read_text() == "yes"
@@ -210,7 +210,7 @@ print(*counts.values())
         "both replace",
         "undone",
         "undone and put back",
-        "undone beside the same",
+        "undone next to the same",
     ],
 )
 def test_at_every_moment_another_run_leaves_one_finished_set(tmp_path, scenario):

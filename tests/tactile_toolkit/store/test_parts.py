@@ -114,7 +114,7 @@ def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
 
 
 def test_parts_make_the_same_set_whatever_their_number(tmp_path, whole):
-    """An array that was given again in another length goes on with what is there."""
+    """An array that was given again in another length continues with what is there."""
     make(tmp_path / "set", Part(0, 4))
     made = []
     for part in (Part(1, 5), Part(2, 3), Part(1, 1)):
@@ -231,7 +231,7 @@ def test_finishing_clears_up_after_all_writers(tmp_path, whole):
 
 
 def test_a_writer_whose_temporary_file_was_removed_writes_again(tmp_path, monkeypatch):
-    """By somebody who finished a set there, for instance."""
+    """By a user who finished a set there, for instance."""
     folder, replaced = DataFolder(str(tmp_path)), Path.replace
     gone = []
 
@@ -362,7 +362,7 @@ def test_what_names_no_part_is_refused(text, told):
     ids=["--array=3,17,40-44", "with steps"],
 )
 def test_of_a_part_of_an_array_the_number_of_parts_is_to_be_said(array):
-    with pytest.raises(InputError, match=r"nothing says how many parts.*--part auto/N"):
+    with pytest.raises(InputError, match=r"the number of parts is unknown.*--part auto/N"):
         part_of("auto", 1, slurm(**array))
 
 

@@ -84,7 +84,7 @@ def test_a_file_that_is_wrong_costs_speed_only(tmp_path: Path, monkeypatch: pyte
         problems = verify(DataFolder(str(tmp_path / "set")), SCHEMA).findings
         assert [finding.file for finding in problems] == [FILES[0]]
         make(tmp_path / "set")
-        assert first.read_bytes() == content, "made anew"
+        assert first.read_bytes() == content, "made again"
 
 
 def test_bytes_do_not_depend_on_how_a_set_was_made(tmp_path: Path) -> None:

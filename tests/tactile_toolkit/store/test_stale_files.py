@@ -132,7 +132,7 @@ def test_of_containers_that_share_a_host_name(tmp_path, proc):
 
 
 def test_what_is_being_written_is_no_damage(tmp_path):
-    """A file that somebody writes, or never finished on another machine, is not one of the set."""
+    """A file that a user writes, or never finished on another machine, is not one of the set."""
     folder = DataFolder(str(tmp_path / "set"))
     build(folder, toy_plan(), InlineRunner())
     (tmp_path / "set" / ".pending").mkdir()

@@ -1,4 +1,4 @@
-"""Manifests and records of downloads that anybody wrote: each value is of its kind and size, or is named."""
+"""Manifests and records of downloads that anyone wrote: each value is of its kind and size, or is named."""
 
 from __future__ import annotations
 

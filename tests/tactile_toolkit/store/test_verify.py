@@ -63,7 +63,7 @@ def test_strange_files_are_named_once_the_set_is_complete(folder):
     stray = ("data/strange.bin", "is not listed in manifest.json; next: remove it")
     assert problems(folder) == [stray]
     edited(folder, lambda values: values.update(complete=False))
-    interrupted = ("manifest.json", "the run was interrupted; the same command goes on")
+    interrupted = ("manifest.json", "the run was interrupted; the same command continues")
     assert problems(folder) == [interrupted], "they may be shards that a run is about to record"
 
 
@@ -117,7 +117,7 @@ NO_ID = "holds no column 'id' of one value for each row"
     ],
 )
 def test_shards_that_are_as_recorded_and_not_as_they_should_be(folder, change, found):
-    """Their checksums are right: somebody made them so."""
+    """Their checksums are right: a user made them so."""
     first, path = (f"data/train-0000{index}-of-00004.parquet" for index in (0, 2))
     rewritten(folder, path, change)
     told = problems(folder)
