@@ -257,7 +257,7 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
     document = {"ok": result.ok, "witness": result.reference, **counts_of, "findings": findings}
     if result.ok:
         counts = f"{counted(result.files, 'files')}, {counted(result.rows, 'rows')}"
-        sink.line(f"{folder}: {counts}, {bytes_text(result.bytes)}: all as {result.reference} says")
+        sink.line(f"{folder}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
         return document
     sink.document(document)
     for finding in result.findings:

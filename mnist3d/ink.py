@@ -50,8 +50,8 @@ _SENTENCES = {
     "too-small": "the image has {} x {} px, which make {:g} mm; expected {} px or more; next: "
     "solidify(..., resample=True) draws it again with 500",
     "unclear-ink": "{}: the ink cannot be distinguished from the paper, found {:.0%} of the margin light and "
-    "the rest dark, expected nearly all of it to be paper; next: give dark or light (--ink, ink=), or crop the "
-    "image",
+    "the rest dark, expected nearly all of it to be paper; next: give dark or light (--ink, ink=), or crop "
+    "the image",
     "one-level": "the image has one grey level only ({}); expected dark ink on light paper",
     "no-ink": "no pixel is dark enough to be ink; expected a digit",
     "all-ink": "ink covers {:.0%} of the margin of the image, which would make a slab; expected a digit on "

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from os import PathLike, fspath
 from typing import Any
 
+from env_assets.checks import require_fitting_meshes
 from env_assets.mesh_folder import mesh_files
+from env_assets.mesh_view import MeshView
 from env_assets.missing import KINDS
 from env_assets.provider import AssetProvider
-from env_assets.published.fit import refuse_unfit_meshes
 from tactile_envs.config import IDS, Registered, configured
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.store.files import expanded, is_there
@@ -68,7 +69,8 @@ def make_vector(
     records = _records(registered, assets)
     where = f"{registered.assets!r}, split {registered.split!r},"
     kind: Any = registered.assets if assets is None and registered.assets in KINDS else None
-    refuse_unfit_meshes(records, kind, where, settings.cell_size)
+    view = MeshView(records, tuple(records.label_names)) if not isinstance(records, MeshView) else records
+    require_fitting_meshes(view, kind, where, settings.cell_size)
     return TactileVectorEnv(registered, settings, records, num_envs, render_mode=render_mode, threads=threads)
 
 

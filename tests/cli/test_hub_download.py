@@ -131,7 +131,7 @@ def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path)
     verified = call(server, tmp_path, "mnist3d", "verify", out)
     assert verified.code == 0, verified.err
     assert "20 rows" in verified.out
-    assert f"all as {BARE} at {commit} says" in verified.out
+    assert f"all as in {BARE} at {commit}" in verified.out
 
     shard = out / "data" / "test-00000-of-00001.parquet"
     content = bytearray(shard.read_bytes())

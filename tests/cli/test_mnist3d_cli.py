@@ -81,7 +81,7 @@ def test_verify(folder, tmp_path, capsys):
     import shutil
 
     assert call("verify", folder) == 0
-    assert "all as manifest.json says" in capsys.readouterr().out
+    assert "all as in manifest.json" in capsys.readouterr().out
     copy = tmp_path / "copy"
     shutil.copytree(folder, copy)
     victim = copy / "data" / "test-00000-of-00001.parquet"

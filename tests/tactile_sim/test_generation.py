@@ -282,13 +282,13 @@ def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
     assert "1 of 1" in unfinished
     assert "nothing was left to make; part 1/2" in call(*command, "--optics", "depth", "--part", "1/2")
     assert "nothing was left to make" in call(*command, "--optics", "depth", "--finish")
-    assert "all as manifest.json says" in call("verify", out)
+    assert "all as in manifest.json" in call("verify", out)
     assert CliRunner().invoke(app, ["info", scenes]).exit_code == 2
     command[-1] = out = str(tmp_path / "again")
     assert "made 3 rounds" in call(*command, "--optics", "depth")
     assert "nothing was left to make" in call(*command, "--optics", "depth")
     assert "options.optics = depth" in call("info", out)
-    assert "all as manifest.json says" in call("verify", out)
+    assert "all as in manifest.json" in call("verify", out)
     assert "matches the data" in call("card", out)
 
 

@@ -59,7 +59,7 @@ def test_up_to_the_hub_and_back(made, tmp_path, monkeypatch):
         assert "holds all of it already" in _call("upload", made, NAME, "--yes")
         _call("download", NAME, "--out", tmp_path / "copy", "--quiet")
         assert _digests(tmp_path / "copy") == _digests(made)
-        assert "all as manifest.json says" in _call("verify", tmp_path / "copy")
+        assert "all as in manifest.json" in _call("verify", tmp_path / "copy")
         there = realtouch.load(NAME, "test")
         assert (there[1].sensor_image[2] == realtouch.load(made, "test")[1].sensor_image[2]).all()
         _call("download", NAME, "--split", "test", "--out", tmp_path / "part", "--quiet")
