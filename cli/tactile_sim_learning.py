@@ -87,7 +87,7 @@ def train(
     options: Annotated[dict[str, Any], OptionsOf(TrainConfig, with_retired=True)],
     device: str = choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
     deterministic: bool = switch(False, help="The same weights from every run, on the CPU."),
-    resume: bool = switch(False, help="Go on with the training in the folder, or fail where there is none."),
+    resume: bool = switch(False, help="Continue the training in the folder, or fail where there is none."),
     compiled: bool = switch(False, name="--compile", help="Compile the generators first; for GPUs."),
     tensorboard: bool = switch(False, help="Write losses and sheets for TensorBoard too."),
     sink: Sink,

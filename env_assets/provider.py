@@ -64,7 +64,7 @@ class AssetProvider:
 
     Notes
     -----
-    Order and length of a data set do not change for as long as the provider lives and nobody rewrites its
+    Order and length of a data set do not change for as long as the provider lives and no process rewrites its
     folder. A provider may be shared between threads, be pickled, and be used after a fork.
 
     Raises

@@ -120,8 +120,8 @@ def difference(pictures: Pixels, background: Pixels, form: DifferenceForm = "sig
     background : ndarray, shape (H, W, 3), uint8
         Such as :func:`background` gives.
     form : str
-        ``"signed"``: picture - background; ``"grey"``: (picture - background + 256) // 2, in which 128 is no
-        change and half of each difference is kept; ``"absolute"``: its absolute value.
+        ``"signed"``: picture - background; ``"grey"``: (picture - background + 256) // 2, in which 128 is equal
+        and half of each difference is kept; ``"absolute"``: its absolute value.
 
     Returns
     -------

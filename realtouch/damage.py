@@ -25,9 +25,9 @@ class Damage:
     file : str
         Parquet file.
     row : int or None
-        Row in that file, the first one where the problem names several; None when the whole file is meant.
+        Row in that file, the first one where the problem names several; None when all of the file is meant.
     touch : int or None
-        Touch of the round; None when the whole round is meant.
+        Touch of the round; None when all of the round is meant.
     field : str
         Column; empty when no single one is meant.
     problem : str
@@ -78,7 +78,7 @@ def missing_column(row: Row, field: str) -> InputError:
 
 
 def unreadable_file(path: str, error: IntegrityError) -> Damage:
-    """Return the damage of a whole file, from the error that opening it raised."""
+    """Return the damage of an entire file, from the error that opening it raised."""
     words = _cause(path, error)
     named = re.fullmatch(r"field '(?P<field>[^']+)': (?P<problem>.*)", words)
     if named is None:

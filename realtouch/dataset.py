@@ -237,7 +237,7 @@ class TouchStream:
                     self.skipped.append(unreadable_rows(shard, index, error))
 
     def _undamaged(self, record: TouchRound) -> Iterator[TouchRound]:
-        """Yield a round, or what is whole of it; nothing where it is damaged as a whole."""
+        """Yield a round, or what is intact of it; nothing where it is damaged as a whole."""
         if not self.skip_damage:
             yield record
             return

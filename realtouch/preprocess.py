@@ -1,4 +1,4 @@
-"""What users of the touches do before training: backgrounds, differences, and contact told by the picture."""
+"""What users of the touches do before training: backgrounds, differences, and contact by the picture."""
 
 from __future__ import annotations
 

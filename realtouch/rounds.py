@@ -47,7 +47,7 @@ class GroupWithoutMedia(RowGroup):
         return column_names(self.shard.schema)
 
     def arrow(self, name: str) -> Any:
-        """Return a column, opening the whole rows where it was left out."""
+        """Return a column, opening the complete rows where it was left out."""
         try:
             return super().arrow(name)
         except KeyError:

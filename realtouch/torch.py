@@ -147,7 +147,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     def _decoded(self, indices: Sequence[int]) -> tuple[torch.Tensor, list[Touch]] | None:
         """Decode images of one size, shape (n, 3, H, W), next to their touches; None where they are not that.
 
-        Where an image is damaged it is None, too: whoever asks for the item by itself is told of it.
+        Where an image is damaged it is None, too: asking for the item by itself raises the error.
         """
         if self.touches.dataset.kind != "single" or not len(indices):
             return None

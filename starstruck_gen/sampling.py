@@ -271,7 +271,7 @@ class SamplingExhausted(InputError):  # noqa: N818
     most : int
         How many objects can stand that far apart in that area at most, where that was computed beforehand
         and nothing was tried; 0 where positions were tried.
-    hopeless : bool
+    infeasible : bool
         Whether trying ended before all restarts were used, because no layout came near.
     """
 

@@ -321,7 +321,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         """Return a picture of each environment, (240, 336, 3) uint8; None without a render mode.
 
         The cell from above with the object where the next touch finds it, a frame around what the sensor
-        felt, a cross where it was sent; beside it what it felt, and the prediction.
+        felt, a cross where it was sent; next to it what it felt, and the prediction.
         """
         if self.render_mode is None:
             return None

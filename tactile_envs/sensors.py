@@ -22,7 +22,7 @@ class Camera(Protocol):
     depth_size: Size
     """Width and height of the depth that it needs."""
     sees_depth: bool
-    """Whether it needs depth in metres beside the depth image."""
+    """Whether it needs depth in metres in addition to the depth image."""
 
     def pictures(
         self, images: NDArray[np.float32], depths_m: NDArray[np.float32], is_bare: NDArray[np.bool_]

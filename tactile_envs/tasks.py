@@ -52,7 +52,7 @@ class Target(Protocol):
 
 
 def make_task(registered: Registered, config: Config, pool: MeshPool, classes: int) -> Target:
-    """Make the task of an id on some meshes; InputError where nothing is to be told apart."""
+    """Make the task of an id on some meshes; InputError where all answers are equal."""
     if registered.task == "classification":
         return Classification(pool, classes)
     if registered.task == "volume":

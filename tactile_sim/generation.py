@@ -87,7 +87,7 @@ class GenerateSpec:
         Height of the layers in which the solids are printed, metres; 0 for solids as they are modelled.
     noise : SensorNoise or None
         Noise of a real sensor, drawn for each set, object, round and touch: the last step, on the picture in
-        its final size. Not for ``"depth"``, which is no picture of a camera.
+        its final size. Not for ``"depth"``, which is not a picture of a camera.
     """
 
     size_px: tuple[int, int] = (64, 64)

@@ -94,7 +94,7 @@ class GivenTouches:
         Raises
         ------
         InputError
-            The file is not there, is no such table, or holds values as above.
+            The file is not there, is not such a table, or holds values as above.
         """
         file = expanded(path)
         readers = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}

@@ -74,7 +74,7 @@ class Pressable:
         Raises
         ------
         InputError
-            The mesh is open, inside out, flat, or has corners that are no numbers; layers of no such height.
+            The mesh is open, inside out, flat, or has corners that are not numbers; layers of another height.
         """
         # Prepared already: its layers are its own.
         if isinstance(solid, Pressable):

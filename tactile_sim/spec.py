@@ -176,7 +176,7 @@ class TrainConfig:
         makes.
     noise : float
         White noise over all touches that the way back is shown, of values from -1 to 1: up to this standard
-        deviation; ours. It keeps generators from hiding depth in marks that nobody sees.
+        deviation; ours. It keeps generators from hiding depth in invisible marks.
     judge_noise : float
         The same over all touches that discriminators are shown at first; it falls linearly to 0 until the
         learning rate begins to fall. Ours: they see coarse things first, and fine ones in the end.

@@ -109,7 +109,7 @@ class DiskCache:
         """Write a file of about that size, making room first; return whether it is there now.
 
         A folder that could not be written once is not tried again by this process, for filling may be slow.
-        What the process itself lacks for a moment, such as file handles, is no reason to give it up.
+        What the process itself lacks for a moment, such as file handles, does not end its use.
         """
         path = self.path(name)
         if path.parent in _unwritable:

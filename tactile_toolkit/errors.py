@@ -3,7 +3,7 @@
 ::
 
     ToolkitError                 (exit code 1)
-    +-- InputError               mend what you gave: a path, an option, a file        (2)
+    +-- InputError               change what you gave: a path, an option, a file        (2)
     |   +-- SpecMismatchError    the folder belongs to another specification
     |   +-- MissingExtraError    install an optional package
     |   +-- StorageError         make room, or choose a folder that can be written (4: in a download)

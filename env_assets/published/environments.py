@@ -74,7 +74,7 @@ def make(
     provider : AssetSource, optional
         Gives ``"mnist3d"``, ``"starstruck"``, ``"wrench"`` and, for recorded touches, ``"real-single"``; the
         ``places`` of an :class:`env_assets.AssetProvider` say what these names stand for, ``"abc"`` and
-        ``"minecraft"`` too, which nobody makes here.
+        ``"minecraft"`` too, which are not made here.
     assets : path, str or data set, optional
         The objects of a simulated environment, instead of the provider's: a folder of mesh files (STL, PLY,
         OBJ and 3MF in millimetres, GLB in metres; sub-folders ``train`` and ``test`` are splits, others
@@ -314,7 +314,7 @@ def _points(environment: PublishedEnvironment, meshes: MeshView) -> Any:
 
 
 def _given_by(provider: AssetSource, name: Assets, split: str) -> Any:
-    """Ask a provider for meshes; what nobody makes here is named with where it is from."""
+    """Ask a provider for meshes; of what is not made here the source is named."""
     try:
         return provider.meshes(name, split)
     except InputError as error:
@@ -323,7 +323,7 @@ def _given_by(provider: AssetSource, name: Assets, split: str) -> Any:
         message = (
             f"no meshes {name!r}, split {split!r}: {str(error).partition('; next: ')[0]}; these are "
             f"{FOREIGN[name]}; next: give `assets`, a folder of meshes of your own, or let `places` of the "
-            f"provider say what {name!r} stands for"
+            f"provider name the place of {name!r}"
         )
         raise InputError(message) from error
 

@@ -33,7 +33,7 @@ _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
 def published_package(name: str) -> Any:
     """Import a package of the extra ``env``; MissingExtraError when it, or one that it needs, is not there.
 
-    Without a screen, the renderer of the package ``tactile-mnist`` is told to draw through EGL, unless
+    Without a screen, the renderer of the package ``tactile-mnist`` is made to draw through EGL, unless
     ``PYOPENGL_PLATFORM`` already says how; OpenGL reads that variable once, when it is imported.
     """
     _draw_without_screen()

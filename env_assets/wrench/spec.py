@@ -224,7 +224,7 @@ def width_across_flats_mm(size: str | float) -> float:
 def next_smaller_mm(width_mm: float) -> float:
     """Return the next smaller width of the table; of the smallest, the next larger one.
 
-    The ends of a wrench differ, so that its pose can be told from either.
+    The ends of a wrench differ, so that either end shows its pose.
     """
     smaller = [width for width in WIDTHS_ACROSS_FLATS_MM.values() if width < width_mm]
     larger = [width for width in WIDTHS_ACROSS_FLATS_MM.values() if width > width_mm]

@@ -256,8 +256,8 @@ def _decoded(path: Path) -> Image:
     except Exception as error:
         reason = "unreadable"
         message = (
-            f"{path}: cannot be read as a picture ({type(error).__name__}: {error}), expected a whole image "
-            "file; next: replace or remove it"
+            f"{path}: cannot be read as a picture ({type(error).__name__}: {error}), expected an intact "
+            "image file; next: replace or remove it"
         )
         raise ItemError(reason, message) from error
 

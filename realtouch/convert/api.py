@@ -74,7 +74,7 @@ def to_single(
         Start again in a folder that holds another data set of this toolkit. That set comes back when the new
         one fails before its first shard is finished.
     on_progress : callable
-        Told after each shard.
+        Called after each shard.
 
     Returns
     -------
@@ -284,7 +284,7 @@ def frames(
         As for :func:`to_single`.
     kind : "png" or "jpeg"
         Format of the files ``images/SPLIT/ROUND/TOUCH.png``. Stored JPEGs pass through byte for byte, each
-        decoded once to prove that it is whole.
+        decoded once to prove that it is intact.
     frame : str
         Which frame of a clip; as for :func:`to_single`.
     difference : "grey" or "absolute", optional

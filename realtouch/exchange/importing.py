@@ -400,7 +400,7 @@ class _ImportShard:
         }
 
     def _require_image(self, image: bytes) -> None:
-        """Refuse what is no intact image, upright and of the size of the others (ItemError)."""
+        """Refuse what is not an intact image, upright and of the size of the others (ItemError)."""
         try:
             size = require_intact(image)
         except ValueError as error:

@@ -72,7 +72,7 @@ class ImportColumns:
     round : str or None
         Which touches belong together; without it each is a round of its own.
     object_id : str or None
-        Whole number of the touched object.
+        Number of the touched object, an integer.
     position : tuple of str or None
         x and y of the intended position, metres, cell frame; or one field that holds both.
     pose : tuple of str or None

@@ -24,7 +24,7 @@ __all__ = ["PartialShard", "find_damage"]
 class PartialShard(Shard):
     """A Parquet file whose unreadable row groups count as rows without values when columns are read.
 
-    Rows keep their numbers, so that the others are found and named as in the whole file. Whoever holds one
+    Rows keep their numbers, so that the others are found and named as in the entire file. A user of one
     asks for no row of the groups in ``lost`` by itself.
     """
 

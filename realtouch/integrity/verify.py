@@ -83,7 +83,7 @@ def verify(
     workers : int
         Number of threads that read and decode; what is found does not depend on it.
     on_progress : callable
-        Told the number of rounds checked so far and the number in all.
+        Called with the number of rounds checked so far and the number in all.
 
     Raises
     ------

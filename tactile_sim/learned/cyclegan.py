@@ -117,8 +117,7 @@ class CycleGan:
     def step(self, number: int, batch: Batch, rng: np.random.Generator) -> dict[str, float]:
         """Take one step; return its losses.
 
-        What a generator says of row and column is not used, here as in `tactile-mnist`: nobody needs to guess
-        them.
+        What a generator makes of row and column is not used, here as in `tactile-mnist`: they are known.
         """
         for optimiser in self.optimisers.values():
             for group in optimiser.param_groups:

@@ -1,4 +1,4 @@
-"""The log of a training for TensorBoard, which is no dependency of the toolkit."""
+"""The log of a training for TensorBoard, which is not a dependency of the toolkit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Making the folder of a gallery: next to its place, or within it, and put in place when it is whole.
+"""Making the folder of a gallery: next to its place, or within it, and put in place when it is complete.
 
 A page cannot be made in place: whoever looks at it would see half of it for hours. Its marker lists its
 files, so that a run replaces those and no other.
@@ -44,7 +44,7 @@ MOST_ITEMS = 20_000
 """The page keeps its index in memory and is tested up to this many items."""
 
 MOST_BYTES = 2_000_000_000
-"""Larger sites are refused: nobody copies them to look at a data set."""
+"""Larger sites are refused: they would not be copied to look at a data set."""
 
 # The first few items may be unusually large.
 _JUDGED_AFTER = 24
@@ -341,7 +341,7 @@ def _require_size(gallery: Gallery) -> None:
 
 @dataclass(frozen=True, slots=True)
 class SiteForecast:
-    """What a run would make, told from a sample; exact where the sample is everything."""
+    """What a run would make, estimated from a sample; exact where the sample is everything."""
 
     items: int
     files: int

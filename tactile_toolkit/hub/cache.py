@@ -21,7 +21,7 @@ _COMMIT = re.compile(r"[0-9a-f]{40}")
 def matches_digest(file: Path, digest: Digest, *, force: bool = False) -> bool:
     """Return whether a file has a digest; one that had it is not read again until it changes.
 
-    A bit that the disk has flipped is no change that shows: with ``force`` the file is read in any case.
+    A bit that the disk has flipped does not show: with ``force`` the file is read in any case.
     """
     try:
         # Before the file is read: what takes its place meanwhile was not looked at.

@@ -350,7 +350,7 @@ class HubRepository:
         return f"{_PREFIX}{self.repo_id}@{self.snapshot.commit}/{path}"
 
     def cached(self, path: str, *, force: bool = False) -> Path | None:
-        """Return a file that lies intact in the Hub's cache; None otherwise. Asks nobody, fetches nothing.
+        """Return a file that lies intact in the Hub's cache; None otherwise. Asks no server, fetches nothing.
 
         One that was found intact is read again only where it has changed since, or with ``force``.
         """

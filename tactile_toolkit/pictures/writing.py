@@ -54,7 +54,7 @@ class PlannedPicture:
 
 @dataclass(frozen=True, slots=True)
 class PicturePlan:
-    """What will be drawn, in order, and why kinds that nobody named are not among it."""
+    """What will be drawn, in order, and why kinds that were not named are left out."""
 
     pictures: tuple[PlannedPicture, ...]
     left_out: tuple[str, ...] = ()

@@ -65,7 +65,7 @@ class Outline:
     def claimed(self) -> Outline:
         """Return what no other object may enter: of one part, the outline; of several, their convex hull.
 
-        Parts that stand alone would not be told from those of another object that stands among them.
+        Parts that stand alone could not be distinguished from those of another object that stands among them.
         """
         if self.parts <= 1:
             return self

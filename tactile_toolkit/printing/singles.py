@@ -134,7 +134,7 @@ def forecast_files(
 ) -> FileForecast:
     """Forecast what :func:`export_files` would write.
 
-    Raises InputError as there, as far as it can be told without writing.
+    Raises InputError as there, as far as it is known without writing.
     """
     products = _products(objects, kind, scale, physics)
     require_free([] if overwrite else products, out)

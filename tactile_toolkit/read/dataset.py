@@ -96,7 +96,7 @@ class Row:
         )
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as a table of this one row, not as its whole row group."""
+        """Pickle as a table of this one row, not as its entire row group."""
         import pyarrow as pa
 
         table = self.group.table.slice(self.index, 1)

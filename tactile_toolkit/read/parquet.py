@@ -1,6 +1,6 @@
 """Random access to Parquet: row groups unpacked once into memory-mapped Arrow files.
 
-Parquet must decode a whole row group to give one row. Each row group is therefore decoded on its first use
+Parquet must decode an entire row group to give one row. Each row group is therefore decoded on its first use
 into Arrow files in the cache folder and mapped into memory; from then on a row costs microseconds, in this
 process and in every other one on the machine. Nothing is unpacked that is not asked for. Large row groups are
 unpacked in blocks of some rows, so that memory stays bounded and no Arrow array outgrows its 32-bit offsets.

@@ -95,7 +95,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
     Raises
     ------
     InputError
-        A number is impossible, or ``data`` is no data set of the toolkit.
+        A number is impossible, or ``data`` is not a data set of the toolkit.
 
     Notes
     -----
@@ -262,7 +262,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         }
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Go on where a pass was left, on any number of ranks and workers.
+        """Continue where a pass was left, on any number of ranks and workers.
 
         Parameters
         ----------

@@ -1,12 +1,12 @@
 """The one seam through which data set folders are read and written.
 
 Local folders and every fsspec address (``s3://...``, ``memory://...``) are a :class:`DataFolder`: it lists,
-reads, writes whole files or creates them if absent, moves, removes, and holds a lock. Its methods are those
+reads, writes files in one step or creates them if absent, moves, removes, and locks. Its methods are those
 of a local folder; a private class does the same in stores. A file appears under its name complete or not at
 all.
 
-What is written locally lies in ``.pending/tmp-...`` until it is whole. Who finishes a data set removes all
-such files, whoever's they are; a writer whose file has gone writes it again.
+What is written locally lies in ``.pending/tmp-...`` until it is complete. Who finishes a data set removes all
+such files, of any process; a writer whose file has gone writes it again.
 """
 
 from __future__ import annotations
@@ -223,7 +223,7 @@ class DataFolder:
         return in_threads(read, paths, _READ_AT_ONCE)
 
     def write_bytes(self, path: str, content: bytes) -> None:
-        """Write a whole file so that readers see all of it or nothing.
+        """Write a file in one step, so that readers see all of it or nothing.
 
         Raises StorageError for a path that leads out of the folder, and where the file system refuses; then
         nothing is left behind under any name.
@@ -231,7 +231,7 @@ class DataFolder:
         self._write(path, lambda stream: stream.write(content))
 
     def create_bytes(self, path: str, content: bytes) -> bool:
-        """Write a whole file unless there is one of that name; return whether this call did.
+        """Write a file in one step unless there is one of that name; return whether this call did.
 
         Of several writers at once, on any machines, one wins (in stores, where they know conditional writes;
         S3 and gs do). Raises as :meth:`write_bytes`.
@@ -267,7 +267,7 @@ class DataFolder:
             self._arrive(stream, path)
 
     def copy_in(self, path: str, source: Path) -> None:
-        """Write a whole file of another place of this machine, as :meth:`write_bytes` does, in pieces."""
+        """Write a copy of a file of this machine, as :meth:`write_bytes` does, in pieces."""
 
         def copy(stream: IO[bytes]) -> None:
             with source.open("rb") as content:
@@ -484,7 +484,7 @@ class _StoreFolder(DataFolder):
         return True
 
     def _in_one_request(self, content: bytes) -> dict[str, Any]:
-        """Return what keeps a writer that is killed from leaving pieces that cost money and nobody sees."""
+        """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""
         return {"chunksize": len(content) + 1} if scheme_of(self.root) == "s3" else {}
 
     def copy_in(self, path: str, source: Path) -> None:

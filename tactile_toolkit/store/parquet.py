@@ -106,7 +106,7 @@ def _whole_groups(tables: Iterable[Any], rows: int) -> Iterator[Any]:
 
 
 def _write(write: Callable[[bytes], object], schema: Any, groups: Iterable[Any], style: ParquetStyle) -> Any:
-    """Write tables of whole row groups as one file, forward only; return its footer."""
+    """Write tables of complete row groups as one file, forward only; return its footer."""
     import pyarrow.parquet as pq
 
     encodings = dict(style.encodings)

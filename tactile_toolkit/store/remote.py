@@ -157,7 +157,7 @@ _CREDENTIALS = (
 _SENTENCES: tuple[tuple[str, str], ...] = (
     ("NoCredentialsError PartialCredentialsError CredentialRetrievalError ProfileNotFound "
      "TokenRetrievalError SSOTokenLoadError UnauthorizedSSOTokenError DefaultCredentialsError RefreshError",
-     f"{{where}} needs credentials, and none can be used here ({{said}}); {_CREDENTIALS}"),
+     f"{{where}} needs credentials, and none can be used here ({{answer}}); {_CREDENTIALS}"),
     ("ExpiredToken TokenRefreshRequired RequestExpired",
      "the credentials for {where} have expired ({code}); next: renew them, and run it again"),
     ("RequestTimeTooSkewed",

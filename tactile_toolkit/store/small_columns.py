@@ -1,4 +1,4 @@
-"""Files of small columns: labels, ids and the like of a thousand shards each, so that nobody opens them all.
+"""Files of small columns: labels, ids and the like of a thousand shards each, so that not all are opened.
 
 Splits of few shards have none. A file says of which shards it was made; where those are others by now, or it
 cannot be read, the shards themselves are asked.

@@ -36,7 +36,7 @@ _BEYOND_PX = 7.0
 """How far outside the ink the distance is right; the edge noise must stay below it."""
 _FAR_PX = 50.0
 _DOT_PX = 4
-"""Reach of a fleck or speck."""
+"""Reach of a speckle."""
 _EDGE_PX = 10
 """White margin that no speck enters."""
 _DRY, _WIDE = 0.75, 1.25
@@ -197,7 +197,7 @@ def _develop(field: Floats) -> NDArray[np.uint8]:
 def _add_speckles(
     page: NDArray[np.uint8], paths: list[NDArray[np.float64]], radii: list[Floats], hand: Hand, rng: KeyedRng
 ) -> None:
-    """Leave light flecks in the ink and dark specks next to it."""
+    """Add light speckles to the ink and dark ones next to it."""
     for number, light in ((hand.gaps, True), (hand.specks, False)):
         for _ in range(int(number * 2.0 * rng.unit())):
             stroke = rng.pick([float(len(path)) for path in paths])
