@@ -120,7 +120,7 @@ def difference(pictures: Pixels, background: Pixels, form: DifferenceForm = "sig
     background : ndarray, shape (H, W, 3), uint8
         Such as :func:`background` gives.
     form : str
-        ``"signed"``: picture - background; ``"grey"``: (picture - background + 256) // 2, in which 128 is equal
+        ``"signed"``: picture - background; ``"grey"``: (picture - background + 256) // 2, where 128 is equal
         and half of each difference is kept; ``"absolute"``: its absolute value.
 
     Returns
