@@ -65,10 +65,10 @@ def make_set(folder: Path, size: tuple[int, int], rounds: int) -> Path:
 
 
 COMMANDS = {
-    "flat": "--layout flat",
-    "webdataset": "--layout webdataset",
-    "lerobot": "--layout lerobot",
-    "import": "realtouch import --layout webdataset",
+    "flat": "--format flat",
+    "webdataset": "--format webdataset",
+    "lerobot": "--format lerobot",
+    "import": "realtouch import --format webdataset",
 }
 
 

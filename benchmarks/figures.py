@@ -55,7 +55,7 @@ _DIGIT = (
     "mnist3d/literal.py",
     "mnist3d/surface.py",
     "mnist3d/lattice.py",
-    "mnist3d/rows.py",
+    "mnist3d/columns.py",
     "mnist3d/generation.py",
 )
 BENCHMARKS = {

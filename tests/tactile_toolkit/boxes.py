@@ -10,7 +10,7 @@ import pyarrow as pa
 from tactile_toolkit.cards.card import Card
 from tactile_toolkit.cards.facts import folder_facts
 from tactile_toolkit.catalog.locate import find_shards
-from tactile_toolkit.checked_fields import check_fields, real_number, whole_number
+from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.making import Layout, Making, Recipe
 from tactile_toolkit.mesh.records import SolidDataset, open_solids
@@ -46,9 +46,9 @@ def schema():
 
 @dataclass(frozen=True)
 class BoxSpec:
-    boxes: int = whole_number(9, 1)
-    seed: int = whole_number(0)
-    largest_mm: float = real_number(20.0, above=10)
+    boxes: int = integer(9, 1)
+    seed: int = integer(0)
+    largest_mm: float = real(20.0, above=10)
 
     def __post_init__(self) -> None:
         check_fields(self, "the boxes")
