@@ -528,6 +528,24 @@ class _StoreFolder(DataFolder):
         if found is None and self.problem():
             raise self._no_bucket()
 
+    # What only a file system has: a store lists what is there, has no empty folders, and knows no locks.
+
+    def place(self, path: str) -> Path:
+        raise NotImplementedError
+
+    def move(self, path: str, target: str) -> None:
+        raise NotImplementedError
+
+    def remove_empty(self, folder: str) -> None:
+        pass
+
+    def refresh(self, folder: str) -> None:
+        pass
+
+    @contextlib.contextmanager
+    def locked(self, *, shared: bool = False, patience_s: float = math.inf) -> Iterator[None]:
+        yield
+
     def _no_bucket(self) -> InputError:
         return InputError(
             f"{self.problem()}; nothing was written, and no bucket was made; next: check its name, or make "

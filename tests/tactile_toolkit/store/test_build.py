@@ -302,12 +302,14 @@ def test_read_only_place(mode):
         shutil.rmtree(base)
 
 
-def test_remote_folder_through_fsspec():
+def test_remote_folder_through_fsspec(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
     folder = DataFolder("memory://bucket/set")
     manifest = build(folder, toy_plan(), InlineRunner())
     assert manifest.complete
     assert verify(folder, SCHEMA).ok
     assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == manifest
+    assert list(tmp_path.iterdir()) == [], "an address is not a local path"
 
 
 @pytest.mark.parametrize("path", ["../escaped", "data/../../escaped", "/tmp/escaped", "data/a\0b"])
