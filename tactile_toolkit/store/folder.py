@@ -537,7 +537,7 @@ class _StoreFolder(DataFolder):
         raise NotImplementedError
 
     def remove_empty(self, folder: str) -> None:
-        pass
+        self.address(folder)  # refuses a path that leads out of the folder
 
     def refresh(self, folder: str) -> None:
         pass

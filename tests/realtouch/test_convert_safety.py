@@ -263,7 +263,7 @@ def test_one_split_alone(single_folder: Path, tmp_path: Path) -> None:
     assert {split: entry["rows"] for split, entry in manifest.split_table().items()} == {"test": 1}
     with pytest.raises(InputError, match="no split 'valid'"):
         realtouch.resize(single_folder, tmp_path / "two", 32, 24, split="valid")
-    with pytest.raises(SpecMismatchError, match=r"source\.train is none there, 2 files"):
+    with pytest.raises(SpecMismatchError, match=r"source\.train is None there, 2 entries"):
         realtouch.resize(single_folder, tmp_path / "one", 32, 24)
 
 
