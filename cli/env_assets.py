@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -47,9 +48,12 @@ def wrench(
     from env_assets.wrench.card import wrench_facts
     from env_assets.wrench.generation import write_wrench
     from tactile_toolkit.mesh.files import file_ending
+    from tactile_toolkit.store.files import named_failures
 
     if stl is not None:
         file_ending(stl)
+        with named_failures(str(stl)), contextlib.suppress(FileNotFoundError):
+            stl.stat()  # a name that the system refuses is named before anything is made
     spec = WrenchSpec.for_size(size, second_size, single=single, **lengths)
     facts = wrench_facts(spec)
     if not dry_run:

@@ -30,7 +30,6 @@ __all__ = [
     "forecast",
     "generate",
     "make_row",
-    "recipe_settings",
 ]
 
 # At 52.6 kB a mesh 7 MB: what a kill loses is seconds of work.
@@ -240,8 +239,3 @@ def digit_recipe(seed: int, per_class: int | None) -> making.Recipe:
 
     spec = GenerateSpec(SyntheticSource(seed=seed), split=SplitSpec(seed=seed), per_class=per_class)
     return making.Recipe(DigitMaking(spec), {"per-class": per_class, "seed": seed})
-
-
-def recipe_settings(spec: Mapping[str, Any]) -> tuple[int, int | None]:
-    """Return seed and number per class of the recipe by which a folder may have been made."""
-    return dict(spec.get("split") or {}).get("seed", 0), spec.get("per_class")

@@ -24,5 +24,4 @@ KIND = DatasetKind(
     plan_previews=lazy("mnist3d.previews:plan_previews"),
     plan_gallery=lazy("mnist3d.gallery:plan_gallery"),
     recipe=lazy("mnist3d.generation:digit_recipe"),
-    recipe_settings=lazy("mnist3d.generation:recipe_settings"),
 )

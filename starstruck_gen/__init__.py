@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
     from starstruck_gen.endless import SceneDataset
     from starstruck_gen.generation import GenerateSpec, generate
-    from starstruck_gen.placement import Placement, SceneMeshes, build_meshes
+    from starstruck_gen.placement import Placement, SceneMeshes, build_meshes, stamp
     from starstruck_gen.sampling import SamplingExhausted, sample_scene, sample_scenes
     from starstruck_gen.scene import Scene
     from starstruck_gen.shapes import OUTLINES, Crescent, Cross, Disc, Proportions, Ring, Shape, Star
@@ -42,6 +42,7 @@ __all__ = [
     "SceneSpec",
     "Shape",
     "Star",
+    "build_meshes",
     "generate",
     "load",
     "register_shape",
@@ -49,7 +50,7 @@ __all__ = [
     "sample_scenes",
     "scene_rng",
     "scene_seed",
-    "build_meshes",
+    "stamp",
 ]
 
 __version__: str
@@ -60,7 +61,7 @@ __getattr__, __dir__ = on_first_use(
         "starstruck_gen.dataset": ("SceneMeshDataset", "SceneRecord", "load"),
         "starstruck_gen.endless": ("SceneDataset",),
         "starstruck_gen.generation": ("GenerateSpec", "generate"),
-        "starstruck_gen.placement": ("Placement", "SceneMeshes", "build_meshes"),
+        "starstruck_gen.placement": ("Placement", "SceneMeshes", "build_meshes", "stamp"),
         "starstruck_gen.sampling": ("SamplingExhausted", "sample_scene", "sample_scenes"),
         "starstruck_gen.scene": ("Scene",),
         "starstruck_gen.shapes": (

@@ -32,7 +32,6 @@ __all__ = [
     "SceneMaking",
     "forecast",
     "generate",
-    "recipe_settings",
     "scene_recipe",
 ]
 
@@ -239,11 +238,3 @@ def scene_recipe(seed: int, per_class: int | None) -> making.Recipe:
     sizes = None if per_class is None else ",".join(f"{split}={size}" for split, size in scenes.items())
     spec = GenerateSpec(scenes=plain_pairs(scenes), seed=seed)
     return making.Recipe(SceneMaking(spec), {"scenes": sizes, "seed": seed})
-
-
-def recipe_settings(spec: Mapping[str, Any]) -> tuple[int, int | None] | None:
-    """Return seed and number per class of the recipe by which a folder may have been made."""
-    counts, seed = spec.get("scenes"), spec.get("seed", 0)
-    most = max(counts.values(), default=0) if isinstance(counts, Mapping) else 0
-    per_class = most // len(KIND.class_names)
-    return (seed, per_class) if per_class and isinstance(seed, int) else None

@@ -22,5 +22,4 @@ KIND = DatasetKind(
     plan_previews=lazy("starstruck_gen.previews:plan_previews"),
     plan_gallery=lazy("starstruck_gen.gallery:plan_gallery"),
     recipe=lazy("starstruck_gen.generation:scene_recipe"),
-    recipe_settings=lazy("starstruck_gen.generation:recipe_settings"),
 )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
@@ -161,6 +162,17 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
         RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
         RaggedColumn(faces, _offsets([len(made.faces) for made in outlines])),
     )
+
+
+def stamp(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
+    """Make the meshes of a batch of scenes.
+
+    .. deprecated:: 0.1
+       Use :func:`build_meshes`.
+    """
+    message = "starstruck_gen.stamp is deprecated; use starstruck_gen.build_meshes"
+    warnings.warn(message, DeprecationWarning, stacklevel=2)
+    return build_meshes(layouts)
 
 
 def _vertices(layouts: Sequence[Sequence[Placement]], outlines: Sequence[Prisms]) -> NDArray[np.float32]:

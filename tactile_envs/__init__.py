@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from tactile_envs.environment import TactileEnv, TactileVectorEnv
     from tactile_envs.making import make_one, make_vector
 
-__all__ = ["IDS", "Config", "TactileEnv", "TactileVectorEnv", "make_one", "make_vector"]
+__all__ = ["IDS", "Config", "TactileEnv", "TactileVectorEnv", "make_one", "make_vector", "register"]
+
+_MAKE_ONE = "tactile_envs.making:make_one"
 
 __version__: str
 
@@ -30,7 +32,13 @@ __getattr__, __dir__ = on_first_use(
 )
 
 
-def _register() -> None:
+def register() -> None:
+    """Register the environments with gymnasium, as importing the package does.
+
+    `tactile-mnist` registers the same ids. Imported by hand after this package it takes the plain ones, such
+    as ``TactileMNIST-Depth-train-v0``; this call takes them back. Ids that begin with ``tactile_envs/``
+    always name the environments of this package, and ``tactile_mnist/`` then those of the other.
+    """
     try:
         import gymnasium
     except ImportError:  # named when an environment is made
@@ -39,17 +47,17 @@ def _register() -> None:
 
     registry = gymnasium.registry
     for name in IDS:
-        # The package `tactile-mnist` registers the same names. What it has there stays at hand, for
-        # `env_assets.make`; whichever of the two was imported last has the plain name.
-        if name in registry:
+        # What the other package has there stays available, for `env_assets.make`.
+        if name in registry and registry[name].entry_point != _MAKE_ONE:
             registry[f"tactile_mnist/{name}"] = registry.pop(name)
         for registered in (name, f"tactile_envs/{name}"):
+            registry.pop(registered, None)  # registered twice, gymnasium warns
             gymnasium.register(
                 registered,
-                entry_point="tactile_envs.making:make_one",
+                entry_point=_MAKE_ONE,
                 vector_entry_point="tactile_envs.making:make_vector",
                 kwargs={"name": name},
             )
 
 
-_register()
+register()

@@ -7,7 +7,7 @@ group ``tactile_toolkit.kinds`` name these objects (``pyproject.toml``), also th
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
@@ -134,9 +134,6 @@ class DatasetKind:
     recipe : callable
         Takes a seed and a number per class, returns the :class:`tactile_toolkit.making.Recipe` of what needs
         no input, if any does.
-    recipe_settings : callable
-        Takes the specification of a manifest, returns seed and number per class of the recipe by which the
-        folder may have been begun; None if by none.
     """
 
     name: str
@@ -158,7 +155,6 @@ class DatasetKind:
     plan_previews: Callable[..., Any] = _not_offered
     plan_gallery: Callable[..., Any] = _not_offered
     recipe: Callable[[int, int | None], Any] = _not_offered
-    recipe_settings: Callable[[Mapping[str, Any]], tuple[int, int | None] | None] = lambda _: None
 
     def load(self, name: str, split: str) -> Any:
         """Open a split as the kind's package does."""

@@ -143,6 +143,9 @@ def _open_other(data: memoryview | bytes) -> Any:
     try:
         # Pillow would try its 43 decoders on whatever these bytes are.
         return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
+    except Image.DecompressionBombError as error:
+        message = f"an image of far more than {MAX_IMAGE_PIXELS:,} pixels, which is the limit"
+        raise ValueError(message) from error
     except Exception as error:  # as in decode_image
         start = bytes(data[:8]).hex(" ")
         message = f"{len(data):,} bytes that begin with {start or 'nothing'}; expected a JPEG, PNG or WebP"

@@ -75,8 +75,8 @@ def test_every_length_reaches_the_wrench():
         (("--single", "--second-size", "10"), "a wrench with a single jaw"),
         (("--stl", "wrench.step"), "files ending in '.step' are not known"),
         (("--stl", "wrench.step", "--dry-run"), "files ending in '.step' are not known"),
-        (("--stl", "nowhere/wrench.stl"), "cannot be written (No such file or directory)"),
-        (("--stl", f"{__file__}/wrench.stl"), "cannot be written (Not a directory)"),
+        (("--stl", "nowhere/wrench.stl"), "cannot write 'nowhere/wrench.stl': No such file or directory"),
+        (("--stl", f"{__file__}/wrench.stl"), "a part of the path is a file, not a folder"),
         (("--handle-mm", "1.9"), "--handle-mm of the wrench is 1.9; expected more than 2.4"),
     ],
 )

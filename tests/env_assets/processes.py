@@ -37,7 +37,7 @@ def seen_by_a_child(provider: Any, method: str) -> list[Any]:
     held, leave = threading.Event(), threading.Event()
 
     def hold() -> None:
-        with provider._memory._lock:
+        with provider._memory.lock:
             held.set()
             leave.wait(PATIENCE_S)
 

@@ -68,23 +68,6 @@ def test_a_split_that_no_kind_has_is_refused_and_nothing_is_made(tmp_path):
             env_assets.AssetProvider(tmp_path).meshes(kind, split)
 
 
-@pytest.mark.parametrize(
-    ("kind", "split", "other"),
-    [
-        pytest.param("mnist3d", "test", "holdout", marks=pytest.mark.thorough),
-        ("starstruck", "test", "train"),
-    ],
-)
-def test_the_command_goes_on_with_what_is_there(tmp_path, kind, split, other):
-    """Whatever numbers the provider was made with that names it."""
-    made = env_assets.AssetProvider(tmp_path, generate=True, per_class=1, seed=2)
-    made.meshes(kind, split)
-    with pytest.raises(InputError, match="continues with the settings of that folder") as caught:
-        env_assets.AssetProvider(tmp_path).meshes(kind, other)
-    run_named_command(str(caught.value))
-    assert len(made.meshes(kind, other))
-
-
 def test_what_was_made_otherwise_is_said(tmp_path):
     spec = starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3)), limit=2)
     starstruck_gen.generate(spec, str(tmp_path / "starstruck"), ("test",))

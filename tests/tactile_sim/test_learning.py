@@ -187,7 +187,7 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
     pq.write_table(table.set_column(place, table.schema.field(place), column), data / file.name)
     depth = Domain(ShardedTable(find_shards(str(tmp_path), "depth")), True, (32, 32))
     for row, text in (
-        (0, f"{file.name}', row 0: a picture of 32 x 24 pixels; expected 32 x 32 as the manifest says"),
+        (0, f"{file.name}', row 0: a picture of 32 x 24 pixels; expected 32 x 32 as in the manifest"),
         (1, f"{file.name}', row 1: .*cannot be decoded.*next: run `tactile-sim verify`"),
     ):
         with pytest.raises(IntegrityError, match=text):

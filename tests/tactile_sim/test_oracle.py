@@ -35,7 +35,7 @@ def _solids(kind):
     if kind == "wrench":
         return [wrench_mesh(WrenchSpec.for_size()).to_trimesh()] * max(OBJECTS // 10, 2)
     if kind == "scenes":
-        meshes = starstruck_gen.stamp(
+        meshes = starstruck_gen.build_meshes(
             [
                 s.placements
                 for s in starstruck_gen.sample_scenes(

@@ -70,7 +70,7 @@ def test_the_command_line_prints_data_as_text(texts):
         sink = Sink()
         sink.table(texts, [texts, texts], title=texts[0])
         sink.line(texts[0])
-        sink.talk(texts[0])
+        sink.info(texts[0])
     for text in (out.getvalue(), err.getvalue()):
         assert text.replace("\n", "").isprintable()
     assert err.getvalue() == printable(texts[0], keep="\n") + "\n"

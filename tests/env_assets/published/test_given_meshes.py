@@ -229,6 +229,7 @@ def test_the_list_tells_the_state_of_every_id(packages):
         "sparse": False,
         "state": "ready",
         "note": "",
+        "native": True,
     }
     some = CliRunner().invoke(app, ["list", "ABCVolume", "DR", "test"])
     assert some.exit_code == 0

@@ -56,7 +56,7 @@ def test_what_is_no_whole_number_is_named_and_the_others_stay_exact(column, foun
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         with pytest.raises(
-            IntegrityError, match=rf"1\.parquet', row 1, field 'label': {found}; expected a whole"
+            IntegrityError, match=rf"1\.parquet', row 1, field 'label': {found}; expected an integer"
         ):
             _ = rows.labels
         with pytest.raises(IntegrityError, match="row 1, field 'label'"):

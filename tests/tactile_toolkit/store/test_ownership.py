@@ -156,7 +156,7 @@ def child(action):
     assert os.WIFEXITED(status) and os.WEXITSTATUS(status) in (0, 2), (scenario, moment, status)
     return os.WEXITSTATUS(status) == 0
 
-def next to(place, moment):
+def next_to(place, moment):
     seen, said = 0, base / f"second-{moment}"
     def watch(event, arguments):
         nonlocal seen
@@ -180,7 +180,7 @@ while True:
     place, said = base / f"at-{moment}", base / f"second-{moment}"
     if before is not None:
         shutil.copytree(base / str(before), place)
-    a = child(lambda: next to(place, moment))
+    a = child(lambda: next_to(place, moment))
     if not said.exists():
         break
     b = said.read_text() == "yes"
