@@ -93,7 +93,7 @@ gallery.script = (source) =>
     script.addEventListener("load", () => resolve(script.remove()));
     script.addEventListener("error", () => {
       script.remove();
-      reject(new Error(`${source} is missing beside this page; build the gallery again`));
+      reject(new Error(`${source} is missing next to this page; build the gallery again`));
     });
     document.head.append(script);
   });
