@@ -40,7 +40,7 @@ def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
         home = f"{_FOLDER}/{_IMAGES}/{shard.split}-{name}/{_FRAMES}"
         images = {f"{home}/{touch:010d}.jpg": as_jpeg(image.as_py()["bytes"]) for _, touch, image in touches}
         background = f"{home}/{_BACKGROUND}"
-        files |= {**images, background: background_of(list(images.values()))}
+        files |= {**images, background: background_of(list(images.values()), list(images))}
         named += [(path, background) for path in images]
     index = rows.drop_columns([IMAGE])
     for place, prefix in enumerate(("", "meta_")):

@@ -7,6 +7,7 @@ Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm`
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -77,5 +78,7 @@ def items_of_fota(home: DataFolder, columns: ImportColumns, table: str | None) -
             for number, (theirs, ours) in enumerate(zip(_POSE, POSE_COLUMNS, strict=True)):
                 value = values.pop(theirs)
                 is_length = number < _LENGTHS and isinstance(value, (int, float))
-                values[ours] = value / _MM_PER_M if is_length else value
+                with suppress(OverflowError):  # JSON has integers of any size, which are refused later
+                    value = value / _MM_PER_M if is_length else value
+                values[ours] = value
         yield replace(item, values=values)

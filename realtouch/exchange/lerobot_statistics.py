@@ -13,8 +13,8 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from realtouch.exchange.rows import decoded
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.touch.jpeg import decode_image
 from tactile_toolkit.touch.schema import MEDIA_TYPE
 
 __all__ = ["columns_of_episodes", "statistics_of_all"]
@@ -53,7 +53,8 @@ def _episode(values: pa.Array) -> dict[str, Any]:
     seen = np.unique(np.linspace(0, len(values) - 1, _IMAGES_SEEN).round().astype(int)).tolist()
     counts = np.zeros((3, _LEVELS), np.int64)
     for number in seen:
-        pixels = Image.fromarray(decode_image(values.field("bytes")[number].as_py()))
+        image = values[number].as_py()
+        pixels = Image.fromarray(decoded(image["bytes"], image["path"]))
         counts += np.reshape(pixels.histogram(), (3, _LEVELS))
     found = [_statistics(np.flatnonzero(each) / (_LEVELS - 1), each[each > 0]) for each in counts]
     return {**{name: [[[each[name]]] for each in found] for name in found[0]}, "count": [len(seen)]}

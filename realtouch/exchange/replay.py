@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import Conversion, RowChoice, Source
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
+from realtouch.exchange.rows import decoded
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import is_unchanged
-from tactile_toolkit.touch.jpeg import decode_image
 
 __all__ = ["plan"]
 
@@ -94,18 +94,18 @@ class _WriteBuffer:
             write(f"{_PIXELS}/.zarray", _description(shape, (length, *shape[1:]), "|u1"))
             chunk = np.zeros((length, *shape[1:]), np.uint8)
             for number, image in enumerate(_images(shards)):
-                decode_image(image, chunk[number % length])
+                decoded(image["bytes"], image["path"], chunk[number % length])
                 if (number + 1) % length == 0 or number + 1 == len(table):
                     chunk[number % length + 1 :] = 0  # as a chunk is filled behind the end
                     write(f"{_PIXELS}/{number // length}.0.0.0", zlib.compress(chunk.tobytes(), _LEVEL))
 
 
 def _images(shards: Sequence[Shard]) -> Any:
-    """Yield the stored image of each frame."""
+    """Yield the stored image of each frame, and its name."""
     for shard in shards:
         for index in range(shard.metadata.num_row_groups):
             for group in shard.blocks(index, [IMAGE]):
-                yield from (image["bytes"].as_py() for image in group.table[IMAGE])
+                yield from (image.as_py() for image in group.table[IMAGE])
 
 
 def _numbers(column: pa.ChunkedArray) -> NDArray[Any]:

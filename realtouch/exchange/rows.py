@@ -26,12 +26,12 @@ from realtouch.convert.shown import shown_touches
 from realtouch.damage import damaged
 from realtouch.integrity.files import checksums, file_fields, files_are_current
 from realtouch.touch import touch_id
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.touch.jpeg import decode_image, encode_image, image_size
+from tactile_toolkit.touch.jpeg import Pixels, decode_image, encode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, class_names, column_type
 
 __all__ = [
@@ -40,6 +40,7 @@ __all__ = [
     "RowsFormat",
     "as_jpeg",
     "background_of",
+    "decoded",
     "image_column",
     "known_label",
     "require_intact",
@@ -153,8 +154,23 @@ def as_jpeg(image: bytes) -> bytes:
     return image if image[:2] == _JPEG else encode_image(decode_image(image))
 
 
-def background_of(images: Sequence[bytes]) -> bytes:
-    """Return the median of some images as JPEG: the gel at rest; InputError where they differ in size."""
+def decoded(image: bytes, name: str, out: Pixels | None = None) -> Pixels:
+    """Return the pixels of an image; IntegrityError where it is damaged between its header and its end."""
+    try:
+        return decode_image(image, out)
+    except ValueError as error:
+        message = (
+            f"{name!r}: {error}; next: run `realtouch verify` on the source, and leave the round out first "
+            "(`realtouch select`)"
+        )
+        raise IntegrityError(message) from error
+
+
+def background_of(images: Sequence[bytes], names: Sequence[str]) -> bytes:
+    """Return the median of some images as JPEG: the gel at rest; InputError where they differ in size.
+
+    Raises IntegrityError, with the name, for one that cannot be decoded.
+    """
     sizes = {image_size(image) for image in images}
     if len(sizes) > 1:
         found = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
@@ -163,7 +179,8 @@ def background_of(images: Sequence[bytes]) -> bytes:
             "with `realtouch resize`"
         )
         raise InputError(message)
-    return encode_image(median_in_memory(np.stack([decode_image(image) for image in images])))
+    pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]
+    return encode_image(median_in_memory(np.stack(pixels)))
 
 
 @dataclass(frozen=True)

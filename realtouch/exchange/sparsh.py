@@ -21,10 +21,11 @@ from realtouch.convert.plan import Made
 from realtouch.exchange.items import ImportColumns, Item
 from realtouch.exchange.rows import IMAGE, RowsFormat, background_of
 from realtouch.integrity.files import checksums, with_files, write_changed
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 
 __all__ = ["FORMAT", "items_of_pickles"]
 
@@ -34,6 +35,7 @@ _PROTOCOL = 4
 _MOST_IN_MEDIAN = 256
 _HEADER_BYTES = {"SHORT_BINBYTES": 2, "BINBYTES": 5, "BINBYTES8": 9}
 """How many bytes of an opcode come before the content."""
+_MOST_IN_LINE = 1 << 10
 _OF_LISTS = frozenset(
     ["PROTO", "FRAME", "EMPTY_LIST", "MARK", "MEMOIZE", "BINPUT", "LONG_BINPUT", "APPEND", "APPENDS", "STOP"]
 )
@@ -57,7 +59,8 @@ def _write_backgrounds(folder: DataFolder, manifest: Manifest) -> dict[str, str]
         first = next(path for path in files if path.startswith(of_split) and path.endswith(".pkl"))
         with folder.open(first) as stream:
             places = list(_places(stream, first))[:_MOST_IN_MEDIAN]
-            content = background_of([_part(stream, *place) for place in places])
+            names = [f"{first}, image {number}" for number in range(len(places))]
+            content = background_of([_part(stream, *place) for place in places], names)
         path = f"{of_split}{_BACKGROUND}"
         files[path] = write_changed(folder, path, content)
     return files
@@ -72,10 +75,29 @@ def _part(stream: io.IOBase | Any, start: int, size: int) -> bytes:
     return content
 
 
+class _Bounded:
+    """A stream for :mod:`pickletools`, which takes into memory as much as an opcode states."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        self.tell = stream.tell
+
+    def read(self, size: int) -> bytes:
+        if size > MAX_IMAGE_BYTES:
+            message = f"a value of {size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}"
+            raise ValueError(message)
+        content: bytes = self._stream.read(size)
+        return content
+
+    def readline(self) -> bytes:
+        line: bytes = self._stream.readline(_MOST_IN_LINE)
+        return line
+
+
 def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
     """Yield place and size of each image in a pickled list; executes nothing of it."""
     try:
-        for opcode, content, position in pickletools.genops(stream):
+        for opcode, content, position in pickletools.genops(_Bounded(stream)):
             if opcode.name in _HEADER_BYTES and content is not None and position is not None:
                 yield position + _HEADER_BYTES[opcode.name], len(content)
             elif opcode.name not in _OF_LISTS:
@@ -94,12 +116,27 @@ def items_of_pickles(home: DataFolder, columns: ImportColumns, table: str | None
         message = f"{home.address()!r} holds no pickles (*.pkl)"
         raise InputError(message)
     for name in names:
-        stem, found = name.removesuffix(".pkl"), list[dict[str, Any]]()
+        stem = name.removesuffix(".pkl")
         beside = table or f"{stem}.csv"
-        if home.exists(beside):
-            found = list(csv.DictReader(io.StringIO(home.read_bytes(beside).decode("utf-8-sig"), newline="")))
+        found = _lines(home, beside) if table or home.exists(beside) else None
+        count = 0
         with home.open(name) as stream:
-            for place, (start, size) in enumerate(_places(stream, name)):
-                values = {"split": split, **(found[place] if place < len(found) else {})}
-                yield Item(number, f"{stem}_{place:06d}", f"{home.address()}/{name}", start, size, values)
-                number += 1
+            for start, size in _places(stream, name):
+                values = {"split": split, **(found[count] if found and count < len(found) else {})}
+                yield Item(number, f"{stem}_{count:06d}", f"{home.address()}/{name}", start, size, values)
+                number, count = number + 1, count + 1
+        if found is not None and len(found) != count:  # else they would be of other images
+            message = (
+                f"{beside!r} has {len(found):,} lines; expected {count:,}, one for each image of {name!r}"
+            )
+            raise InputError(message)
+
+
+def _lines(home: DataFolder, name: str) -> list[dict[str, Any]]:
+    """Return the lines of a table."""
+    try:
+        text = home.read_bytes(name).decode("utf-8-sig")
+        return list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
+    except (IntegrityError, UnicodeDecodeError, csv.Error) as error:
+        message = f"{home.address(name)!r} cannot be read ({error}); expected a table with commas, in UTF-8"
+        raise InputError(message) from error

@@ -269,12 +269,54 @@ def test_no_pickle_is_executed(tmp_path: Path) -> None:
         (pickle.dumps([np.zeros((4, 4, 3), np.uint8)]), "something else than a list of encoded images"),
         (pickle.dumps([b"a" * 300])[:-40], "not an intact pickle"),
         (b"no pickle", "something else|not an intact pickle"),
+        # An opcode may state any length, and a line may never end.
+        (b"\x80\x04]\x8e" + (1 << 45).to_bytes(8, "little"), "a value of 35,184,372,088,832 bytes"),
+        (b"I" + b"9" * 5000, "no newline found"),
     ):
         (home / "dataset.pkl").write_bytes(content)
         with pytest.raises(InputError, match=words):
             realtouch.import_images(home, tmp_path / "out", "sparsh")
     assert not mark.exists()
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("table", "words"),
+    [
+        (b"label\n0\n1\n", r"has 2 lines; expected 3, one for each image of 'dataset.pkl'"),
+        (b"label\n0\n1\n2\n3\n", "has 4 lines; expected 3"),
+        (b"label\n\xff\n1\n2\n", "cannot be read.*in UTF-8"),
+        (b'label\n0\n"1\n2\n', "cannot be read.*unexpected end of data"),
+    ],
+)
+def test_a_table_that_is_not_of_the_pickle(
+    table: bytes, words: str, single_rows: list[dict], tmp_path: Path
+) -> None:
+    images = [bytes(each["bytes"]) for each in single_rows[0]["sensor_image"][:3]]
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "dataset.pkl").write_bytes(pickle.dumps(images))
+    (tmp_path / "home" / "dataset.csv").write_bytes(table)
+    with pytest.raises(InputError, match=words):
+        realtouch.import_images(tmp_path / "home", tmp_path / "out", "sparsh")
+    with pytest.raises(InputError, match=r"other\.csv"):
+        realtouch.import_images(tmp_path / "home", tmp_path / "out", "sparsh", table="other.csv")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("layout", ["replay", "sparsh", "anytouch", "lerobot"])
+def test_an_image_damaged_in_its_middle_is_named(
+    layout: Any, single_rows: list[dict], tmp_path: Path
+) -> None:
+    def cut(row: dict[str, Any], index: int) -> None:
+        if index == 0:
+            content = row["sensor_image"][0]["bytes"]
+            start = content.index(b"\xff\xda") + 40
+            first = {"bytes": content[:start] + b"\xff\xd9", "path": None}
+            row["sensor_image"] = [first, *row["sensor_image"][1:]]
+
+    factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
+    with pytest.raises(IntegrityError, match=r"(000|image 0).*cannot be decoded.*realtouch select"):
+        realtouch.export(tmp_path / "cut", tmp_path / "out", layout)
 
 
 def test_lines_that_cannot_be_used_are_left_out_and_named(single_folder: Path, tmp_path: Path) -> None:
