@@ -42,6 +42,9 @@ __all__ = [
 LOCKS = "locks"
 """Folder of the cache whose files processes hold while they write others."""
 
+_FOLDERS = ("blocks", "checked", "environments", "linked", LOCKS)
+"""All folders of the cache; what else lies next to them is not ours."""
+
 CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
 """Environment variable that names the cache folder."""
 
@@ -161,8 +164,9 @@ class DiskCache:
 def cached_files() -> dict[str, list[tuple[Path, int, float]]]:
     """Return the files of each folder in the cache folder: path, bytes, and days since their last use."""
     found: dict[str, list[tuple[Path, int, float]]] = {}
-    root = cache_folder()
-    for place in sorted(root.iterdir()) if root.is_dir() else ():
+    # The variable may name a folder that holds other things, too.
+    places = (cache_folder() / name for name in _FOLDERS)
+    for place in (each for each in places if each.is_dir()):
         files = found.setdefault(place.name, [])
         for path in sorted(place.rglob("*")):
             with contextlib.suppress(OSError):  # other processes may remove some meanwhile

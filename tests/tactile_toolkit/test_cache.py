@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import pickle
+import re
 import threading
 import time
 import warnings
@@ -13,7 +14,15 @@ from typing import IO
 
 import pytest
 
-from tactile_toolkit.cache import CACHE_VARIABLE, DiskCache, MemoryCache, cache_folder
+from tactile_toolkit.cache import (
+    _FOLDERS,
+    CACHE_VARIABLE,
+    DiskCache,
+    MemoryCache,
+    cache_folder,
+    cached_files,
+    prune_cache,
+)
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.folder import DataFolder
@@ -246,3 +255,27 @@ def test_a_folder_is_not_looked_through_for_each_file(tmp_path, monkeypatch):
         assert put(cache, str(number), 1_000)
     assert sum(counts) < 50 * 1_000
     assert len(counts) < 450
+
+
+def test_only_what_is_ours_is_listed_and_removed(tmp_path, monkeypatch):
+    """The variable may name a folder that holds other things: a scratch disk, or a home."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    theirs = [tmp_path / "thesis.tex", tmp_path / "thesis" / "blocks" / "chapter.tex"]
+    ours = [tmp_path / name / "file" for name in ("blocks", "checked", "environments", "locks")]
+    for path in (*theirs, *ours):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("")
+    assert sorted(cached_files()) == ["blocks", "checked", "environments", "locks"]
+    assert sorted(prune_cache(1.0)) == []
+    assert sorted(prune_cache()) == ours[:3]
+    assert all(path.exists() for path in (*theirs, ours[3]))
+
+
+def test_all_folders_of_the_cache_are_listed():
+    """Whoever keeps something in a folder of its own says so in :mod:`tactile_toolkit.cache`."""
+    root = Path(__file__).parents[2]
+    packages = ("tactile_toolkit", "tactile_envs", "tactile_sim", "env_assets", "mnist3d", "realtouch")
+    code = [path.read_text() for name in packages for path in (root / name).rglob("*.py")]
+    pattern = r'DiskCache\(\s*"(\w+)"|cache_folder\(\) / "(\w+)"'
+    used = {found[1] or found[2] for text in code for found in re.finditer(pattern, text)}
+    assert used == set(_FOLDERS)
