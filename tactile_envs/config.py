@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from math import pi
+from numbers import Integral
 from typing import Any, Literal
 
 from tactile_toolkit.errors import InputError
@@ -83,6 +84,28 @@ class Config:
         # As the published class takes them too: lists and arrays.
         for name, kind in (("sensor_output_size", int), ("cell_size", float), ("cell_padding", float)):
             object.__setattr__(self, name, tuple(map(kind, getattr(self, name))))
+        reach_m = [
+            side / 2 - padding for side, padding in zip(self.cell_size, self.cell_padding, strict=False)
+        ]
+        for name, is_right, expected in (
+            ("step_limit", _is_count(self.step_limit), "an integer from 1 on"),
+            (
+                "snap_touch_positions",
+                self.snap_touch_positions is None or _is_count(self.snap_touch_positions),
+                "None or an integer from 1 on",
+            ),
+            ("linear_acceleration", self.linear_acceleration > 0, "more than 0"),
+            ("sensor_output_size", len(self.sensor_output_size) == 2, "two integers"),
+            ("cell_size", len(self.cell_size) == 2, "two numbers, metres"),
+            (
+                "cell_padding",
+                len(self.cell_padding) == 2 and min(reach_m, default=0.0) > 0,
+                "two numbers, metres, less than half the cell",
+            ),
+        ):
+            if not is_right:
+                message = f"{name} in `config` is {getattr(self, name)!r}; expected {expected}"
+                raise InputError(message)
 
     @property
     def longest_way_m(self) -> float:
@@ -90,6 +113,10 @@ class Config:
         half_s = self.transfer_timedelta_s / 2
         ramp_s = min(self.linear_velocity / self.linear_acceleration, half_s)
         return (half_s - ramp_s) * self.linear_velocity + 0.5 * self.linear_acceleration * ramp_s**2
+
+
+def _is_count(number: Any) -> bool:
+    return isinstance(number, Integral) and int(number) >= 1
 
 
 _SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}

@@ -28,6 +28,7 @@ __all__ = ["TactileEnv", "TactileVectorEnv"]
 
 _TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of
 _NO_DRIFT = np.zeros(3)
+_PLACE = "initial_sensor_target_pose"
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
 Observation = dict[str, NDArray[Any]]
 
@@ -161,11 +162,12 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         wanted = self._given(options, "datapoint_idx")
         for i in range(self.num_envs):
             self._next[i] = self._any_mesh() if wanted[i] is None else self._mesh_number(wanted[i])
-        self._begin(self._given(options, "initial_object_pose"))
+        poses, places = self._poses(options, "initial_object_pose", 3), self._poses(options, _PLACE, 2)
+        self._begin(poses)
         starts = self._starts()
-        for i, place in enumerate(self._given(options, "initial_sensor_target_pose")):
+        for i, place in enumerate(places):
             if place is not None:
-                starts[i, :2] = np.asarray(place, np.float64).reshape(-1)[:2]
+                starts[i, :2] = place
         self._targets[:] = starts
         return self._touch()
 
@@ -203,7 +205,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         if ways.shape != (self.num_envs, 3):
             message = f"sensor_target_pos_rel has shape {ways.shape}; expected {(self.num_envs, 3)}"
             raise InputError(message)
-        if np.isnan(ways).any():
+        if not np.isfinite(ways).all():  # infinite ways lead to NaN
             message = "NaN values detected in sensor target position."
             raise ValueError(message)
         targets = self._task.targets(self._chosen, self._objects)
@@ -307,6 +309,17 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             message = f"option {name!r} has {len(given)} entries; expected {self.num_envs}"
             raise InputError(message)
         return given
+
+    def _poses(self, options: Mapping[str, Any], name: str, count: int) -> list[NDArray[np.float64] | None]:
+        """Return the first so many numbers that are given for each environment, or None."""
+        found: list[NDArray[np.float64] | None] = []
+        for given in self._given(options, name):
+            numbers = None if given is None else np.asarray(given, np.float64).reshape(-1)[:count]
+            if numbers is not None and not (len(numbers) == count and np.isfinite(numbers).all()):
+                message = f"option {name!r} has {given!r}; expected {count} numbers"
+                raise InputError(message)
+            found.append(numbers)
+        return found
 
     def _any_mesh(self) -> int:
         return int(self.np_random.integers(0, len(self._pool)))

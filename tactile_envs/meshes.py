@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.run.system import locked
+from tactile_toolkit.store.files import of_the_process
 
 __all__ = ["CELL_M", "FACTS", "MeshPool"]
 
@@ -35,7 +37,8 @@ _POOLS = DiskCache(
     8 << 30,
     warning="environments sort their meshes again each time: {problem}",
 )
-_FORMAT = 1
+_FORMAT = 2
+_CHECKSUM_BYTES = 16
 _LOG = logging.getLogger(__name__)
 
 Parts = list[NDArray[Any]]
@@ -84,14 +87,15 @@ class MeshPool:
                 stack.enter_context(locked(path.with_suffix(".lock")))
             except OSError:  # nothing can be kept there
                 return cls.packed(records)
-            if not path.exists():
+            found = _found(path)
+            if found is None:
                 _LOG.info("sorting the triangles of %d meshes", len(records))
                 parts = _parts_of(records)
                 size = sum(part.nbytes for column in parts for part in column)
-                if not _POOLS.write(name, size, lambda stream: _write(stream, parts)):
-                    return cls(*_joined(parts))
+                is_kept = _POOLS.write(name, size, lambda stream: _write(stream, parts))
+                found = (_found(path) if is_kept else None) or _joined(parts)
         _POOLS.mark_used(path)
-        return cls(*_mapped(path))
+        return cls(*found)
 
     @classmethod
     def packed(cls, records: Iterable[Any]) -> MeshPool:
@@ -118,14 +122,10 @@ class MeshPool:
 
 def _name_of(records: Sequence[Any]) -> str | None:
     """Return a name for the content of a data set on disk; None for records that are in memory."""
-    shards = [shard for table in getattr(records, "_tables", ()) for shard in table.shards]
-    if not shards:
+    tables = getattr(records, "_tables", ())
+    if not tables:
         return None
-    stats = [Path(shard.path).stat() if "://" not in shard.path else None for shard in shards]
-    content = [
-        (shard.path, *(() if stat is None else (stat.st_size, stat.st_mtime_ns)))
-        for shard, stat in zip(shards, stats, strict=True)
-    ]
+    content = [table.identity for table in tables]  # what was there when it was loaded, at addresses too
     rows = np.asarray(cast(Any, records)._rows, np.int64)
     digest = hashlib.sha256(repr((_FORMAT, CELL_M, content)).encode() + rows.tobytes())
     return f"meshes-{digest.hexdigest()[:32]}"
@@ -192,18 +192,52 @@ def _joined(parts: list[Parts]) -> Parts:
 
 
 def _write(stream: IO[bytes], parts: list[Parts]) -> None:
-    """Write the arrays one after the other, each as numpy would; none is joined in memory."""
+    """Write the arrays one after the other, each as numpy would; none is joined in memory.
+
+    A checksum ends the file: kernels take from it, without looking, where in memory they read.
+    """
+    import xxhash
+
+    digest = xxhash.xxh3_128()
+
+    def write(content: bytes) -> None:
+        digest.update(content)
+        stream.write(content)
+
     for column in parts:
         shape = (sum(map(len, column)), *column[0].shape[1:])
-        header = {"descr": column[0].dtype.str, "fortran_order": False, "shape": shape}
-        np.lib.format.write_array_header_1_0(stream, header)
+        header = io.BytesIO()
+        described = {"descr": column[0].dtype.str, "fortran_order": False, "shape": shape}
+        np.lib.format.write_array_header_1_0(header, described)
+        write(header.getvalue())
         for part in column:
-            stream.write(np.ascontiguousarray(part).tobytes())
+            write(np.ascontiguousarray(part).tobytes())
+    stream.write(digest.digest())
+
+
+def _found(path: Path) -> Parts | None:
+    """Map a file of the cache; None where it is not there, or not as it was written: then it goes."""
+    try:
+        return _mapped(path)
+    except FileNotFoundError:
+        return None
+    except (ValueError, OSError) as error:
+        if of_the_process(error) is None:
+            _POOLS.drop(path)
+        return None
 
 
 def _mapped(path: Path) -> Parts:
-    arrays = []
+    """Map a file, compared with its checksum; ValueError where it is another."""
+    import xxhash
+
+    arrays: Parts = []
     with path.open("rb") as stream:
+        size = path.stat().st_size - _CHECKSUM_BYTES
+        content = np.memmap(path, np.uint8, "r") if size >= 0 else np.zeros(_CHECKSUM_BYTES + 1, np.uint8)
+        if xxhash.xxh3_128_digest(content[:-_CHECKSUM_BYTES]) != content[-_CHECKSUM_BYTES:].tobytes():
+            message = "the meshes do not match their checksum"
+            raise ValueError(message)
         for _ in fields(MeshPool):
             np.lib.format.read_magic(stream)
             shape, _, dtype = np.lib.format.read_array_header_1_0(stream)

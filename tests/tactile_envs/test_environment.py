@@ -140,6 +140,11 @@ def test_objects_and_places_may_be_given(assets):
     ("options", "words"),
     [
         ({"config": {"step_limitt": 3}}, "did you mean 'step_limit'"),
+        ({"config": {"step_limit": 0}}, "step_limit in `config` is 0; expected an integer from 1 on"),
+        ({"config": {"snap_touch_positions": 0}}, "snap_touch_positions in `config` is 0"),
+        ({"config": {"linear_acceleration": 0}}, "linear_acceleration in `config` is 0"),
+        ({"config": {"sensor_output_size": (64,)}}, "expected two integers"),
+        ({"config": {"cell_padding": (0.06, 0.0)}}, "less than half the cell"),
         ({"config": {"sensor_type": "eye"}}, "sensor_type in `config` is 'eye'"),
         ({"render_mode": "human"}, "expected None or 'rgb_array'"),
         ({"num_envs": 0}, "num_envs is 0"),
@@ -154,9 +159,17 @@ def test_what_cannot_be_is_named(assets, options, words):
         env.step(env.action_space.sample())
     env.reset(seed=0)
     action = env.action_space.sample()
-    action["action"]["sensor_target_pos_rel"][0, 0] = np.nan
-    with pytest.raises(ValueError, match="NaN"):
-        env.step(action)
+    for number in (np.nan, np.inf):
+        action["action"]["sensor_target_pos_rel"][0, 0] = number
+        with pytest.raises(ValueError, match="NaN"):
+            env.step(action)
+    for name, places in {
+        "initial_object_pose": [(0.0, 0.0), (0.0, 0.0, np.nan)],
+        "initial_sensor_target_pose": [(0.0,), (np.inf, 0.0)],
+    }.items():
+        for place in places:
+            with pytest.raises(InputError, match=f"option '{name}'.*expected [23] numbers"):
+                env.reset(options={name: [place, None]})
     action["action"]["sensor_target_pos_rel"] = np.zeros((3, 3), np.float32)
     with pytest.raises(InputError, match="shape"):
         env.step(action)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import env_assets
+import mnist3d
 from tactile_envs.kernels import LANES, PADDING, raise_object, raise_pixels
 from tactile_envs.meshes import MeshPool
 from tactile_sim.poses import pose
@@ -92,3 +93,34 @@ def test_a_view_of_meshes_has_a_pool_of_its_own(assets):
     some = MeshPool.of(meshes[[4, 2]])
     assert some.fact("id").tolist() == meshes.ids[[4, 2]].tolist()
     assert len(MeshPool.of(meshes)) == len(meshes)
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "of another program"])
+def test_a_damaged_pool_is_made_again(damage, assets, tmp_path, monkeypatch):
+    """Kernels read where its numbers say, whichever these are."""
+    monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path))
+    meshes = env_assets.AssetProvider(assets).meshes("mnist3d")
+    made = MeshPool.of(meshes)
+    (path,) = (path for path in (tmp_path / "environments").iterdir() if path.suffix != ".lock")
+    intact = path.read_bytes()
+    flipped = bytearray(intact)
+    flipped[len(intact) // 2] ^= 1
+    content = {"empty": b"", "cut": intact[:-1], "flipped": bytes(flipped)}.get(damage, b"text" * 100)
+    other = tmp_path / "other"
+    other.write_bytes(content)
+    other.replace(path)
+    assert (MeshPool.of(meshes).vertices == made.vertices).all()
+    assert path.read_bytes() == intact
+
+
+def test_a_pool_is_of_the_meshes_that_were_loaded(assets, tmp_path, monkeypatch):
+    """A data set that takes the place of another at an address has meshes of its own."""
+    fsspec = pytest.importorskip("fsspec")
+    monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path))
+    store = fsspec.filesystem("memory")
+    found = []
+    for kept in ("train", "printed_train"):
+        source = next((assets / "mnist3d" / "data").glob(f"{kept}-*.parquet"))
+        store.pipe_file("/pools/data/train-00000-of-00001.parquet", source.read_bytes())
+        found.append(MeshPool.of(mnist3d.load("memory://pools", "train")).fact("id").tolist())
+    assert found[0] != found[1]
