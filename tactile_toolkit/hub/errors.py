@@ -34,6 +34,8 @@ _TOKEN = re.compile(r"\b(?:hf|api_org)_[A-Za-z0-9]{6,}")
 _HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")
 # Addresses of stores carry what signs them behind the question mark.
 _QUERY = re.compile(r"(https?://[^\s'\"<>?]+)\?[^\s'\"<>]+")
+# A mirror may ask for a password, which its address holds then.
+_LOGIN_OF_ADDRESS = re.compile(r"(https?://)[^\s'\"<>/@]+@")
 _HIDDEN = "hf_***"
 
 _MOST_S = 1e9  # for numbers of thousands of digits
@@ -92,7 +94,8 @@ def scrub(text: str) -> str:
     token = get_token()
     if token:
         text = text.replace(token, _HIDDEN)
-    return _HEADER.sub(rf"\1 {_HIDDEN}", _TOKEN.sub(_HIDDEN, _QUERY.sub(r"\1", text)))
+    text = _LOGIN_OF_ADDRESS.sub(r"\1***@", _QUERY.sub(r"\1", text))
+    return _HEADER.sub(rf"\1 {_HIDDEN}", _TOKEN.sub(_HIDDEN, text))
 
 
 def shown_cause(error: Exception) -> Exception | None:
@@ -203,7 +206,8 @@ def failure_of(
             text = sentence.format(repo_id=repo_id, revision=revision, **_facts(link, repo_id, doing))
             head, next_step, rest = text.partition("; next: ")
             often = f" (tried {tries} times)" if tries > 1 else ""
-            return _CLASSES.get(key, HubError)(scrub(f"{head}{often}{next_step}{rest}"))
+            # One by one: what is hidden at the end of the first reaches over its semicolon.
+            return _CLASSES.get(key, HubError)(f"{scrub(head)}{often}{next_step}{scrub(rest)}")
     return None
 
 

@@ -11,7 +11,7 @@ import pytest
 from tactile_toolkit.errors import HubError
 from tactile_toolkit.hub import calls
 from tactile_toolkit.hub.calls import call_with_retry, is_transient
-from tactile_toolkit.hub.errors import scrub
+from tactile_toolkit.hub.errors import failure_of, scrub
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
 
@@ -225,6 +225,18 @@ def test_errors_of_others_pass_untouched():
 def test_scrubbing(text):
     assert "AbCdEf123456" not in scrub(text)
     assert "hf_***" in scrub(text)
+
+
+@pytest.mark.parametrize("words", ["Authorization: Bearer AbCdEf123456", "https://host/a?sig=AbCdEf123456"])
+def test_what_is_hidden_ends_where_the_next_step_begins(words):
+    said = str(failure_of(OSError(words), "someone/set"))
+    assert "AbCdEf123456" not in said
+    assert said.endswith("; next: check the network and run the same command again")
+
+
+def test_the_password_of_a_mirror_is_hidden():
+    hidden = scrub("the Hub at https://someone:secret@mirror/hub cannot be reached; mail a@b.c")
+    assert hidden == "the Hub at https://***@mirror/hub cannot be reached; mail a@b.c"
 
 
 def test_scrubbing_knows_the_token_in_use(monkeypatch):
