@@ -538,6 +538,14 @@ def _files_to_send(
     return manifest, (*(LocalFile.of(path, scratch / path) for path in (*rendered, *made)), *as_they_are)
 
 
+def _delete_tag(api: Any, repo_id: str, tag: str) -> None:
+    """Delete a tag; one that is gone, as where an answer was lost, is no failure."""
+    from huggingface_hub.errors import RevisionNotFoundError
+
+    with contextlib.suppress(RevisionNotFoundError):
+        api.delete_tag(repo_id, repo_type="dataset", tag=tag)
+
+
 def run_upload(prepared: PreparedUpload) -> UploadResult:
     """Send what is missing, compare what arrived, and name it.
 
@@ -566,7 +574,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     tags = [tag for tag in prepared.tags if target.tags.get(tag) != commit]
     for tag in tags:
         if tag in target.tags:
-            target.do("delete_tag", tag=tag)  # the client moves no tag
+            target.ask(lambda api, tag=tag: _delete_tag(api, target.repo_id, tag))  # the client moves no tag
         target.do("create_tag", tag=tag, revision=commit, exist_ok=True)
     sent = tuple(file.path for file in prepared.plan.to_send)
     return UploadResult(commit, pull, sent, prepared.plan.removed, tuple(tags))

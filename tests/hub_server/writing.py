@@ -56,7 +56,8 @@ def tag(asked: Asked) -> Reply:
     repository = asked.repository()
     asked.writer(repository.namespace)
     if asked.method == "DELETE":
-        repository.tags.pop(asked.names["revision"], None)
+        if repository.tags.pop(asked.names["revision"], None) is None:
+            raise Refusal(404, f"Invalid rev id: {asked.names['revision']}", "RevisionNotFound")
         return Reply(200, {})
     name = asked.json["tag"]
     if name in repository.tags:

@@ -18,7 +18,7 @@ from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.upload import UploadOptions, local_copy, prepare_upload, run_upload
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
-from tests.hub_server import HubServer
+from tests.hub_server import Fault, HubServer
 from tests.tactile_toolkit.hub.client import run_here, settings, start_here
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -188,6 +188,16 @@ def test_a_lost_answer_opens_no_second_pull_request(server, folder):
     result = upload(folder, create_pr=True)
     assert result.pull == "refs/pr/1"
     assert list(server.repository(NAME).pulls) == [1]
+
+
+@pytest.mark.parametrize("method", ["DELETE", "POST"])
+def test_a_lost_answer_moves_a_name_all_the_same(server, folder, method):
+    upload(folder)
+    with (folder / "README.md").open("a") as card:
+        card.write("\nMore.\n")
+    server.faults.add(Fault("*/tag/*", method=method, lose_reply=True))
+    commit = upload(folder).commit
+    assert server.repository(NAME).tags["schema-1"] == commit
 
 
 @pytest.mark.parametrize("pattern", ["*/repos/create", "*/commit/*", "*/tag/*"])
