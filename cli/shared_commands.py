@@ -79,7 +79,7 @@ def add_show(app: typer.Typer, kind: DatasetKind) -> None:
             raise InputError(message)
         group, index = rows.locate(row)
         stored = group.table.slice(index, 1)
-        values = {column: _brief(held[0]) for column, held in stored.to_pydict().items()}
+        values = {name: _brief(_value(stored[name][0])) for name in stored.column_names}
         sink.document({"data_set": name, "split": chosen, "row": row, "values": values})
         sink.line(f"{name}: row {row:,} of the {counted(len(rows), kind.nouns)} in {chosen}")
         lines = []
@@ -89,6 +89,14 @@ def add_show(app: typer.Typer, kind: DatasetKind) -> None:
                 column, _, value = line.partition(" = ")
                 lines.append((column, kept, value))
         sink.table(("column", "type", "value"), lines)
+
+
+def _value(scalar: Any) -> Any:
+    """Return a value of Arrow as one of Python, in Arrow's words where Python has none (nanoseconds)."""
+    try:
+        return scalar.as_py()
+    except ValueError:
+        return str(scalar)
 
 
 def _brief(value: Any) -> Any:

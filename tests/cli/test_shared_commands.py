@@ -7,6 +7,8 @@ import os
 from importlib import import_module
 from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import typer
 
@@ -38,6 +40,21 @@ def test_a_row_is_shown_column_by_column(digits, capsys):
     assert "row 3 of the 20 digits in test" in printed
     assert call("mnist3d", "show", digits, "--row", 20) == 2
     assert "--row is 20; expected less than the 20 rows" in capsys.readouterr().err
+
+
+def test_a_row_of_others_is_shown_whatever_is_in_it(tmp_path, capsys):
+    columns = {
+        "when": pa.array([1], pa.timestamp("ns")),
+        "spans": pa.array([[1, 2]], pa.list_(pa.duration("ns"))),
+        "odd": ["\x1b[31mred\x07"],
+        "none": [None],
+    }
+    pq.write_table(pa.table(columns), tmp_path / "train-00000-of-00001.parquet")
+    assert call("mnist3d", "show", tmp_path) == 0
+    printed = capsys.readouterr().out
+    assert "1970-01-01 00:00:00.000000001" in printed
+    assert "\x1b" not in printed
+    assert "\x07" not in printed
 
 
 def test_long_and_binary_values_are_counted():
