@@ -235,7 +235,7 @@ def _mapped(path: Path) -> Parts:
     with path.open("rb") as stream:
         size = path.stat().st_size - _CHECKSUM_BYTES
         content = np.memmap(path, np.uint8, "r") if size >= 0 else np.zeros(_CHECKSUM_BYTES + 1, np.uint8)
-        if xxhash.xxh3_128_digest(content[:-_CHECKSUM_BYTES]) != content[-_CHECKSUM_BYTES:].tobytes():
+        if xxhash.xxh3_128_digest(content[:-_CHECKSUM_BYTES].data) != content[-_CHECKSUM_BYTES:].tobytes():
             message = "the meshes do not match their checksum"
             raise ValueError(message)
         for _ in fields(MeshPool):

@@ -96,8 +96,9 @@ class _Bounded:
 
 def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
     """Yield place and size of each image in a pickled list; executes nothing of it."""
+    bounded: Any = _Bounded(stream)
     try:
-        for opcode, content, position in pickletools.genops(_Bounded(stream)):
+        for opcode, content, position in pickletools.genops(bounded):
             if opcode.name in _HEADER_BYTES and content is not None and position is not None:
                 yield position + _HEADER_BYTES[opcode.name], len(content)
             elif opcode.name not in _OF_LISTS:

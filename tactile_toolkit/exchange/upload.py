@@ -13,7 +13,7 @@ import weakref
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatch
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -574,7 +574,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     tags = [tag for tag in prepared.tags if target.tags.get(tag) != commit]
     for tag in tags:
         if tag in target.tags:
-            target.ask(lambda api, tag=tag: _delete_tag(api, target.repo_id, tag))  # the client moves no tag
+            target.ask(partial(_delete_tag, repo_id=target.repo_id, tag=tag))  # the client moves no tag
         target.do("create_tag", tag=tag, revision=commit, exist_ok=True)
     sent = tuple(file.path for file in prepared.plan.to_send)
     return UploadResult(commit, pull, sent, prepared.plan.removed, tuple(tags))
