@@ -539,7 +539,7 @@ def _files_to_send(
 
 
 def _delete_tag(api: Any, repo_id: str, tag: str) -> None:
-    """Delete a tag; one that is gone, as where an answer was lost, is no failure."""
+    """Delete a tag; one that is gone, as where an answer was lost, is not a failure."""
     from huggingface_hub.errors import RevisionNotFoundError
 
     with contextlib.suppress(RevisionNotFoundError):
