@@ -1,4 +1,4 @@
-"""Native environments beside the published ones, a step of a random policy, on one thread.
+"""Native environments next to the published ones, a step of a random policy, on one thread.
 
 ::
 

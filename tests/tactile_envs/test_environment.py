@@ -6,18 +6,19 @@ import resource
 from pathlib import Path
 from typing import Any
 
-import ap_gym
-import gymnasium as gym
 import numpy as np
 import pytest
-import trimesh
-from gymnasium.utils.env_checker import check_env
-from hypothesis import given
-from hypothesis import strategies as st
 
-import tactile_envs
-from tactile_envs.making import make_vector
-from tactile_toolkit.errors import InputError
+ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+import gymnasium as gym  # noqa: E402
+import trimesh  # noqa: E402
+from gymnasium.utils.env_checker import check_env  # noqa: E402
+from hypothesis import given  # noqa: E402
+from hypothesis import strategies as st  # noqa: E402
+
+import tactile_envs  # noqa: E402
+from tactile_envs.making import make_vector  # noqa: E402
+from tactile_toolkit.errors import InputError  # noqa: E402
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+
 import env_assets
 from env_assets.published.ids import published_environments
 from tactile_envs.config import IDS, Config

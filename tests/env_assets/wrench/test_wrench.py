@@ -300,6 +300,6 @@ def test_what_cannot_be_written_is_refused_before_anything_is(tmp_path):
 @pytest.mark.parametrize("place", ["folder.stl", "none/wrench.stl"])
 def test_places_where_no_mesh_file_can_be_written(tmp_path, place):
     (tmp_path / "folder.stl").mkdir()
-    with pytest.raises(StorageError, match=f"{place}: cannot be written"):
+    with pytest.raises(StorageError, match=f"cannot write .*{place}"):
         write_wrench(WrenchSpec.for_size(), str(tmp_path / "wrench"), mesh_file=tmp_path / place)
     assert [path.name for path in tmp_path.iterdir()] == ["folder.stl"]

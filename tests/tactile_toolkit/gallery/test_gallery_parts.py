@@ -6,13 +6,14 @@ import base64
 import io
 import json
 import zlib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_toolkit.catalog.choose import chosen_rows, portions, short_name
+from tactile_toolkit.catalog.choose import choose_rows, portions, short_name
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.gallery.items import Facet, Gallery, Item
 from tactile_toolkit.gallery.packing import (
@@ -125,10 +126,20 @@ def test_top_view_shows_what_faces_up():
 
 def test_rows_are_chosen_per_class_then_limited():
     labels = np.array([1, 0, 1, 1, 0, 2])
-    assert chosen_rows(labels, None, None).tolist() == [0, 1, 2, 3, 4, 5]
-    assert chosen_rows(labels, None, 2).tolist() == [0, 1, 2, 4, 5]
-    assert chosen_rows(labels, 3, 2).tolist() == [0, 1, 2]
-    assert chosen_rows(labels[:0], 3, 2).tolist() == []
+
+    class Rows(SimpleNamespace):
+        def __len__(self) -> int:
+            return len(self.labels)
+
+    rows = Rows(labels=labels, ids=np.arange(6), label_names=tuple(map(str, range(10))))
+
+    def chosen(**options: int | None) -> list[int]:
+        ((_, _, positions),) = choose_rows([("train", rows)], **options)
+        return positions.tolist()
+
+    assert chosen() == [0, 1, 2, 3, 4, 5]
+    assert chosen(per_class=2) == [0, 1, 2, 4, 5]
+    assert chosen(per_class=2, limit=3) == [0, 1, 2]
     assert [part.tolist() for part in portions(np.arange(5), 2)] == [[0, 1], [2, 3], [4]]
 
 
