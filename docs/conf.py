@@ -36,6 +36,10 @@ exclude_patterns = [
 ]
 root_doc = "index"
 nitpicky = True
+# Docstrings that `tactile_envs` inherits name what its base classes have.
+nitpick_ignore_regex = [
+    ("py:.*", r"(gymnasium|ap_gym|gym)\..*|_?np_random\w*|set_np_random_through_seed|closed|\w+_space")
+]
 smartquotes = False  # they turn the two dashes of options into one long one
 
 # Types stand in the parameter lists, in words; signatures show names and defaults.
