@@ -23,8 +23,6 @@ from tactile_toolkit.checked_fields import Rule, check_value, metavar_of, rule_o
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.printable import printable
 
-__all__ = ["EXIT_FAILED", "EXIT_INTERRUPTED", "Former", "OptionsOf", "command", "new_app", "run"]
-
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 _EXIT_CLOSED_PIPE = 141

@@ -10,14 +10,15 @@ from typing import Annotated, Any
 import typer
 
 from cli.application import OptionsOf, command, new_app, run
+from cli.export_commands import add_export
+from cli.folders import add_verify
 from cli.options import DryRun, Json, LocalOut, Overwrite, local_place
-from cli.output import Sink, counted
-from cli.shared_commands import add_cache, add_export, add_show, add_verify
+from cli.output import Sink
+from cli.shared_commands import add_cache, add_show
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit.checked_fields import switch, text
-
-__all__ = ["app", "main"]
+from tactile_toolkit.wording import counted
 
 app = new_app("env-assets", "Assets of environments: the wrench, and what a folder of assets holds.")
 

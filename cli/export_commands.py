@@ -12,10 +12,11 @@ import typer
 from cli.application import EXIT_FAILED, OptionsOf, command
 from cli.folders import print_converted
 from cli.options import JOB, AnySet, Chosen, LocalOut, Workers, process_count
-from cli.output import Sink, bytes_text, counted
+from cli.output import Sink, bytes_text
 from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.printing.checked import Failure
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from tactile_toolkit.printing.packing import PlateSpec
     from tactile_toolkit.printing.simulator import Physics
 
-__all__ = ["add_export"]
 
 _ROWS_SHOWN = 20
 
@@ -141,8 +141,7 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 def _refuse(given: Mapping[str, Any], why: str, instead: str) -> None:
     """Refuse options that would have no effect."""
     for name in given:
-        message = f"--{name.replace('_', '-')} {why}; next: {instead}"
-        raise InputError(message)
+        raise InputError(f"--{name.replace('_', '-')} {why}", next=instead)
 
 
 def _plate_spec(file_format: str | None, plate: Mapping[str, Any]) -> PlateSpec | None:
@@ -152,8 +151,9 @@ def _plate_spec(file_format: str | None, plate: Mapping[str, Any]) -> PlateSpec 
         _refuse(plate, "is about build plates", "add --plate 256x256")
         return None
     if file_format not in (None, "3mf", "mjcf"):
-        message = f"--plate writes 3mf or mjcf, which hold named objects; --format {file_format} does not"
-        raise InputError(message)
+        raise InputError(
+            f"--plate writes 3mf or mjcf, which hold named objects; --format {file_format} does not"
+        )
     return PlateSpec.parse(**plate)
 
 

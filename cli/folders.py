@@ -12,25 +12,14 @@ import typer
 from cli.application import EXIT_FAILED, command
 from cli.making import PrintMade
 from cli.options import Folder, Folders, Json, Limit, Split, Workers, process_count
-from cli.output import Sink, bytes_text, counted, flat_lines
+from cli.output import Sink, bytes_text, flat_lines
 from tactile_toolkit.checked_fields import switch
 from tactile_toolkit.kind import DatasetKind, is_export
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import Manifest
-
-__all__ = [
-    "Geometry",
-    "add_card",
-    "add_info",
-    "add_verify",
-    "least_to_most",
-    "print_converted",
-    "print_made",
-    "print_skipped",
-    "print_unfinished",
-]
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,8 +159,9 @@ def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -
     from tactile_toolkit.store.origin import read_record
 
     if not place.exists() or (place.is_local and not Path(place.address()).is_dir()):
-        message = f"{place.lacks('data set')}; next: give the folder of a generated or downloaded data set"
-        raise InputError(message)
+        raise InputError(
+            f"{place.lacks('data set')}", next="give the folder of a generated or downloaded data set"
+        )
     record = read_record(place)
     entries, rows = [], []
     for split, dataset in open_splits(folder, None, kind.load, kind.nouns).items():
@@ -263,8 +253,7 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
     cure = _cure(kind, place, manifest, result.findings)
-    message = f"{counted(len(findings), 'problems')} in {folder!r}; next: {cure}"
-    raise IntegrityError(message)
+    raise IntegrityError(f"{counted(len(findings), 'problems')} in {folder!r}", next=cure)
 
 
 def _cure(kind: DatasetKind, place: DataFolder, manifest: Manifest | None, findings: Sequence[Any]) -> str:
@@ -331,8 +320,7 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
             kind.write_card(place, manifest_of(kind, place))
         findings = check_card(place)
         if findings:
-            message = f"{findings[0].file} of {folder!r}: {findings[0].problem}"
-            raise IntegrityError(message)
+            raise IntegrityError(f"{findings[0].file} of {folder!r}: {findings[0].problem}")
         pictures = [
             f"{PREVIEW_FOLDER}/{name}" for name in place.names(PREVIEW_FOLDER) if name.endswith(".png")
         ]

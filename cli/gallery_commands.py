@@ -12,14 +12,13 @@ import typer
 
 from cli.application import EXIT_INTERRUPTED, command
 from cli.options import JOB, AnySet, Chosen, DryRun, Revision, TouchSet, Workers, local_place, process_count
-from cli.output import Sink, bytes_text, counted, duration_text
+from cli.output import Sink, bytes_text, duration_text
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.gallery.items import Gallery
-
-__all__ = ["add_mesh_gallery", "add_touch_gallery"]
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,14 +11,14 @@ import typer
 
 from cli.application import command
 from cli.options import place_of_data
-from cli.output import BYTES, Sink, bytes_text, counted
+from cli.output import BYTES, Sink, bytes_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, kinds
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.exchange.download import DownloadPlan
 
-__all__ = ["FILES_SHOWN", "add_download", "confirmed", "listed", "print_sets"]
 
 _LARGE_BYTES = 1_000_000_000
 FILES_SHOWN = 8
@@ -89,8 +89,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
             refused = f"{size} would be fetched, and there is no terminal to ask on"
             is_small = plan.missing_bytes <= _LARGE_BYTES
             if not (yes or is_small or confirmed(f"fetch {size}?", refused, "add --yes, or name a --split")):
-                message = "aborted, nothing was fetched; next: name a --split to fetch less"
-                raise InputError(message)
+                raise InputError("aborted, nothing was fetched", next="name a --split to fetch less")
             with sink.progress("fetching", BYTES) as update:
                 # Where files of 0 bytes alone are missing the total is 0, and a bar of 0 is never full.
                 place = carry_out(plan, lambda done, total: update(done, max(total, 1)))
@@ -102,8 +101,7 @@ def confirmed(question: str, refused: str, next_step: str) -> bool:
     """Ask on the terminal; InputError where there is none."""
     # The question goes to stderr: stdout may be a file, or hold the JSON document.
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
-        message = f"{refused}; next: {next_step}"
-        raise InputError(message)
+        raise InputError(refused, next=next_step)
     return typer.confirm(question, err=True)
 
 
@@ -113,8 +111,9 @@ def _refuse_other_kind(name: str, kind: DatasetKind) -> None:
 
     known = kind_that_published(name)
     if known is not None and known is not kind:
-        message = f"{name!r} is a data set of `{known.command}`; next: {known.command} download {name}"
-        raise InputError(message)
+        raise InputError(
+            f"{name!r} is a data set of `{known.command}`", next=f"{known.command} download {name}"
+        )
 
 
 def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:

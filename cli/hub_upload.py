@@ -14,13 +14,13 @@ from cli.application import EXIT_FAILED, command
 from cli.folders import add_card
 from cli.hub_download import FILES_SHOWN, add_download, confirmed, listed
 from cli.options import Folder, ReaderThreads, process_count
-from cli.output import Sink, bytes_text, counted
+from cli.output import Sink, bytes_text
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.exchange.upload import PreparedUpload, UploadResult
 
-__all__ = ["add_hub_commands"]
 
 _MAIN = "main"
 

@@ -8,15 +8,15 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 from cli.options import Making, Work
-from cli.output import Sink, bytes_text, counted, duration_text
+from cli.output import Sink, bytes_text, duration_text
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.build import Progress
     from tactile_toolkit.store.forecast import Forecast
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["Made", "PrintMade", "generate_set", "make_with_progress"]
 
 PrintMade = Callable[[Sink, "Manifest", str, float | None], None]
 """Prints what a folder holds: with how long it took where it was just made, else None."""
@@ -110,11 +110,10 @@ def make_with_progress(
             if rows or skipped:
                 raise
             # What runs before this one have finished is kept all the same.
-            message = (
+            raise KeyboardInterrupt(
                 "interrupted before this run finished a shard: it leaves nothing, the same command starts "
                 "again"
-            )
-            raise KeyboardInterrupt(message) from error
+            ) from error
     made = Made(manifest, nouns, rows, skipped, time.monotonic() - start_s)
     if work.part is None:
         # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.

@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from mnist3d.validate import Checked
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["app", "main"]
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
 

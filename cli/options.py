@@ -15,32 +15,6 @@ from tactile_toolkit.wording import listed
 if TYPE_CHECKING:
     from tactile_toolkit.run.processes import Runner
 
-__all__ = [
-    "JOB",
-    "AnySet",
-    "Chosen",
-    "DryRun",
-    "Folder",
-    "Folders",
-    "Json",
-    "Limit",
-    "LocalOut",
-    "Making",
-    "OneSplit",
-    "Out",
-    "Overwrite",
-    "PerClass",
-    "Quiet",
-    "ReaderThreads",
-    "Revision",
-    "Split",
-    "TouchSet",
-    "Work",
-    "Workers",
-    "local_place",
-    "place_of_data",
-    "process_count",
-]
 
 _RUNNERS = ("processes", "ray")
 JOB = "Job options"
@@ -59,8 +33,9 @@ def local_place(text: str | Path) -> Path:
         from tactile_toolkit.store.address import shown
 
         place = shown(str(text))
-        message = f"{place!r} is a remote address; expected a local path; next: give a path of this machine"
-        raise typer.BadParameter(message)
+        raise typer.BadParameter(
+            f"{place!r} is a remote address; expected a local path; next: give a path of this machine"
+        )
     try:
         return expanded(text)
     except InputError as error:
@@ -70,8 +45,7 @@ def local_place(text: str | Path) -> Path:
 def _runner_name(text: str) -> str:
     name, equals, address = text.partition("=")
     if name not in _RUNNERS or (equals and (name != "ray" or not address)):
-        message = f"{text!r} is not a runner; expected processes, ray, or ray=HOST:PORT"
-        raise typer.BadParameter(message)
+        raise typer.BadParameter(f"{text!r} is not a runner; expected processes, ray, or ray=HOST:PORT")
     return text
 
 
@@ -219,8 +193,9 @@ class Work:
         from tactile_toolkit.run.parts import Check, Finish, part_of
 
         if self.finish and self.part is not None:
-            message = "--part and --finish were both given; expected --finish when all parts have ended"
-            raise InputError(message)
+            raise InputError(
+                "--part and --finish were both given; expected --finish when all parts have ended"
+            )
         runner: int | Runner = self.processes
         name, _, address = self.runner.partition("=")
         if self.finish:

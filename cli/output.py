@@ -11,12 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 from cli.options import Json, Quiet
 from tactile_toolkit.printable import printable, printable_json
-from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from rich.table import Table
 
-__all__ = ["BYTES", "Sink", "bytes_text", "counted", "duration_text", "flat_lines", "rate_text"]
 
 BYTES = "bytes"
 """A unit of progress: counts are sizes."""

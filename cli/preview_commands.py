@@ -16,7 +16,6 @@ from tactile_toolkit.wording import listed
 if TYPE_CHECKING:
     from tactile_toolkit.pictures.writing import PicturePlan
 
-__all__ = ["preview_digits", "preview_scenes", "preview_touches"]
 
 _FOLDER = Path("previews")
 

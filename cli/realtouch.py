@@ -9,18 +9,18 @@ import typer
 from cli.application import EXIT_FAILED, command, new_app, run
 from cli.folders import print_converted, print_unfinished
 from cli.options import Json, OneSplit, Revision, Split, TouchSet, Workers, process_count
-from cli.output import Sink, counted
+from cli.output import Sink
 from cli.preview_commands import preview_touches
 from cli.shared_commands import add_shared
 from cli.touch_conversions import add_conversions
 from cli.touch_tables import announce_fetching, print_summary, raise_findings
 from realtouch.kind import KIND
 from tactile_toolkit.checked_fields import switch
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from realtouch.integrity.verify import TouchVerification
 
-__all__ = ["app", "main"]
 
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
 

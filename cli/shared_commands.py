@@ -15,14 +15,14 @@ from cli.hub_download import print_sets
 from cli.hub_upload import add_hub_commands
 from cli.making import PrintMade
 from cli.options import AnySet, Json, Split, local_place
-from cli.output import Sink, bytes_text, counted, flat_lines
+from cli.output import Sink, bytes_text, flat_lines
 from tactile_toolkit.checked_fields import integer, real
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     pass
 
-__all__ = ["add_cache", "add_export", "add_shared", "add_show", "add_verify"]
 
 _SHOWN = 6
 """Values of a longer list that are named."""
@@ -75,8 +75,9 @@ def add_show(app: typer.Typer, kind: DatasetKind) -> None:
         chosen = splits_of(name)[0] if split is None else split
         rows = ShardedTable(tuple(find_shards(name, chosen)))
         if row >= len(rows):
-            message = f"--row is {row}; expected less than the {counted(len(rows), 'rows')} of {chosen!r}"
-            raise InputError(message)
+            raise InputError(
+                f"--row is {row}; expected less than the {counted(len(rows), 'rows')} of {chosen!r}"
+            )
         group, index = rows.locate(row)
         stored = group.table.slice(index, 1)
         values = {name: _brief(_value(stored[name][0])) for name in stored.column_names}
@@ -177,6 +178,5 @@ def add_cache(app: typer.Typer) -> None:
 
 def _action(word: str) -> str:
     if word not in ("ls", "prune"):
-        message = f"{word!r} is not one of ls, prune"
-        raise typer.BadParameter(message)
+        raise typer.BadParameter(f"{word!r} is not one of ls, prune")
     return word

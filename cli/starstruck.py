@@ -11,18 +11,18 @@ from cli.application import command, new_app, run
 from cli.folders import Geometry, least_to_most, print_made
 from cli.making import generate_set
 from cli.options import Limit, Making, Out
-from cli.output import Sink, bytes_text, counted
+from cli.output import Sink, bytes_text
 from cli.preview_commands import preview_scenes
 from cli.shared_commands import add_shared
 from starstruck_gen.kind import KIND
 from starstruck_gen.options import SceneOptions, scene_counts
 from tactile_toolkit.checked_fields import choice, integer, text
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from starstruck_gen.validate import Checked
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["app", "main"]
 
 _TRIAL_INTERVAL_S = 2.0
 

@@ -26,7 +26,6 @@ from tactile_toolkit.errors import InputError
 if TYPE_CHECKING:
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["app", "main"]
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
 
@@ -97,8 +96,9 @@ def _place_m(words: str) -> tuple[float, float] | None:
     try:
         x_mm, y_mm = map(float, words.split(","))
     except ValueError as error:
-        message = f"--at-mm is {words!r}; expected x,y in millimetres, such as 10,20, or object"
-        raise InputError(message) from error
+        raise InputError(
+            f"--at-mm is {words!r}; expected x,y in millimetres, such as 10,20, or object"
+        ) from error
     return x_mm / 1e3, y_mm / 1e3
 
 
@@ -158,8 +158,7 @@ def render(
 
     image_format = _ENDINGS.get(out.suffix.lower())
     if image_format is None:
-        message = f"--out is {out.name!r}; expected a picture that ends with {', '.join(_ENDINGS)}"
-        raise InputError(message)
+        raise InputError(f"--out is {out.name!r}; expected a picture that ends with {', '.join(_ENDINGS)}")
     seen = look(read_mesh(mesh), picture.spec(), at, math.radians(turn_deg))
     encoded = encode_image(seen.picture, image_format, picture.quality)
     DataFolder(str(out.parent.absolute())).write_bytes(out.name, encoded)

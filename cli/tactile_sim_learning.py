@@ -14,13 +14,12 @@ from cli.application import OptionsOf, command
 from cli.folders import print_made
 from cli.making import make_with_progress
 from cli.options import LocalOut, Making, Out, local_place
-from cli.output import Sink, bytes_text, counted
+from cli.output import Sink, bytes_text
 from tactile_sim.kind import KIND
 from tactile_sim.options import SENSOR_NOISE, PairsOptions
 from tactile_sim.spec import TrainConfig
 from tactile_toolkit.checked_fields import choice, integer, switch, text
-
-__all__ = ["add_learning"]
+from tactile_toolkit.wording import counted
 
 PairsFolder = Annotated[str, typer.Argument(metavar="PAIRS", help="Folder that `tactile-sim pairs` made.")]
 

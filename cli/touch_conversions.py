@@ -25,7 +25,6 @@ from tactile_toolkit.wording import is_count, listed
 if TYPE_CHECKING:
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["add_conversions"]
 
 _SKIPPED_SHOWN = 20
 
@@ -47,8 +46,7 @@ def _frame() -> Any:
 
 def _object_ids(words: str) -> list[int]:
     if not all(map(is_count, listed(words))):
-        message = f"--ids has {words!r}; expected integers, such as 12,408"
-        raise InputError(message)
+        raise InputError(f"--ids has {words!r}; expected integers, such as 12,408")
     return [int(each) for each in listed(words)]
 
 
@@ -140,8 +138,7 @@ class Select(_Conversion):
     def arguments(self) -> dict[str, Any]:
         """Return what the function takes; InputError for options that would have no effect."""
         if not self.contact and (self.min_height_mm is not None or not self.recalibrate_z):
-            message = "--min-height-mm and --as-recorded are about --contact; next: add --contact"
-            raise InputError(message)
+            raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
         found = _Conversion.arguments(self)
         height_mm = found.pop("min_height_mm")
         return {**found, "min_height_m": None if height_mm is None else height_mm / 1000}
@@ -252,8 +249,7 @@ def _add(
 def _place(sink: Sink, out: str | None, former_out: str | None = None) -> str:
     """Return the folder to write; as the second argument, where it was until now, with a warning."""
     if out is None and former_out is None:
-        message = "--out was not given; expected the folder to write; next: add --out DIR"
-        raise InputError(message)
+        raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
     if former_out is not None:
         sink.warn(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
     return str(out or former_out)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from cli.output import Sink, counted
+from cli.output import Sink
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from realtouch.integrity.verify import TouchVerification
     from realtouch.summary import Summary
-
-__all__ = ["announce_fetching", "print_summary", "raise_findings"]
 
 
 def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
@@ -41,11 +40,10 @@ def raise_findings(sink: Sink, result: TouchVerification, name: str) -> None:
         return
     for finding in result.findings:
         sink.warn(f"damaged: {finding}")
-    message = (
-        f"{counted(len(result.findings), 'problems')} in {name!r}; next: download or convert it again, or "
-        "open it with on_error='skip' to leave them out"
+    raise IntegrityError(
+        f"{counted(len(result.findings), 'problems')} in {name!r}",
+        next="download or convert it again, or open it with on_error='skip' to leave them out",
     )
-    raise IntegrityError(message)
 
 
 def print_summary(sink: Sink, split: str, summary: Summary) -> None:

@@ -17,17 +17,6 @@ from env_assets.missing import KINDS
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
-__all__ = [
-    "require_fitting_meshes",
-    "require_fitting_noise",
-    "require_fitting_rounds",
-    "require_kind",
-    "require_known_objects",
-    "require_known_settings",
-    "require_scene",
-    "require_several_answers",
-]
-
 _SLACK_M = 1e-3
 """What a scene may stand out of its cell: less than the sensor's gel gives."""
 
@@ -43,21 +32,19 @@ def require_kind(meshes: Any, name: str) -> None:
         return
     classes = ", ".join(meshes.label_names) or "without names"
     what = "other meshes" if found is None else found.nouns
-    message = (
-        f"{name!r} was expected to hold {expected.nouns}, found {what} (classes {classes}); next: give the "
-        f"data set by another name, or put {expected.nouns} in its place"
+    raise InputError(
+        f"{name!r} was expected to hold {expected.nouns}, found {what} (classes {classes})",
+        next=f"give the data set by another name, or put {expected.nouns} in its place",
     )
-    raise InputError(message)
 
 
 def require_scene(record: Any) -> None:
     """Refuse a record that is not a scene and has no placements."""
     if not hasattr(type(record), "placements"):
-        message = (
-            f"only scenes have placements, found a {type(record).__name__}; next: give a record of "
-            "`meshes('starstruck')`"
+        raise InputError(
+            f"only scenes have placements, found a {type(record).__name__}",
+            next="give a record of `meshes('starstruck')`",
         )
-        raise InputError(message)
 
 
 def require_fitting_meshes(
@@ -68,8 +55,7 @@ def require_fitting_meshes(
     Reads all meshes once. ``cell_m`` is (width, depth), metres; ``assets`` is None where any kind will do.
     """
     if not len(meshes):
-        message = f"{where} holds no mesh; next: choose another split, or generate it"
-        raise InputError(message)
+        raise InputError(f"{where} holds no mesh", next="choose another split, or generate it")
     if assets == "wrench":  # classes of a tool may be called anything
         require_kind(meshes.records, assets)
     else:
@@ -85,11 +71,10 @@ def require_fitting_meshes(
 def _require_classes(meshes: MeshView, names: tuple[str, ...], where: str) -> None:
     if meshes.label_names != names:
         found = ", ".join(meshes.label_names) or "without names"
-        message = (
-            f"{where} has classes {found}; expected {', '.join(names)}; next: give a data set with those "
-            "classes"
+        raise InputError(
+            f"{where} has classes {found}; expected {', '.join(names)}",
+            next="give a data set with those classes",
         )
-        raise InputError(message)
 
 
 def _require_labels(meshes: MeshView, where: str) -> None:
@@ -158,8 +143,9 @@ def _require_all(fits: Any, meshes: MeshView, where: str, found: Callable[[int],
     # A user knows the files of a folder by their names; the ids are ours.
     path = getattr(meshes[row], "path", None)
     named = f"mesh {meshes.ids[row]}" + (f" ({path.name!r})" if isinstance(path, Path) else "")
-    message = f"{named} of {where} {found(row)} ({len(wrong):,} of {len(meshes):,} do not fit); next: {step}"
-    raise InputError(message)
+    raise InputError(
+        f"{named} of {where} {found(row)} ({len(wrong):,} of {len(meshes):,} do not fit)", next=step
+    )
 
 
 def require_several_answers(meshes: MeshView, task: str, where: str) -> None:
@@ -170,50 +156,46 @@ def require_several_answers(meshes: MeshView, task: str, where: str) -> None:
         found = "meshes of one volume alone"
     else:
         return
-    message = f"{where} has {found}; expected at least two; next: give more meshes"
-    raise InputError(message)
+    raise InputError(f"{where} has {found}; expected at least two", next="give more meshes")
 
 
 def require_fitting_rounds(rounds: Any, step_limit: int, where: str) -> None:
     """Refuse rounds with fewer touches than an episode takes."""
     if not len(rounds):
-        message = f"{where} holds no round; next: choose another split"
-        raise InputError(message)
+        raise InputError(f"{where} holds no round", next="choose another split")
     fewest = int(np.min(rounds.touch_counts))
     # One touch at the start of an episode, and one more that must remain after the last step.
     if fewest < step_limit + 2:
-        message = (
+        raise InputError(
             f"{where} has rounds of {fewest} touches, an episode of {step_limit} steps needs "
-            f"{step_limit + 2}; next: give a smaller `step_limit` in `config`, or another data set"
+            f"{step_limit + 2}",
+            next="give a smaller `step_limit` in `config`, or another data set",
         )
-        raise InputError(message)
 
 
 def require_fitting_noise(rounds: Any, files: Sequence[str], where: str) -> None:
     """Refuse touches from which the package cannot take the noise of a ``-DR`` environment."""
     if not len(rounds) or not hasattr(rounds.record_class, "sensor_image"):
         found = "no round" if not len(rounds) else "clips"
-        message = f"{where} holds {found}; the noise of a -DR environment needs touches with one image each"
-        raise InputError(message)
+        raise InputError(
+            f"{where} holds {found}; the noise of a -DR environment needs touches with one image each"
+        )
     remote = [file for file in files if "://" in file]
     if remote:
-        message = (
-            f"{where} is read from {remote[0]!r}; the noise of a -DR environment needs files on this "
-            "machine; next: download the data set and give its folder"
+        raise InputError(
+            f"{where} is read from {remote[0]!r}; the noise of a -DR environment needs files on this machine",
+            next="download the data set and give its folder",
         )
-        raise InputError(message)
 
 
 def require_known_objects(rounds: Any, meshes: MeshView, where: str) -> None:
     """Refuse rounds of objects that are not among the meshes."""
     unknown = np.setdiff1d(rounds.column("object_id"), meshes.ids)
     if len(unknown):
-        message = (
-            f"{where} holds touches of {len(unknown)} objects without a mesh, such as object "
-            f"{unknown[0]}; next: give the meshes of the printed digits (splits printed_train and "
-            "printed_test of MNIST 3D)"
+        raise InputError(
+            f"{where} holds touches of {len(unknown)} objects without a mesh, such as object {unknown[0]}",
+            next="give the meshes of the printed digits (splits printed_train and printed_test of MNIST 3D)",
         )
-        raise InputError(message)
 
 
 def require_known_settings(config: Mapping[str, Any], known: Sequence[str]) -> None:
@@ -221,11 +203,9 @@ def require_known_settings(config: Mapping[str, Any], known: Sequence[str]) -> N
     for name in config:
         if name == "dataset" or name not in known:
             choice = ", ".join(sorted(set(known) - {"dataset"}))
-            message = f"no setting {name!r} in `config`; expected one of {choice}"
-            raise InputError(message)
+            raise InputError(f"no setting {name!r} in `config`; expected one of {choice}")
     if config.get("mesh_dataset", ...) is None:
-        message = (
+        raise InputError(
             "mesh_dataset in `config` is None; expected a `tactile_mnist.MeshDataset` of what was touched; "
             "next: leave it out, the provider's meshes are taken then"
         )
-        raise InputError(message)

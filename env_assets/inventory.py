@@ -18,8 +18,6 @@ from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.store.folder import DataFolder
 
-__all__ = ["AssetSummary", "inventory"]
-
 
 @dataclass(frozen=True, slots=True)
 class AssetSummary:
@@ -51,8 +49,9 @@ def inventory(root: Path) -> list[AssetSummary]:
     when there is no such folder.
     """
     if not root.is_dir():
-        message = f"{DataFolder(str(root)).lacks('data sets')}; next: give the folder of an AssetProvider"
-        raise InputError(message)
+        raise InputError(
+            f"{DataFolder(str(root)).lacks('data sets')}", next="give the folder of an AssetProvider"
+        )
     places = sorted(place for place in root.iterdir() if place.is_dir() and not place.name.startswith("."))
     return [summary for place in places for summary in _summaries(place)]
 

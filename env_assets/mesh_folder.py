@@ -18,8 +18,6 @@ from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.store.files import expanded, is_there
 
-__all__ = ["MeshFile", "mesh_files"]
-
 _SPLITS = ("train", "test")
 _KEPT = 64
 """As many as an ``AssetProvider`` keeps by default."""
@@ -85,11 +83,11 @@ def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
     if (root / split).is_dir():
         root = root / split
     elif others := [name for name in _SPLITS if mesh_files(root / name, split)]:
-        message = (
-            f"{str(root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}; next: put meshes "
-            f"into a sub-folder {split!r}, or give a folder without splits, such as {str(root / others[0])!r}"
+        raise InputError(
+            f"{str(root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}",
+            next=f"put meshes into a sub-folder {split!r}, or give a folder without splits, such as "
+            f"{str(root / others[0])!r}",
         )
-        raise InputError(message)
     if not root.is_dir():
         return None
     loose = _meshes_in(root)
@@ -97,12 +95,11 @@ def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
     classes = {name: _meshes_in(root / name) for name in folders if not name.startswith(".")}
     classes = {name: files for name, files in classes.items() if files}
     if loose and classes:
-        message = (
+        raise InputError(
             f"{str(root)!r} holds mesh files ({loose[0].name}) next to folders of them "
-            f"({next(iter(classes))}); next: put each file into the folder of its class, or give a folder of "
-            "files alone"
+            f"({next(iter(classes))})",
+            next="put each file into the folder of its class, or give a folder of files alone",
         )
-        raise InputError(message)
     # Without folders, two files of one name, such as nut.stl and nut.ply, would be one class by accident.
     if not classes:
         return _as_meshes(loose, [file.stem for file in loose]) if loose else None
@@ -122,11 +119,10 @@ def _as_meshes(files: list[Path], classes: list[str], *, distinct: bool = True) 
     if distinct and len(names) < len(files):
         twice = next(name for name in names if classes.count(name) > 1)
         both = ", ".join(file.name for file, name in zip(files, classes, strict=True) if name == twice)
-        message = (
-            f"{str(files[0].parent)!r} holds {both}: one class twice; next: keep one of them, or put both "
-            f"into a folder {twice!r}"
+        raise InputError(
+            f"{str(files[0].parent)!r} holds {both}: one class twice",
+            next=f"keep one of them, or put both into a folder {twice!r}",
         )
-        raise InputError(message)
     memory = MemoryCache[Path, tuple[Mesh, Any]](_KEPT)
     numbers = {name: number for number, name in enumerate(names)}
     records = [

@@ -23,20 +23,6 @@ from tactile_toolkit.mesh.records import SolidDataset, SolidRecord
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 
-__all__ = [
-    "DATASETS",
-    "DigitMeshes",
-    "MeshSet",
-    "CachedRecords",
-    "SceneMeshes",
-    "SolidDataset",
-    "SolidMeshes",
-    "WrenchDataset",
-    "WrenchMeshes",
-    "WrenchRecord",
-    "open_meshes",
-]
-
 R = TypeVar("R")
 Memory = MemoryCache[Any, Any]
 

@@ -17,8 +17,6 @@ from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.sequence import positions
 
-__all__ = ["MeshView", "PointRecord", "flat_turn", "mesh_bounds_m"]
-
 _FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
 
 
@@ -62,8 +60,9 @@ class MeshView(Sequence[Any]):
             try:
                 most = max(most, operator.index(label))
             except TypeError:
-                message = f"record {row} has label {label!r}; expected the number of its class, from 0 on"
-                raise InputError(message) from None
+                raise InputError(
+                    f"record {row} has label {label!r}; expected the number of its class, from 0 on"
+                ) from None
         names = tuple(getattr(meshes, "label_names", label_names))
         return cls(meshes, names or tuple(map(str, range(most + 1))))
 
@@ -115,8 +114,9 @@ class MeshView(Sequence[Any]):
 def mesh_bounds_m(vertices_m: NDArray[np.floating[Any]], where: str) -> NDArray[np.float64]:
     """Return lowest and highest corner of some vertices, shape (2, 3), metres; InputError without any."""
     if not len(vertices_m):
-        message = f"{where} has no vertices; next: run `validate` on the data set and generate it again"
-        raise InputError(message)
+        raise InputError(
+            f"{where} has no vertices", next="run `validate` on the data set and generate it again"
+        )
     # Column by column: numpy reduces short rows slowly.
     return np.array([[reduce(column) for column in vertices_m.T] for reduce in (np.min, np.max)], np.float64)
 
@@ -126,11 +126,10 @@ def _volume_m3(record: Any, where: str) -> float:
     # Data may be of any origin: numpy would raise an error of its own, or for -1 take the last vertex.
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices_m)):
         missing = faces[(faces < 0) | (faces >= len(vertices_m))]
-        message = (
-            f"{where} has triangles that name vertex {missing[0]}, but only "
-            f"{len(vertices_m):,} vertices; next: run `validate` on the data set and generate it again"
+        raise InputError(
+            f"{where} has triangles that name vertex {missing[0]}, but only {len(vertices_m):,} vertices",
+            next="run `validate` on the data set and generate it again",
         )
-        raise InputError(message)
     return float(Mesh(vertices_m, faces).volume_m3)
 
 

@@ -25,7 +25,6 @@ from tactile_toolkit.store.manifest import read_manifest
 if TYPE_CHECKING:
     from tactile_toolkit.making import Recipe
 
-__all__ = ["FOREIGN", "KINDS", "AssetMaker", "require_integer"]
 
 KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
 """Assets that the toolkit can make without any input, by name."""
@@ -69,8 +68,7 @@ class AssetMaker:
         """Refuse a split that a kind does not have."""
         known = self._recipe(kind).splits
         if split not in known:
-            message = f"unknown split {split!r} of {kind}; expected one of {', '.join(known)}"
-            raise InputError(message)
+            raise InputError(f"unknown split {split!r} of {kind}; expected one of {', '.join(known)}")
 
     def next_step(self, kind: str, split: str) -> str:
         """Return the next step of a message about a split that is not there: how to make it.
@@ -119,5 +117,4 @@ def require_integer(name: str, value: Any, least: int) -> None:
     except TypeError:
         fits = False
     if not fits:
-        message = f"{name} of the AssetProvider is {value!r}; expected an integer of at least {least}"
-        raise InputError(message)
+        raise InputError(f"{name} of the AssetProvider is {value!r}; expected an integer of at least {least}")

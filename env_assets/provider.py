@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
     from starstruck_gen.placement import Placement
 
-__all__ = ["AssetProvider", "repository_id"]
 
 _REPOSITORY = re.compile(r"(?:hf://datasets/)?(?P<repo>[\w.-]+/[\w.-]+)")
 
@@ -305,18 +304,17 @@ def _held_places(places: object) -> dict[str, str]:
 
     known = (*KINDS, *FOREIGN, *SHORT_NAMES)
     if not isinstance(places, Mapping):
-        message = (
+        raise InputError(
             f"places of the AssetProvider are {places!r}; expected a mapping, such as {{'mnist3d': 'digits'}}"
         )
-        raise InputError(message)
     for name in places:
         if name not in known:
             near = did_you_mean(str(name), known)
-            message = (
+            raise InputError(
                 f"places of the AssetProvider has {name!r}; expected names of {', '.join(known)}, each with "
-                f"its folder{near}; next: data sets of other names are opened as `meshes(FOLDER)`"
+                f"its folder{near}",
+                next="data sets of other names are opened as `meshes(FOLDER)`",
             )
-            raise InputError(message)
     return {name: _absolute(fspath(place)) for name, place in places.items()}
 
 

@@ -13,8 +13,6 @@ if TYPE_CHECKING:
     from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
     from tactile_toolkit.mesh.height_map import HeightMap
 
-__all__ = ["AssetSource"]
-
 
 @runtime_checkable
 class AssetSource(Protocol):

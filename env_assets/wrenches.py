@@ -5,8 +5,6 @@ from __future__ import annotations
 from env_assets.mesh_sets import WrenchMeshes
 from env_assets.provider import AssetProvider
 
-__all__ = ["load"]
-
 
 def load(name: str, split: str = "train") -> WrenchMeshes:
     """Open a folder, a Parquet file or a repository of the Hub; raises as ``AssetProvider.meshes``."""

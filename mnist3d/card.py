@@ -27,8 +27,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.reports import report_columns
 
-__all__ = ["COLUMNS", "SourceWords", "words_of", "write_card"]
-
 COLUMNS = meanings(DigitRow)
 
 # Two pixels of the published scale: a digit is some 150 pixels tall.

@@ -16,8 +16,6 @@ from tactile_toolkit.rows import column, row
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import ShardName
 
-__all__ = ["PARQUET_STYLE", "REPORT_FILE", "DigitRow", "digit_schema", "report_table"]
-
 PARQUET_STYLE = ParquetStyle(
     rows_per_group=32,
     compression="zstd",

@@ -15,8 +15,6 @@ from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
 from tactile_toolkit.read.dataset import RecordDataset
 
-__all__ = ["MeshDataset", "MeshRecord", "MeshStream", "load"]
-
 
 class MeshRecord(SolidRecord):
     """One 3D digit: ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh`` and what follows.

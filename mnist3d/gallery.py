@@ -23,8 +23,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.reports import report_columns, report_pieces
 from tactile_toolkit.wording import class_name
 
-__all__ = ["plan_gallery"]
-
 _ROWS_PER_TASK = 8
 _OVERSAMPLING = 2  # a thumbnail is drawn larger, which smooths its edges
 _MARGIN_PX = 9  # of `relief`, on both sides together

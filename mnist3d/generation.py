@@ -9,10 +9,11 @@ from typing import Any
 
 from mnist3d.columns import PARQUET_STYLE, REPORT_FILE, DigitRow, digit_schema, report_table
 from mnist3d.kind import KIND
-from mnist3d.solid import SolidSpec, solidify
+from mnist3d.solid import solidify
 from mnist3d.sources import DigitSource
 from mnist3d.sources.folder import FolderSource
-from mnist3d.splits import SPLITS, SplitSpec, plan_splits
+from mnist3d.spec import SPLITS, SolidSpec, SplitSpec
+from mnist3d.splits import plan_splits
 from tactile_toolkit import making
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import ItemError
@@ -22,15 +23,6 @@ from tactile_toolkit.store.build import Progress
 from tactile_toolkit.store.forecast import Forecast
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
-
-__all__ = [
-    "DigitMaking",
-    "GenerateSpec",
-    "digit_recipe",
-    "forecast",
-    "generate",
-    "make_row",
-]
 
 # At 52.6 kB a mesh 7 MB: what a kill loses is seconds of work.
 _LARGEST_SHARD = 128  # of sets of up to a million digits, see shard_ranges

@@ -22,10 +22,6 @@ if TYPE_CHECKING:
     Mask: TypeAlias = NDArray[np.bool_]
     Levels: TypeAlias = NDArray[np.uint8]
 
-__all__ = [
-    *("SMALL_PX", "clean", "count_bodies_and_holes", "grown", "ink_of_levels", "join_bodies"),
-    *("levels_and_threshold", "margin", "otsu_threshold", "paper_is_dark", "refuse", "repair_corners"),
-]
 
 MIN_SIDE_PX = 8
 """Smaller images cannot show a digit."""

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
 
-__all__ = ["KIND"]
-
-
 KIND = DatasetKind(
     name="mnist3d",
     command="mnist3d",

@@ -34,7 +34,6 @@ if TYPE_CHECKING:
     Singles: TypeAlias = NDArray[np.float32]
     Doubles: TypeAlias = NDArray[np.float64]
 
-__all__ = ["Lattice", "Mirrored", "erode", "lattice_of", "mirror", "signed_distance_px", "stack"]
 
 F = TypeVar("F", np.float32, np.float64)
 

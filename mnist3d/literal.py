@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from mnist3d.spec import SolidSpec
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["erode", "erosion_radii_px", "literal_solid", "mirror"]
-
 
 def literal_solid(ink: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool = True) -> Mesh:
     """Build the solid of clean ink; left as fine as its pixels with ``decimated=False``.

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from mnist3d.sources import DigitSource
     from mnist3d.spec import SolidSpec
 
-__all__ = ["CLAY", "draw_steps", "layer_map", "source_option"]
 
 CLAY = (224, 166, 72)
 """Colour of objects in oblique views."""
@@ -114,11 +113,10 @@ def source_option(described: dict[str, Any], images: Path | None, writer_info: P
     wanted = {key: value for key, value in described.items() if key != _WRITERS}
     if found != wanted:
         differs = next(key for key in {**wanted, **found} if found.get(key) != wanted.get(key))
-        message = (
+        raise InputError(
             f"--images {str(images)!r} holds other images than the data set was made from: {differs} is "
             f"{found.get(differs)!r}, expected {wanted.get(differs)!r}"
         )
-        raise InputError(message)
     return source
 
 
@@ -130,10 +128,9 @@ def _rebuilt_source(described: dict[str, Any], images: Path | None, writer_info:
         return SyntheticSource(int(described["seed"]), int(described["count"]))
     if images is None or (name == "hwdplus" and writer_info is None):
         option = "--images PATH" if images is None else "--writer-info FILE"
-        message = (
-            f"the steps need the images of source {name!r}; next: give {option}, or a picture of a digit"
+        raise InputError(
+            f"the steps need the images of source {name!r}", next=f"give {option}, or a picture of a digit"
         )
-        raise InputError(message)
     if name == "hwdplus":
         from mnist3d.sources.hwdplus import HwdPlusSource
 
@@ -151,10 +148,9 @@ def _rebuilt_source(described: dict[str, Any], images: Path | None, writer_info:
         from mnist3d.sources.folder import FolderSource
 
         return FolderSource(str(images), ink=str(described.get("ink", "auto")))
-    message = (
-        f"the data set was made from source {name!r}, which is not known; next: give a picture of a digit"
+    raise InputError(
+        f"the data set was made from source {name!r}, which is not known", next="give a picture of a digit"
     )
-    raise InputError(message)
 
 
 def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:

@@ -41,7 +41,6 @@ from tactile_toolkit.wording import class_name, counted
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-__all__ = ["DigitPreviewSpec", "draw_object", "draw_sheet", "object_facts", "plan_previews", "report_rows"]
 
 _KINDS = ("sheet", "object", "steps", "histogram", "distributions")
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -70,8 +69,9 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
         return _plan_set(name, spec)
     path = expanded(name)
     if not path.exists():
-        message = f"{name!r} does not exist; expected a data set folder, a Parquet file or a mesh file"
-        raise InputError(message)
+        raise InputError(
+            f"{name!r} does not exist; expected a data set folder, a Parquet file or a mesh file"
+        )
     ending = path.suffix.lower()
     if path.is_dir() or ending == ".parquet":
         return _plan_set(name, spec)
@@ -88,22 +88,21 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
         return _plan_file("steps", name, spec, draw)
     known = ", ".join((".parquet", *FORMATS, *_IMAGES))
     found = f"ends in {ending!r}" if ending else "has no ending"
-    message = f"{name!r} {found}; expected a folder, or a file ending in one of {known}"
-    raise InputError(message)
+    raise InputError(f"{name!r} {found}; expected a folder, or a file ending in one of {known}")
 
 
 def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixels]) -> PicturePlan:
     """Plan the one picture that a single file allows; InputError where others were asked for by name."""
     others = [each for each in chosen_kinds(spec.kinds, _KINDS, (kind,)) if each != kind]
     if others and "all" not in spec.kinds:
-        message = (
-            f"--kind {others[0]} needs a data set, and {name!r} is a single file; next: give --kind {kind}"
+        raise InputError(
+            f"--kind {others[0]} needs a data set, and {name!r} is a single file", next=f"give --kind {kind}"
         )
-        raise InputError(message)
     for option, value in (("--split", spec.split), ("--ids", spec.ids)):
         if value:
-            message = f"{option} chooses from a data set, and {name!r} is a single file; next: leave it out"
-            raise InputError(message)
+            raise InputError(
+                f"{option} chooses from a data set, and {name!r} is a single file", next="leave it out"
+            )
     return PicturePlan((PlannedPicture(f"{file_stem(name)}-{kind}.png", Path(name).name, draw),))
 
 
@@ -136,8 +135,9 @@ def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
 
 def _plan_steps(opened: MeshPreviews[MeshDataset]) -> list[PlannedPicture]:
     if "source" not in opened.made_by:
-        message = f"{opened.name!r} does not name the source of its images; next: give a picture of a digit"
-        raise InputError(message)
+        raise InputError(
+            f"{opened.name!r} does not name the source of its images", next="give a picture of a digit"
+        )
     given = opened.spec if isinstance(opened.spec, DigitPreviewSpec) else DigitPreviewSpec()
     with specification_read(opened.name):
         source = source_option(dict(opened.made_by["source"]), given.images, given.writer_info)
@@ -161,11 +161,10 @@ def _plan_distributions(opened: MeshPreviews[MeshDataset]) -> PlannedPicture:
     require_plots("the picture of distributions")
     folder = DataFolder(opened.name)
     if not folder.exists(REPORT_FILE):
-        message = (
-            f"distributions need {REPORT_FILE}, which {folder.address()!r} does not hold; next: give the "
-            "folder of a data set made by `mnist3d generate`"
+        raise InputError(
+            f"distributions need {REPORT_FILE}, which {folder.address()!r} does not hold",
+            next="give the folder of a data set made by `mnist3d generate`",
         )
-        raise InputError(message)
     with specification_read(opened.name):
         least_wall_mm = opened.made_by.get("print_profile", {}).get("min_wall_mm")
     return PlannedPicture(

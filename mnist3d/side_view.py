@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from mnist3d.spec import SolidSpec
 
-__all__ = ["depth_px", "erosion_radius_px", "half_height_px"]
 
 Floats = NDArray[np.floating[Any]]
 

@@ -33,8 +33,6 @@ if TYPE_CHECKING:
 
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["SolidSpec", "binarise", "solidify"]
-
 
 def solidify(
     pixels: NDArray[Any],
@@ -82,8 +80,7 @@ def solidify(
     """
     spec = SolidSpec() if spec is None else spec
     if method not in ("fast", "literal"):
-        message = f"method is {method!r}; expected 'fast' or 'literal'"
-        raise InputError(message)
+        raise InputError(f"method is {method!r}; expected 'fast' or 'literal'")
     image = binarise(pixels, spec, ink=ink, resample=resample)
     if method == "literal":
         return literal_solid(image, spec)
@@ -119,8 +116,7 @@ def binarise(
     Parameters and errors as of :func:`solidify`.
     """
     if ink not in ("auto", "dark", "light"):
-        message = f"ink is {ink!r}; expected 'auto', 'dark' or 'light'"
-        raise InputError(message)
+        raise InputError(f"ink is {ink!r}; expected 'auto', 'dark' or 'light'")
     # A threshold says which side of it is ink.
     said = "dark" if ink == "auto" and spec.threshold is not None else ink
     levels, threshold = levels_and_threshold(pixels, said)

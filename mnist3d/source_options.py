@@ -12,7 +12,6 @@ from tactile_toolkit.errors import InputError
 if TYPE_CHECKING:
     from mnist3d.sources import DigitSource
 
-__all__ = ["SOURCES", "SourceOptions", "chosen_source"]
 
 SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
 
@@ -49,19 +48,17 @@ def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource
     for option in given:
         if name not in _SOURCES_OF[option]:
             owners = " or ".join(_SOURCES_OF[option])
-            message = (
-                f"--{option.replace('_', '-')} does not belong to --source {name}; next: leave it out, or "
-                f"name its source (--source {owners})"
+            raise InputError(
+                f"--{option.replace('_', '-')} does not belong to --source {name}",
+                next=f"leave it out, or name its source (--source {owners})",
             )
-            raise InputError(message)
     needed = {"hwdplus": ("images", "writer_info"), "mnist": ("images",), "folder": ("images",)}
     for option in needed.get(name, ()):
         if option not in given:
-            message = (
+            raise InputError(
                 f"--source {name} needs --{option.replace('_', '-')}, which was not given; see mnist3d "
                 "generate --help"
             )
-            raise InputError(message)
     if name == "hwdplus":
         from mnist3d.sources.hwdplus import HwdPlusSource
 

@@ -9,8 +9,6 @@ from tactile_toolkit.checked_fields import check_fields, choice, integer, real, 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_count, is_whole, plain_pairs
 
-__all__ = ["EROSIONS", "PROFILES", "PUBLISHED_SIZES", "SPLITS", "SolidSpec", "SplitSpec"]
-
 PROFILES = ("round", "linear", "flat")
 EROSIONS = ("outline", "disc")
 
@@ -117,11 +115,10 @@ class SolidSpec:
             ("vertex_quantum_mm", self.vertex_quantum_mm <= coarsest_mm, f"{coarsest_mm:g} mm or less"),
         ):
             if not holds:
-                message = (
+                raise InputError(
                     f"{name} of the solid's specification is {getattr(self, name)!r}; expected {span} at "
                     "this pixel_pitch_mm"
                 )
-                raise InputError(message)
 
     @property
     def half_thickness_px(self) -> float:
@@ -157,8 +154,7 @@ class SolidSpec:
         """
         unknown = sorted(set(values) - {field.name for field in fields(cls)})
         if unknown:
-            message = f"SolidSpec has no field {', '.join(unknown)}; expected names of its attributes"
-            raise InputError(message)
+            raise InputError(f"SolidSpec has no field {', '.join(unknown)}; expected names of its attributes")
         return cls(**values)
 
 
@@ -168,8 +164,9 @@ def _sizes(words: str) -> dict[str, int]:
     for part in words.split(","):
         split, _, size = (piece.strip() for piece in part.partition("="))
         if not is_count(size) or split in sizes:
-            message = f"--split-sizes has {part!r}; expected SPLIT=N once per split, such as train=8,test=2"
-            raise InputError(message)
+            raise InputError(
+                f"--split-sizes has {part!r}; expected SPLIT=N once per split, such as train=8,test=2"
+            )
         sizes[split] = int(size)
     return sizes
 
@@ -213,22 +210,25 @@ class SplitSpec:
         if self.sizes is None:
             return
         if self.by == "none":
-            message = "split sizes are given for digits that are not divided; expected by='digit' or 'writer'"
-            raise InputError(message)
+            raise InputError(
+                "split sizes are given for digits that are not divided; expected by='digit' or 'writer'"
+            )
         object.__setattr__(self, "sizes", plain_pairs(self.sizes))
         if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in self.sizes):
-            message = f"the split sizes are {self.sizes!r}; expected pairs such as {{'train': 8, 'test': 2}}"
-            raise InputError(message)
+            raise InputError(
+                f"the split sizes are {self.sizes!r}; expected pairs such as {{'train': 8, 'test': 2}}"
+            )
         for split, size in self.sizes:
             if split not in SPLITS:
-                message = f"unknown split {split!r} in the split sizes; expected one of {', '.join(SPLITS)}"
-                raise InputError(message)
+                raise InputError(
+                    f"unknown split {split!r} in the split sizes; expected one of {', '.join(SPLITS)}"
+                )
             if not is_whole(size) or size < 0:
-                message = f"the size of split {split!r} is {size!r}; expected 0 or more digits per class"
-                raise InputError(message)
+                raise InputError(
+                    f"the size of split {split!r} is {size!r}; expected 0 or more digits per class"
+                )
         if len(dict(self.sizes)) < len(self.sizes):
-            message = f"the split sizes are {self.sizes!r}; expected each split once"
-            raise InputError(message)
+            raise InputError(f"the split sizes are {self.sizes!r}; expected each split once")
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""

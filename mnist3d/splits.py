@@ -16,8 +16,6 @@ from mnist3d.sources import NO_WRITER, DigitCatalog
 from mnist3d.spec import PUBLISHED_SIZES, SPLITS, SplitSpec
 from tactile_toolkit.errors import InputError
 
-__all__ = ["PUBLISHED_SIZES", "SPLITS", "SplitPlan", "SplitSpec", "plan_splits"]
-
 _PER_CLASS = sum(PUBLISHED_SIZES.values())
 _CLASSES = 10
 
@@ -100,11 +98,10 @@ def _sizes_of(label: int, available: int, spec: SplitSpec) -> dict[str, int]:
     sizes = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
     wanted = sum(sizes.values())
     if wanted > available:
-        message = (
-            f"the split sizes ask for {wanted} digits per class, the source has {available} of class "
-            f"{label}; next: ask for smaller sizes or use a larger source"
+        raise InputError(
+            f"the split sizes ask for {wanted} digits per class, the source has {available} of class {label}",
+            next="ask for smaller sizes or use a larger source",
         )
-        raise InputError(message)
     return sizes
 
 
@@ -132,14 +129,12 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
     shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
     writers, inverse, counts = np.unique(catalog.writers, return_inverse=True, return_counts=True)
     if NO_WRITER in writers:
-        message = (
-            "splits by writer need the writer of every digit, and the source does not know them; next: name "
-            "the writer column (--writer-column) or split by digit"
+        raise InputError(
+            "splits by writer need the writer of every digit, and the source does not know them",
+            next="name the writer column (--writer-column) or split by digit",
         )
-        raise InputError(message)
     if shares.sum() == 0:
-        message = "all split sizes are 0; expected at least one split with digits"
-        raise InputError(message)
+        raise InputError("all split sizes are 0; expected at least one split with digits")
     return _share_writers(writers, counts, shares / shares.sum(), spec.seed)[inverse]
 
 

@@ -13,8 +13,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.reports import read_report
 
-__all__ = ["SplitSummary", "summarise"]
-
 _MEASURES = ("size_z_mm", "volume_mm3", "thinnest_wall_mm")
 
 

@@ -23,10 +23,6 @@ if TYPE_CHECKING:
     Vertices: TypeAlias = NDArray[np.float32]
     Faces: TypeAlias = NDArray[np.int32]
 
-__all__ = [
-    *("BUDGET_SLACK", "Surface", "bodies_and_holes", "decimate", "isosurface", "marching_cubes"),
-    *("scale", "smooth"),
-]
 
 TAUBIN_RATIO = -1.06
 """Step outward over step inward that lets smoothing keep the volume (Taubin 1995: slightly above one)."""

@@ -18,8 +18,6 @@ from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintRep
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.address import is_remote, place_of_data
 
-__all__ = ["Checked", "CheckedItem", "validate_paths"]
-
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", VERTICES, FACES)
 
@@ -145,8 +143,7 @@ def validate_paths(
     # All names are looked at first: a typing error should not show after an hour of checking.
     missing = [path for path in paths if not is_remote(path) and not Path(place_of_data(path)).exists()]
     if missing:
-        message = f"{missing[0]!r} does not exist; expected a data set folder or a mesh file"
-        raise InputError(message)
+        raise InputError(f"{missing[0]!r} does not exist; expected a data set folder or a mesh file")
     results = []
     for path in paths:
         if is_remote(path) or Path(place_of_data(path)).is_dir():

@@ -42,8 +42,6 @@ from tactile_toolkit.touch.contact import ContactHeight, missed_text
 from tactile_toolkit.touch.jpeg import Pixels, decode_image
 from tactile_toolkit.touch.schema import Kind, is_rendered, kind_of
 
-__all__ = ["COLUMNS", "Origin", "origin_of", "write_card"]
-
 Origin = Literal["real", "synthetic", "imported"]
 """Where touches are from; manifests of conversions state it as the option ``touches``."""
 

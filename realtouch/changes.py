@@ -17,19 +17,6 @@ from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
 
-__all__ = [
-    "ContactRule",
-    "ContactScore",
-    "DifferenceForm",
-    "as_pictures",
-    "best_of",
-    "contact_rule",
-    "contact_score",
-    "difference",
-    "median_in_memory",
-    "median_of",
-]
-
 DifferenceForm = Literal["signed", "grey", "absolute"]
 _PIXELS_AT_ONCE = 1 << 13
 """Values of a picture that are compared at a time: with 90 frames of a clip, what a core keeps at hand."""
@@ -76,11 +63,11 @@ def _values_in_the_middle(passes: Iterable[Iterable[Pixels]], bits: int) -> Pixe
                 below = np.zeros((len(found), len(steps), *batch.shape[1:]), np.int32)
             elif below.shape[2:] != batch.shape[1:]:
                 (first_height, first_width), (height, width) = below.shape[2:4], batch.shape[1:3]
-                message = (
+                raise InputError(
                     f"pictures of {first_width} x {first_height} and of {width} x {height} pixels have no "
-                    "common background; expected one size; next: take one of each set"
+                    "common background; expected one size",
+                    next="take one of each set",
                 )
-                raise InputError(message)
             total += len(batch)
             counted = np.min_scalar_type(len(batch))
             for counts, value in zip(below, found, strict=True):
@@ -102,11 +89,10 @@ def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> Pixels:
     found = np.asarray(pictures)
     if found.dtype != np.uint8 or found.ndim not in dimensions or found.shape[-1] != 3:
         expected = " or ".join("(N, H, W, 3)" if each == 4 else "(H, W, 3)" for each in dimensions)
-        message = (
+        raise InputError(
             f"pictures are an array of shape {found.shape}, {found.dtype}; expected {expected}, uint8, or a "
             "clip, a round or touches"
         )
-        raise InputError(message)
     return found
 
 
@@ -133,13 +119,13 @@ def difference(pictures: Pixels, background: Pixels, form: DifferenceForm = "sig
         Arrays of other shapes or types, or another form.
     """
     if form not in DIFFERENCE_FORMS:
-        message = f"no difference {form!r}; expected one of {', '.join(DIFFERENCE_FORMS)}"
-        raise InputError(message)
+        raise InputError(f"no difference {form!r}; expected one of {', '.join(DIFFERENCE_FORMS)}")
     signed = as_pictures(pictures, (3, 4)).astype(np.int16)
     base = as_pictures(background, (3,))
     if signed.shape[-3:] != base.shape:
-        message = f"the background has the shape {base.shape}; expected {signed.shape[-3:]}, as the pictures"
-        raise InputError(message)
+        raise InputError(
+            f"the background has the shape {base.shape}; expected {signed.shape[-3:]}, as the pictures"
+        )
     signed -= base
     if form == "signed":
         return signed
@@ -214,8 +200,7 @@ def contact_rule(rule: ContactRule | None) -> ContactRule:
     """Return a rule, that of the defaults for None; InputError for anything else."""
     found: object = ContactRule() if rule is None else rule
     if not isinstance(found, ContactRule):
-        message = f"rule is {rule!r}; expected a ContactRule, or None for its defaults"
-        raise InputError(message)
+        raise InputError(f"rule is {rule!r}; expected a ContactRule, or None for its defaults")
     return found
 
 
@@ -269,8 +254,7 @@ def best_of(
     """
     rule = contact_rule(rule)
     if not len(frames):
-        message = "the clip holds no frame; expected at least one"
-        raise InputError(message)
+        raise InputError("the clip holds no frame; expected at least one")
     if base is None:
         # Only what the rule looks at is needed of it.
         rows, columns = rule.window(*frames.shape[1:3])

@@ -12,23 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch.contact import MIN_CONTACT_HEIGHT_M
-
-__all__ = [
-    "CLOCK_TOLERANCE_S",
-    "CONTACT_METHODS",
-    "DEFAULT_MIN_AREA",
-    "DEFAULT_MIN_CHANGE",
-    "MIN_CONTACT_HEIGHT_M",
-    "ContactMethod",
-    "changed_area",
-    "contact_heights_m",
-    "contact_window",
-    "contact_windows",
-    "deepest_frame",
-    "most_changed_frame",
-    "require_method",
-]
 
 ContactMethod = Literal["contact_start", "contact_end", "peak", "median", "best"]
 CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
@@ -145,5 +128,4 @@ def require_method(method: str) -> ContactMethod:
     for known in CONTACT_METHODS:
         if known == method:
             return known
-    message = f"no way {method!r} to choose a frame; expected one of {', '.join(CONTACT_METHODS)}"
-    raise InputError(message)
+    raise InputError(f"no way {method!r} to choose a frame; expected one of {', '.join(CONTACT_METHODS)}")

@@ -11,8 +11,6 @@ from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 
-__all__ = ["Damage", "damaged", "missing_column", "unreadable_file", "unreadable_rows"]
-
 _NEXT = "next: run `realtouch verify` to list everything that is wrong, then download or convert again"
 
 

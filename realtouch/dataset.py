@@ -20,8 +20,6 @@ from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.touch.schema import CLASS_NAMES, Kind
 from tactile_toolkit.wording import counted
 
-__all__ = ["TouchDataset", "TouchSeqDataset", "TouchSingleDataset", "TouchStream", "dataset_of"]
-
 R = TypeVar("R", bound=TouchRound)
 
 
@@ -216,8 +214,9 @@ class TouchStream:
             The stream leaves out what is damaged, which is known only when all of it was read.
         """
         if self.skip_damage:
-            message = "a stream that skips damage has no numbered touches; next: load it without streaming"
-            raise InputError(message)
+            raise InputError(
+                "a stream that skips damage has no numbered touches", next="load it without streaming"
+            )
         return dataset_of(self.shards, self.kind).touches()
 
     def __iter__(self) -> Iterator[TouchRound]:

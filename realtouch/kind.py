@@ -6,8 +6,6 @@ from typing import Any
 
 from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
 
-__all__ = ["KIND"]
-
 _REAL = (
     ("real-seq", "touch-real-seq-t256-320x240", "153,600 clips of touches of printed digits, 320 x 240 px"),
     (

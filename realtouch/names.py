@@ -13,8 +13,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.files import expanded
 
-__all__ = ["Name", "Place", "SHORT_NAMES", "open_shards", "place_of"]
-
 SHORT_NAMES = {
     name: entry.repo_id.partition("/")[2] for entry in KIND.published for name in (entry.name, *entry.aliases)
 }
@@ -56,10 +54,9 @@ def _file_names(names: Any) -> list[str]:
     files = list(names) if is_list else [names]
     for file in files:
         if not isinstance(file, (str, PathLike)):
-            message = (
+            raise InputError(
                 f"{file!r} ({type(file).__name__}) is not a name of a data set; expected a short name "
                 "such as 'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of "
                 "these files"
             )
-            raise InputError(message)
     return [fsdecode(file) for file in files]

@@ -11,8 +11,6 @@ from realtouch.integrity.skip import find_damage
 from realtouch.names import Name, open_shards, place_of
 from tactile_toolkit.errors import InputError
 
-__all__ = ["load"]
-
 
 @overload
 def load(
@@ -95,8 +93,7 @@ def load(
         The repository cannot be reached or does not exist.
     """
     if on_error not in ("raise", "skip"):
-        message = f"on_error is {on_error!r}; expected 'raise' or 'skip'"
-        raise InputError(message)
+        raise InputError(f"on_error is {on_error!r}; expected 'raise' or 'skip'")
     place = place_of(name)
     found = open_shards(place, split, revision=revision, streaming=streaming)
     files = TouchFiles(str(name))

@@ -11,8 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-__all__ = ["InversePose", "Pose", "angle_of"]
-
 
 class Pose(RigidTransform):
     """One rigid transform, or several: scipy's, with the attributes of the published type next to its own.

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
     from realtouch.pose import Pose
 
-__all__ = ["PoseSequences", "Poses", "bad_pose", "rigid_transform"]
 
 _SHORTEST_QUATERNION = 1e-6
 

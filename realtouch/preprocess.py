@@ -17,7 +17,6 @@ from realtouch.changes import (
     best_of,
     contact_rule,
     contact_score,
-    difference,
     median_in_memory,
     median_of,
 )
@@ -27,17 +26,6 @@ from realtouch.rounds import TouchRound, TouchSingleRound
 from realtouch.touches import Touches, with_empties
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
-
-__all__ = [
-    "ContactRule",
-    "ContactScore",
-    "Contacts",
-    "background",
-    "best_frame",
-    "contact_score",
-    "difference",
-    "find_contacts",
-]
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20
@@ -71,8 +59,9 @@ def background(pictures: Any) -> Pixels:
         return median_in_memory(first[0])
     found = median_of(lambda: _batches(pictures)) if first else None
     if found is None:
-        message = "no pictures to take a background of; expected a clip, a round or touches that hold any"
-        raise InputError(message)
+        raise InputError(
+            "no pictures to take a background of; expected a clip, a round or touches that hold any"
+        )
     return found
 
 
@@ -221,11 +210,10 @@ def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, thr
     """
     given: object = touches
     if not isinstance(given, Touches):
-        message = (
+        raise InputError(
             f"contacts were asked for of a {type(given).__name__}; expected touches, such as "
             "`realtouch.load(...).touches()`"
         )
-        raise InputError(message)
     rule, count = contact_rule(rule), len(touches)
     frame, area = np.zeros(count, np.int64), np.zeros(count, np.int64)
     intensity = np.zeros(count)

@@ -14,8 +14,6 @@ from realtouch.dataset import TouchDataset
 from realtouch.rounds import TouchRound
 from tactile_toolkit.errors import InputError
 
-__all__ = ["PaperNumber", "paper_numbers"]
-
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
 _HALF_CELL_M = 0.06
 _ROUNDS = {"train": 500, "test": 100}
@@ -86,8 +84,7 @@ def paper_numbers(splits: Mapping[str, TouchDataset[Any]]) -> list[PaperNumber]:
         key=lambda each: each.id,
     )
     if not rounds:
-        message = "the set holds no rounds; next: name one that does, such as real-single-64x64"
-        raise InputError(message)
+        raise InputError("the set holds no rounds", next="name one that does, such as real-single-64x64")
     touches = sum(each.touches for each in rounds)
     objects = {split: {each.object_id for each in rounds if each.split == split} for split in splits}
     apart = sum(map(len, objects.values())) == len(set().union(*objects.values()))

@@ -28,8 +28,6 @@ from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.rows import flat_row, take_touches
 
-__all__ = ["GroupWithoutMedia", "RowWithoutMedia", "TouchRound", "TouchSeqRound", "TouchSingleRound"]
-
 _MOST_THREADS = 4
 
 

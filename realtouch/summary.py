@@ -14,8 +14,6 @@ from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.schema import POSE_COLUMN
 
-__all__ = ["Summary", "summarise"]
-
 
 @dataclass(frozen=True, slots=True)
 class Summary:
@@ -84,8 +82,7 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
     """
     touches = dataset.touches()
     if not len(touches):
-        message = "an empty data set has no summary; next: choose other filters"
-        raise InputError(message)
+        raise InputError("an empty data set has no summary", next="choose other filters")
     counts = np.bincount(touches.round_positions, minlength=len(dataset))
     first = touches[0]
     has_poses = dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position")

@@ -221,10 +221,9 @@ def _require_frames(frames: str | None) -> str | None:
 
 def _require_target(target: Target) -> Target:
     if isinstance(target, str) and target not in TARGETS:
-        message = (
+        raise InputError(
             f"no target {target!r}; expected one of {', '.join(TARGETS)}, a function of a touch, or None"
         )
-        raise InputError(message)
     return target
 
 

@@ -21,8 +21,6 @@ from tactile_toolkit.touch.jpeg import Pixels
 if TYPE_CHECKING:
     from realtouch.pose import Pose
 
-__all__ = ["Touch", "touch_id"]
-
 
 def touch_id(round_id: str, touch_index: int) -> str:
     """Return the id of a touch."""
@@ -56,8 +54,7 @@ class Touch:
         object.__setattr__(self, "_index_in_row", touch_index if index_in_row is None else index_in_row)
 
     def __setattr__(self, name: str, value: object) -> None:
-        message = f"Touch is frozen; {name!r} cannot be set"
-        raise AttributeError(message)
+        raise AttributeError(f"Touch is frozen; {name!r} cannot be set")
 
     @property
     def id(self) -> str:

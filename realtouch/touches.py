@@ -25,14 +25,11 @@ from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, nearest, positions
-from tactile_toolkit.touch.contact import PRESS_DEPTH_M, ContactHeight
+from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.rows import flat_row
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, PLATE_COLUMN, POSE_COLUMN, Kind, is_per_touch
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, POSE_COLUMN, Kind, is_per_touch
 from tactile_toolkit.wording import counted, is_whole, plain_number, whole_number
-
-__all__ = ["Touches", "with_empties"]
-
 
 _INDEX = "touch_index"
 _POSITION = ("x_m", "y_m")
@@ -87,11 +84,10 @@ class Rounds(RecordDataset[R]):
             z_m = self._per_touch("contact z", [*columns, MEDIA_COLUMN[self.kind]], known_z_m)
         starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
         if len(z_m) != starts[-1]:
-            message = (
-                f"{len(z_m):,} poses of touches for {starts[-1]:,} touches; expected one each; next: run "
-                "`realtouch verify`, which names the rounds"
+            raise IntegrityError(
+                f"{len(z_m):,} poses of touches for {starts[-1]:,} touches; expected one each",
+                next="run `realtouch verify`, which names the rounds",
             )
-            raise IntegrityError(message)
         return z_m, starts
 
     def known_positions_m(self) -> NDArray[np.float64]:
@@ -389,8 +385,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         """
         numbers = list(map(plain_number, flattened(wanted)))
         if not is_whole(*numbers):
-            message = f"{wanted!r} was given; expected object ids as integers"
-            raise InputError(message)
+            raise InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
 
@@ -542,12 +537,10 @@ def with_empties(
     """
     wanted, number, mask = plain_number(share, float), whole_number(seed, "the seed"), np.asarray(contact)
     if not isinstance(wanted, float) or not 0 <= wanted < 1:
-        message = f"empties is {share!r}; expected 0 to below 1"
-        raise InputError(message)
+        raise InputError(f"empties is {share!r}; expected 0 to below 1")
     if mask.dtype != bool or mask.shape != (len(touches),):
         found = f"contact is {mask.dtype} of shape {mask.shape}"
-        message = f"{found}; expected bool of shape ({len(touches)},)"
-        raise InputError(message)
+        raise InputError(f"{found}; expected bool of shape ({len(touches)},)")
     (empty,) = np.nonzero(~mask)
     count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
     if not count:

@@ -25,8 +25,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.wording import counted
 
-__all__ = ["COLUMNS", "write_card"]
-
 _SCENES_SHOWN = 12
 _TILE_PX = 140
 _RULES = {

@@ -15,8 +15,6 @@ from tactile_toolkit.mesh.rows import MeshRow, mesh_schema
 from tactile_toolkit.rows import column, row
 from tactile_toolkit.store.parquet import ParquetStyle
 
-__all__ = ["PARQUET_STYLE", "SceneRow", "scene_schema"]
-
 PARQUET_STYLE = ParquetStyle(
     rows_per_group=1_000,
     compression="zstd",

@@ -18,8 +18,6 @@ from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.wording import counted
 
-__all__ = ["SceneMeshDataset", "SceneRecord", "load"]
-
 
 class SceneRecord(SolidRecord):
     """One scene; fields are loaded on first use.
@@ -66,8 +64,9 @@ class SceneRecord(SolidRecord):
 
     def _required(self, name: str) -> Any:
         if not self._row.has(name):
-            message = f"this data set stores no {name!r}; next: use one written by `starstruck generate`"
-            raise InputError(message)
+            raise InputError(
+                f"this data set stores no {name!r}", next="use one written by `starstruck generate`"
+            )
         return self._row.required(name)
 
     def __repr__(self) -> str:

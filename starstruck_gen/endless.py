@@ -23,8 +23,6 @@ from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.wording import is_whole, plain_number
 
-__all__ = ["DEFAULT_SIZE", "SceneDataset", "SceneTable"]
-
 DEFAULT_SIZE = 300_000
 """Scenes of a split on the fly, where no size is given (package tactile-mnist 0.13.0)."""
 
@@ -179,12 +177,10 @@ class SceneDataset(SceneMeshDataset):
         spec = spec or SceneSpec()
         size, seed = plain_number(size), plain_number(seed)
         if split not in SPLITS:
-            message = f"unknown split {split!r}; expected one of {', '.join(SPLITS)}"
-            raise InputError(message)
+            raise InputError(f"unknown split {split!r}; expected one of {', '.join(SPLITS)}")
         if not (is_whole(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
             found = f"size is {size!r} and seed is {seed!r}"
-            message = f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0"
-            raise InputError(message)
+            raise InputError(f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0")
         super().__init__([SceneTable(spec, split, size, seed)], label_names=spec.class_names)
 
     def int_column(self, name: str) -> NDArray[np.int64]:

@@ -21,8 +21,6 @@ from tactile_toolkit.gallery.packing import (
 )
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
-__all__ = ["plan_gallery"]
-
 _ROWS_PER_TASK = 32
 _OPAQUE_FROM = 150  # levels darker than the plate, as the fill of every object is
 _PUBLISHED_CELL_M = SceneSpec().cell_m

@@ -26,15 +26,6 @@ from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import Manifest, without_collecting
 from tactile_toolkit.wording import is_whole, plain_pairs
 
-__all__ = [
-    "GenerateSpec",
-    "PUBLISHED_SIZES",
-    "SceneMaking",
-    "forecast",
-    "generate",
-    "scene_recipe",
-]
-
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
 
@@ -79,19 +70,16 @@ class GenerateSpec:
             ("scenes", pairs, "an integer for each split, such as {'train': 3000, 'test': 300}"),
         ):
             if not holds:
-                message = (
+                raise InputError(
                     f"{name} of the data set's specification is {getattr(self, name)!r}; expected {expected}"
                 )
-                raise InputError(message)
         names = [split for split, _ in self.scenes]
         if len(set(names)) < len(names):
-            message = f"--scenes names a split twice: {', '.join(names)}; expected each once"
-            raise InputError(message)
+            raise InputError(f"--scenes names a split twice: {', '.join(names)}; expected each once")
         for split, count in self.scenes:
             scene_seed(self.seed, split, 0)
             if not 0 <= count <= MOST_SCENES:
-                message = f"--scenes of split {split!r} is {count}; expected 0 to {MOST_SCENES:,}"
-                raise InputError(message)
+                raise InputError(f"--scenes of split {split!r} is {count}; expected 0 to {MOST_SCENES:,}")
 
     def rows(self, split: str) -> int:
         """Return how many rows a split has."""

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
 
-__all__ = ["KIND"]
-
 KIND = DatasetKind(
     name="starstruck",
     command="starstruck",

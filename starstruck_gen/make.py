@@ -15,8 +15,6 @@ from starstruck_gen.spec import SceneSpec
 from starstruck_gen.streams import scene_id, scene_seed
 from tactile_toolkit.errors import IntegrityError
 
-__all__ = ["make_rows", "validate_rows"]
-
 
 def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
     """Make rows ``start`` to ``start + count - 1`` of a split; each depends on nothing but its number.

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
     from starstruck_gen.shapes import Shape
     from starstruck_gen.spec import SceneSpec
 
-__all__ = ["SceneOptions", "scene_counts"]
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 # Notches at half the radius, as published, are not notches any more between 3 tips.
@@ -28,8 +27,7 @@ def _counts(words: str) -> tuple[int, ...]:
     if is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
     if not all(map(is_count, listed(words))) or not listed(words):
-        message = f"--stars is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5"
-        raise InputError(message)
+        raise InputError(f"--stars is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
     return tuple(map(int, listed(words)))
 
 
@@ -37,8 +35,9 @@ def _least_and_most(words: str) -> tuple[int, int]:
     """Read ``0-5``, ``0,5`` or ``5``."""
     parts = [part.strip() for part in words.replace("-", ",").split(",")]
     if len(parts) > 2 or not all(map(is_count, parts)):
-        message = f"--distractors is {words!r}; expected the least and the most such as 0-5, or one number"
-        raise InputError(message)
+        raise InputError(
+            f"--distractors is {words!r}; expected the least and the most such as 0-5, or one number"
+        )
     return int(parts[0]), int(parts[-1])
 
 
@@ -49,8 +48,7 @@ def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
     except ValueError:
         lengths_m = ()
     if not 0 < len(lengths_m) <= most:
-        message = f"{option} is {words!r}; expected millimetres such as 120, or up to {most} of them"
-        raise InputError(message)
+        raise InputError(f"{option} is {words!r}; expected millimetres such as 120, or up to {most} of them")
     return lengths_m
 
 
@@ -63,11 +61,10 @@ def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
     pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
     for split, equals, count in pairs:
         if not is_count(count):
-            message = (
+            raise InputError(
                 f"--scenes has {split + equals + count!r}; expected a number, or SPLIT=N such as "
                 "train=3000,test=300"
             )
-            raise InputError(message)
     return tuple((split, int(count)) for split, _, count in pairs)
 
 

@@ -16,17 +16,6 @@ from tactile_toolkit.errors import InputError
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = [
-    "DISTRACTOR",
-    "STAR",
-    "SUPERSAMPLING",
-    "centre_px",
-    "corners_px",
-    "draw_scene",
-    "empty_plate",
-    "paint_object",
-    "reduced",
-]
 
 STAR = (214, 140, 20)
 DISTRACTOR = (92, 110, 132)
@@ -57,8 +46,7 @@ def empty_plate(cell_m: tuple[float, float], px_per_mm: float) -> Image:
     sides = np.round(np.array(cell_m) * 1e3 * px_per_mm)
     most = _MOST_PIXELS // SUPERSAMPLING**2
     if not (np.isfinite(sides).all() and sides.min() >= 1 and sides.prod() <= most):
-        message = f"a picture of {sides[0]:g} x {sides[1]:g} pixels; expected 1 to {most:,} pixels"
-        raise InputError(message)
+        raise InputError(f"a picture of {sides[0]:g} x {sides[1]:g} pixels; expected 1 to {most:,} pixels")
     width, height = sides.astype(int).tolist()
     return Image.new("RGB", (width * SUPERSAMPLING, height * SUPERSAMPLING), _PLATE)
 

@@ -17,18 +17,6 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.read.columns import RaggedColumn
 
-__all__ = [
-    "COLLISION_TESTS",
-    "Clear",
-    "Placement",
-    "Rejected",
-    "STORAGE_MARGIN_M",
-    "SceneMeshes",
-    "circles_clear",
-    "outlines_clear",
-    "build_meshes",
-]
-
 STORAGE_MARGIN_M = 1e-7
 """Kept beyond the clearance asked for: storing coordinates as float32 moves them by up to a third of it."""
 

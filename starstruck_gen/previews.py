@@ -49,7 +49,6 @@ from tactile_toolkit.wording import counted
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["draw_one", "draw_trace", "plan_previews", "traced"]
 
 REJECTED = (213, 94, 0)
 _AREA = (150, 156, 164)
@@ -74,8 +73,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     is_here = path.is_dir() or (path.is_file() and path.suffix.lower() == ".parquet")
     if not is_here and not is_remote(name):
         found = "is not a Parquet file" if path.exists() else "does not exist"
-        message = f"{name!r} {found}; expected the folder or a Parquet file of a data set of scenes"
-        raise InputError(message)
+        raise InputError(f"{name!r} {found}; expected the folder or a Parquet file of a data set of scenes")
     opened: MeshPreviews[SceneMeshDataset] = MeshPreviews(KIND, name, spec)
     with specification_read(name):
         made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else None

@@ -18,11 +18,6 @@ from starstruck_gen.streams import SceneStreams, scene_rng, scene_seed
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
-__all__ = [
-    *("LayoutFailed", "SamplingExhausted", "SceneTrace", "is_infeasible", "most_objects_that_fit"),
-    *("rejection_sampling", "require_feasible", "sample_scene", "sample_scenes", "trace_scene"),
-]
-
 T = TypeVar("T")
 
 Uniform = Callable[[], float]
@@ -184,8 +179,9 @@ def is_infeasible(reached: list[int], objects: int) -> bool:
 
 def _require_class(spec: SceneSpec, star_count: int | None) -> None:
     if star_count is not None and star_count not in spec.stars:
-        message = f"star_count is {star_count}; expected one of stars {spec.stars} of the specification"
-        raise InputError(message)
+        raise InputError(
+            f"star_count is {star_count}; expected one of stars {spec.stars} of the specification"
+        )
 
 
 def rejection_sampling(

@@ -17,7 +17,6 @@ from tactile_toolkit.wording import is_whole, plain_number
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["Scene"]
 
 _LONGEST_SHOWN = 80
 
@@ -105,8 +104,9 @@ class Scene:
         try:
             return json.dumps(self.to_dict(), indent=1, allow_nan=False)
         except ValueError as error:
-            message = f"a scene with a number that is not finite cannot be written as JSON: {self!r}"
-            raise InputError(message) from error
+            raise InputError(
+                f"a scene with a number that is not finite cannot be written as JSON: {self!r}"
+            ) from error
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Scene:
@@ -131,19 +131,18 @@ class Scene:
                 restarts=_count("restarts", values["restarts"]),
             )
         except (KeyError, TypeError) as error:
-            message = f"not a scene: field {error} is missing or wrong; expected what Scene.to_json writes"
-            raise InputError(message) from error
+            raise InputError(
+                f"not a scene: field {error} is missing or wrong; expected what Scene.to_json writes"
+            ) from error
         stars = [placement.is_star for placement in scene.placements]
         if sum(stars) != scene.star_count or not all(stars[: scene.star_count]):
-            message = (
+            raise InputError(
                 f"a scene declares star_count {scene.star_count} and places {sum(stars)}; expected as many "
                 "stars as declared, before all distractors"
             )
-            raise InputError(message)
         if len(scene.attempts) != len(scene.placements):
             found = f"{len(scene.attempts)} attempts for {len(scene.placements)} placements"
-            message = f"a scene has {found}; expected one each"
-            raise InputError(message)
+            raise InputError(f"a scene has {found}; expected one each")
         return scene
 
     @classmethod
@@ -158,8 +157,7 @@ class Scene:
         try:
             values = json.loads(text)
         except (ValueError, RecursionError) as error:
-            message = f"a scene must be JSON: {error}"
-            raise InputError(message) from error
+            raise InputError(f"a scene must be JSON: {error}") from error
         return cls.from_dict(values)
 
 
@@ -188,5 +186,4 @@ def _count(what: str, value: Any) -> int:
 def _refuse(what: str, found: object, expected: str) -> NoReturn:
     text = repr(found)
     shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
-    message = f"not a scene: {what} {shown}; expected {expected}"
-    raise InputError(message)
+    raise InputError(f"not a scene: {what} {shown}; expected {expected}")

@@ -22,12 +22,6 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number
 
-__all__ = [
-    *("KINDS", "OUTLINES", "PUBLISHED_RADIUS_M", "STAR", "add_kind", "outline", "read_only", "shape_key"),
-    *("Outline", "Proportions", "Shape"),
-    *("Box", "Crescent", "Cross", "Disc", "Hexagon", "Ring", "Star", "Triangle"),
-]
-
 Outline = tuple[NDArray[np.float64], ...]
 """Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""
 
@@ -77,10 +71,9 @@ class Proportions:
                 fine = False
             if not fine:
                 what = "an integer from " if kind is int else ""
-                message = (
+                raise InputError(
                     f"{entry.name} of shape {self.name!r} is {value!r}; expected {what}{least:g} to {most:g}"
                 )
-                raise InputError(message)
             # Whole and plain numbers have one spelling, so that equal proportions have equal JSON and keys.
             object.__setattr__(self, entry.name, kind(value))
 
@@ -109,8 +102,7 @@ class Proportions:
         unknown = [name for name in values if name not in known]
         if unknown:
             expected = f"one of {', '.join(known)}" if known else "none"
-            message = f"unknown proportion {unknown[0]!r} of shape {cls.name!r}; expected {expected}"
-            raise InputError(message)
+            raise InputError(f"unknown proportion {unknown[0]!r} of shape {cls.name!r}; expected {expected}")
         return cls(**values)
 
 
@@ -161,12 +153,11 @@ class Star(Proportions):
         # At a share of 1 a notch lies on the line between its two tips, and the star is a polygon.
         deepest = _DEEPEST_NOTCH_SHARE * math.cos(math.pi / self.points)
         if self.inner_ratio > deepest:
-            message = (
+            raise InputError(
                 f"inner_ratio of shape {STAR!r} is {self.inner_ratio!r}; expected at most {deepest:.4g} with "
-                f"{self.points} points, so that notches lie between the tips; next: lower inner_ratio "
-                "(--star-inner-mm)"
+                f"{self.points} points, so that notches lie between the tips",
+                next="lower inner_ratio (--star-inner-mm)",
             )
-            raise InputError(message)
 
     def rings(self) -> Outline:
         """Return one ring: tip, notch, tip, ..."""
@@ -392,17 +383,15 @@ class Shape:
         if self.proportions is _OF_THE_KIND:
             object.__setattr__(self, "proportions", kind())
         if type(self.proportions) is not kind:
-            message = (
+            raise InputError(
                 f"proportions of shape {self.name!r} are {self.proportions!r}; expected {kind.__name__}(...)"
             )
-            raise InputError(message)
         radius_m = plain_number(self.radius_m, float)
         if not isinstance(radius_m, float) or not _LEAST_RADIUS_M <= radius_m <= _MOST_RADIUS_M:
-            message = (
+            raise InputError(
                 f"radius_m of shape {self.name!r} is {self.radius_m!r}; expected {_LEAST_RADIUS_M} to "
                 f"{_MOST_RADIUS_M:g} (metres)"
             )
-            raise InputError(message)
         object.__setattr__(self, "radius_m", radius_m)
         object.__setattr__(self, "key", shape_key(self.proportions))
 
@@ -443,11 +432,10 @@ class Shape:
 
 def _kind(name: str) -> type[Proportions]:
     if name not in KINDS:
-        message = (
+        raise InputError(
             f"unknown shape {name!r}; expected one of {', '.join(KINDS)}, or one made known by "
             "starstruck_gen.register_shape"
         )
-        raise InputError(message)
     return KINDS[name]
 
 
@@ -455,8 +443,7 @@ def _parse_key(key: str) -> Proportions:
     """Read what :func:`shape_key` writes; people write it too, so spaces and repeated numbers are met."""
     match = _KEY.fullmatch(key.strip())
     if match is None:
-        message = f"{key!r} is not a shape; expected a name such as ring, or ring(hole_ratio=0.3)"
-        raise InputError(message)
+        raise InputError(f"{key!r} is not a shape; expected a name such as ring, or ring(hole_ratio=0.3)")
     numbers: dict[str, float] = {}
     parts = [part for part in (match["numbers"] or "").split(",") if part.strip()]
     names = [part.partition("=")[0].strip() for part in parts]
@@ -464,12 +451,12 @@ def _parse_key(key: str) -> Proportions:
         try:
             numbers[name] = float(part.partition("=")[2])
         except ValueError:
-            message = (
+            raise InputError(
                 f"{part!r} in shape {key!r} is not a proportion; expected NAME=NUMBER such as hole_ratio=0.3"
-            )
-            raise InputError(message) from None
+            ) from None
     for name in numbers:
         if names.count(name) > 1:
-            message = f"shape {key!r} gives {name!r} {names.count(name)} times; expected each number once"
-            raise InputError(message)
+            raise InputError(
+                f"shape {key!r} gives {name!r} {names.count(name)} times; expected each number once"
+            )
     return _kind(match["name"]).from_dict(numbers)

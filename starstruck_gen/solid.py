@@ -30,11 +30,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 
-__all__ = [
-    *("Prism", "Prisms", "own_kinds", "prism", "prism_solid", "prisms", "proved_prism", "register_shape"),
-    "require_fine_steps",
-]
-
 K = TypeVar("K", bound=type[Proportions])
 
 _MOST_KEPT = 1_024
@@ -106,11 +101,10 @@ def proved_prism(key: str, rings: Outline) -> Prism:
     if wrong is None and (doubled_areas <= 0).any():
         wrong = "crossing itself"
     if wrong is not None:
-        message = (
+        raise InputError(
             f"the outline of shape {key!r} bounds no area ({wrong}); expected one outer ring "
             "counter-clockwise, then holes clockwise, none touching another"
         )
-        raise InputError(message)
     return made
 
 
@@ -177,14 +171,13 @@ def require_fine_steps(
         # Rounding moves a corner by half a step along x and half a step along y.
         moved_m = math.hypot(*np.spacing(farthest_m.astype(np.float32)).tolist()) / 2
         if thinnest_m <= 2 * moved_m:
-            message = (
+            raise InputError(
                 f"cell_m of the scene specification is {cell_m!r}; expected a smaller one with shape "
                 f"{shape.key!r} of radius_m {shape.radius_m!r}: its thinnest triangle is {thinnest_m:.2g} m, "
-                f"and storing coordinates as float32 moves corners by up to {moved_m:.2g} m there; next: "
-                "lower cell_m (--cell-mm) or the corners of the shape (segments, points), or raise radius_m "
-                "(--radius-mm)"
+                f"and storing coordinates as float32 moves corners by up to {moved_m:.2g} m there",
+                next="lower cell_m (--cell-mm) or the corners of the shape (segments, points), or raise "
+                "radius_m (--radius-mm)",
             )
-            raise InputError(message)
 
 
 def register_shape(kind: K) -> K:
@@ -237,16 +230,14 @@ def register_shape(kind: K) -> K:
         return kind
     # A cell of a notebook that is run again defines its class once more; that class replaces its former.
     if former is not None and (kind.name in _TOOLKIT or former.__qualname__ != kind.__qualname__):
-        message = f"shape {kind.name!r} is taken by {former.__qualname__}; expected another name"
-        raise InputError(message)
+        raise InputError(f"shape {kind.name!r} is taken by {former.__qualname__}; expected another name")
     made = proved_prism(kind.name, read_only(kind().rings()))
     reach = float(np.linalg.norm(made.corners, axis=1).max())
     if abs(reach - 1.0) > _REACH_TOLERANCE:
-        message = (
+        raise InputError(
             f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1, "
             "the circumscribed radius"
         )
-        raise InputError(message)
     add_kind(kind)
     # What is kept by key may belong to a former kind of the same name.
     for kept in (outline, prism, prisms, prism_solid):
@@ -261,15 +252,14 @@ def own_kinds() -> tuple[type[Proportions], ...]:
 
 def _require_described(kind: Any) -> None:
     if not (isinstance(kind, type) and issubclass(kind, Proportions) and is_dataclass(kind)):
-        message = f"{kind!r} is not a kind of shape; expected a frozen dataclass derived from Proportions"
-        raise InputError(message)
+        raise InputError(
+            f"{kind!r} is not a kind of shape; expected a frozen dataclass derived from Proportions"
+        )
     if not isinstance(kind.name, str) or not re.fullmatch(r"[A-Za-z_]\w*", kind.name):
-        message = f"name of shape {kind.__qualname__} is {kind.name!r}; expected a plain word"
-        raise InputError(message)
+        raise InputError(f"name of shape {kind.__qualname__} is {kind.name!r}; expected a plain word")
     for entry in fields(kind):
         if type(entry.default) not in (int, float):
-            message = (
+            raise InputError(
                 f"field {entry.name!r} of shape {kind.name!r} has the default {entry.default!r}; expected a "
                 "number"
             )
-            raise InputError(message)

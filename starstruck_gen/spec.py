@@ -13,8 +13,6 @@ from starstruck_gen.shapes import STAR, Shape
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_whole, plain
 
-__all__ = ["COLLISION_RULES", "SceneSpec"]
-
 COLLISION_RULES = ("circles", "exact")
 """``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
 
@@ -91,8 +89,9 @@ class SceneSpec:
             except (TypeError, AttributeError):
                 fine = False
             if not fine:
-                message = f"{name} of the scene specification is {getattr(self, name)!r}; expected {expected}"
-                raise InputError(message)
+                raise InputError(
+                    f"{name} of the scene specification is {getattr(self, name)!r}; expected {expected}"
+                )
         # The solids of the shapes need libraries that nothing else here does.
         from starstruck_gen.solid import require_fine_steps
 
@@ -142,8 +141,9 @@ class SceneSpec:
         """
         unknown = sorted(set(values) - {entry.name for entry in fields(cls)})
         if unknown:
-            message = f"unknown field {unknown[0]!r} in a scene specification; see starstruck_gen.SceneSpec"
-            raise InputError(message)
+            raise InputError(
+                f"unknown field {unknown[0]!r} in a scene specification; see starstruck_gen.SceneSpec"
+            )
         try:
             plain: dict[str, Any] = {
                 name: tuple(v) if isinstance(v, list) else v for name, v in values.items()
@@ -155,8 +155,7 @@ class SceneSpec:
                 plain["distractor_shapes"] = tuple(Shape.from_dict(entry) for entry in shapes)
             return cls(**plain)
         except (TypeError, ValueError) as error:
-            message = f"a scene specification has a value of a wrong type: {error}"
-            raise InputError(message) from error
+            raise InputError(f"a scene specification has a value of a wrong type: {error}") from error
 
 
 def _pair(values: tuple[float, ...], most: float = _LARGEST_CELL_M) -> bool:

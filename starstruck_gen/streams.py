@@ -11,8 +11,6 @@ import numpy as np
 
 from tactile_toolkit.errors import InputError
 
-__all__ = ["MOST_SCENES", "SPLITS", "SceneStreams", "scene_id", "scene_rng", "scene_seed"]
-
 SPLITS = ("train", "test")
 """Splits of Starstruck (Tactile MNIST paper, section Starstruck)."""
 
@@ -60,8 +58,7 @@ def scene_id(split: str, index: int) -> int:
 def scene_rng(seed: int) -> np.random.Generator:
     """Return the generator of one scene, from its own seed (see :func:`scene_seed`); InputError below 0."""
     if seed < 0:
-        message = f"the seed of a scene is {seed}; expected an integer from 0"
-        raise InputError(message)
+        raise InputError(f"the seed of a scene is {seed}; expected an integer from 0")
     return np.random.Generator(np.random.Philox(key=seed))
 
 
@@ -98,10 +95,8 @@ class SceneStreams:
 @cache
 def _split_start(seed: int, split: str) -> int:
     if split not in SPLITS:
-        message = f"unknown split {split!r}; expected one of {', '.join(SPLITS)}"
-        raise InputError(message)
+        raise InputError(f"unknown split {split!r}; expected one of {', '.join(SPLITS)}")
     if seed < 0:
-        message = f"seed is {seed}; expected an integer from 0"
-        raise InputError(message)
+        raise InputError(f"seed is {seed}; expected an integer from 0")
     words = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split),)).generate_state(1, np.uint64)
     return int(words[0])

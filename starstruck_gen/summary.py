@@ -12,8 +12,6 @@ from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["Acceptance", "SplitSummary", "count_scenes", "summarise"]
-
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:

@@ -22,8 +22,6 @@ from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 
-__all__ = ["Checked", "Failure", "check_scene", "validate_folder"]
-
 _COLUMNS = (
     *("id", "label", VERTICES, FACES),
     *("star_count", "distractor_count", "placements", "seed", "attempts", "restarts"),

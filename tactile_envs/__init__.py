@@ -5,30 +5,9 @@ Importing the module registers them with gymnasium: ``gymnasium.make``, ``gymnas
 ``"tactile_envs:TactileMNIST-Depth-train-v0"``.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from tactile_envs.registration import register
 from tactile_toolkit.lazy_names import on_first_use
 
-if TYPE_CHECKING:
-    from tactile_envs.config import IDS, Config
-    from tactile_envs.environment import TactileEnv, TactileVectorEnv
-    from tactile_envs.making import make_one, make_vector
-
-__all__ = ["IDS", "Config", "TactileEnv", "TactileVectorEnv", "make_one", "make_vector", "register"]
-
-__version__: str
-
-__getattr__, __dir__ = on_first_use(
-    __name__,
-    {
-        "tactile_envs.config": ("IDS", "Config"),
-        "tactile_envs.environment": ("TactileEnv", "TactileVectorEnv"),
-        "tactile_envs.making": ("make_one", "make_vector"),
-        "tactile_envs.registration": ("register",),
-    },
-)
+__getattr__, __dir__, __all__ = on_first_use(__name__, __file__)
 
 register()

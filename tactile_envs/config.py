@@ -11,8 +11,6 @@ from typing import Any, Literal
 
 from tactile_toolkit.errors import InputError
 
-__all__ = ["IDS", "Config", "Frame", "Registered", "Task", "configured"]
-
 Task = Literal["classification", "volume", "pose"]
 Frame = Literal["model", "mass"]
 
@@ -79,8 +77,9 @@ class Config:
     def __post_init__(self) -> None:
         for name, choice in (("sensor_type", _SENSORS), ("timeout_behavior", ("terminate", "truncate"))):
             if getattr(self, name) not in choice:
-                message = f"{name} in `config` is {getattr(self, name)!r}; expected {' or '.join(choice)}"
-                raise InputError(message)
+                raise InputError(
+                    f"{name} in `config` is {getattr(self, name)!r}; expected {' or '.join(choice)}"
+                )
         # As the published class takes them too: lists and arrays.
         for name, kind in (("sensor_output_size", int), ("cell_size", float), ("cell_padding", float)):
             object.__setattr__(self, name, tuple(map(kind, getattr(self, name))))
@@ -104,8 +103,7 @@ class Config:
             ),
         ):
             if not is_right:
-                message = f"{name} in `config` is {getattr(self, name)!r}; expected {expected}"
-                raise InputError(message)
+                raise InputError(f"{name} in `config` is {getattr(self, name)!r}; expected {expected}")
 
     @property
     def longest_way_m(self) -> float:
@@ -130,12 +128,12 @@ def configured(config: Config, changes: Mapping[str, Any]) -> Config:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=1)
             meant = f"; did you mean {near[0]!r}?" if near else ""
-            message = (
-                f"no setting {name!r} in `config` of a native environment{meant}; next: choose one of "
+            raise InputError(
+                f"no setting {name!r} in `config` of a native environment{meant}",
+                next=f"choose one of "
                 f"{', '.join(known)}, or make the published environment with `env_assets.make`, which takes "
-                "all of its settings"
+                "all of its settings",
             )
-            raise InputError(message)
     return replace(config, **changes)
 
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from tactile_envs.kernels import PADDING, raise_object
 
-__all__ = ["Shown", "draw"]
-
 _SIDE_PX = 240
 _PANEL_PX = 96
 _PLATE, _PANEL = (0.86, 0.88, 0.92), 1.0

@@ -24,8 +24,6 @@ from tactile_envs.tasks import make_task, placements_m
 from tactile_sim.sensor import as_environment
 from tactile_toolkit.errors import InputError
 
-__all__ = ["TactileEnv", "TactileVectorEnv"]
-
 _TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of
 _NO_DRIFT = np.zeros(3)
 _PLACE = "initial_sensor_target_pose"
@@ -77,15 +75,13 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         threads: int = 1,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
-            message = (
-                f"render_mode is {render_mode!r}; expected None or 'rgb_array'; next: watch the published "
-                "environment, made with env_assets.make, in a window"
+            raise InputError(
+                f"render_mode is {render_mode!r}; expected None or 'rgb_array'",
+                next="watch the published environment, made with env_assets.make, in a window",
             )
-            raise InputError(message)
         for name, number in (("num_envs", num_envs), ("threads", threads)):
             if not isinstance(number, (int, np.integer)) or number < 1:
-                message = f"{name} is {number!r}; expected an integer from 1 on"
-                raise InputError(message)
+                raise InputError(f"{name} is {number!r}; expected an integer from 1 on")
         self.config, self.num_envs, self.render_mode = config, num_envs, render_mode
         self.metadata = {**type(self).metadata, "render_fps": 1 / config.transfer_timedelta_s}
         self._records = records
@@ -177,8 +173,9 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         """Take one touch in every environment; see gymnasium for what is returned."""
         predictions = np.asarray(action["prediction"], np.float32)
         if predictions.shape != self.prediction_space.shape:
-            message = f"predictions have shape {predictions.shape}; expected {self.prediction_space.shape}"
-            raise InputError(message)
+            raise InputError(
+                f"predictions have shape {predictions.shape}; expected {self.prediction_space.shape}"
+            )
         was_done = self._done
         observation, cost, terminated, truncated, info, targets = self._step(action["action"], predictions)
         score = self._task.score(predictions, targets)
@@ -203,11 +200,9 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             raise gym.error.ResetNeeded(_NOT_RESET)
         ways = np.ascontiguousarray(action["sensor_target_pos_rel"], np.float32)
         if ways.shape != (self.num_envs, 3):
-            message = f"sensor_target_pos_rel has shape {ways.shape}; expected {(self.num_envs, 3)}"
-            raise InputError(message)
+            raise InputError(f"sensor_target_pos_rel has shape {ways.shape}; expected {(self.num_envs, 3)}")
         if not np.isfinite(ways).all():  # infinite ways lead to NaN
-            message = "NaN values detected in sensor target position."
-            raise ValueError(message)
+            raise ValueError("NaN values detected in sensor target position.")
         targets = self._task.targets(self._chosen, self._objects)
         costs = np.zeros(self.num_envs, np.float32)
         if self._done:
@@ -306,8 +301,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
     def _given(self, options: Mapping[str, Any], name: str) -> Sequence[Any]:
         given = list(options.get(name, [None] * self.num_envs))
         if len(given) != self.num_envs:
-            message = f"option {name!r} has {len(given)} entries; expected {self.num_envs}"
-            raise InputError(message)
+            raise InputError(f"option {name!r} has {len(given)} entries; expected {self.num_envs}")
         return given
 
     def _poses(self, options: Mapping[str, Any], name: str, count: int) -> list[NDArray[np.float64] | None]:
@@ -316,8 +310,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         for given in self._given(options, name):
             numbers = None if given is None else np.asarray(given, np.float64).reshape(-1)[:count]
             if numbers is not None and not (len(numbers) == count and np.isfinite(numbers).all()):
-                message = f"option {name!r} has {given!r}; expected {count} numbers"
-                raise InputError(message)
+                raise InputError(f"option {name!r} has {given!r}; expected {count} numbers")
             found.append(numbers)
         return found
 
@@ -326,8 +319,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
 
     def _mesh_number(self, number: Any) -> int:
         if not 0 <= int(number) < len(self._pool):
-            message = f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}"
-            raise InputError(message)
+            raise InputError(f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}")
         return int(number)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:

@@ -8,8 +8,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["EpisodeLog"]
-
 
 class EpisodeLog:
     """Metrics of the steps of environments whose episodes begin and end together.

@@ -19,17 +19,6 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.nearness import compiled
 
-__all__ = [
-    "LANES",
-    "PADDING",
-    "aim",
-    "classify",
-    "raise_object",
-    "raise_pixels",
-    "spread_of_turned",
-    "touch",
-]
-
 LANES = 8
 
 _VECTOR = ir.VectorType(ir.FloatType(), LANES)

@@ -21,7 +21,6 @@ except ImportError as error:
     _FEATURE = "native environments"
     raise MissingExtraError(_FEATURE, error.name or "ap-gym", "native") from error
 
-__all__ = ["make_one", "make_vector"]
 
 PUBLISHED = "published"
 
@@ -78,14 +77,14 @@ def _records(registered: Registered, assets: str | PathLike[str] | None) -> Any:
     name, split = registered.assets, registered.split
     if assets is None:
         if name not in KINDS:
-            message = f"meshes of {name!r} are not made here; next: give `assets`, a folder of meshes"
-            raise InputError(message)
+            raise InputError(
+                f"meshes of {name!r} are not made here", next="give `assets`, a folder of meshes"
+            )
         return AssetProvider(generate=True).meshes(name, split)
     if assets == PUBLISHED:
         published = KINDS[name].published if name in KINDS else ()
         if not published:
-            message = f"no meshes of {name!r} are published; next: give `assets`, a folder of meshes"
-            raise InputError(message)
+            raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
         return AssetProvider().meshes(published[0].repo_id, split)
     place = expanded(fspath(assets))
     if not is_there(place):

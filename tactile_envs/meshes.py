@@ -24,8 +24,6 @@ from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.files import of_the_process
 
-__all__ = ["CELL_M", "FACTS", "MeshPool"]
-
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""
 
@@ -236,8 +234,7 @@ def _mapped(path: Path) -> Parts:
         size = path.stat().st_size - _CHECKSUM_BYTES
         content = np.memmap(path, np.uint8, "r") if size >= 0 else np.zeros(_CHECKSUM_BYTES + 1, np.uint8)
         if xxhash.xxh3_128_digest(content[:-_CHECKSUM_BYTES].data) != content[-_CHECKSUM_BYTES:].tobytes():
-            message = "the meshes do not match their checksum"
-            raise ValueError(message)
+            raise ValueError("the meshes do not match their checksum")
         for _ in fields(MeshPool):
             np.lib.format.read_magic(stream)
             shape, _, dtype = np.lib.format.read_array_header_1_0(stream)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-__all__ = ["register"]
-
 _MAKE_ONE = "tactile_envs.making:make_one"
 
 

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from tactile_sim.sensor import as_environment
 
-__all__ = ["Camera", "make_camera"]
-
 Size = tuple[int, int]
 
 

@@ -21,8 +21,6 @@ from tactile_envs.kernels import classify, spread_of_turned
 from tactile_envs.meshes import MeshPool
 from tactile_toolkit.errors import InputError
 
-__all__ = ["Score", "Target", "make_task", "placements_m"]
-
 Numbers = NDArray[np.float64]
 
 
@@ -65,8 +63,7 @@ class Classification:
 
     def __init__(self, pool: MeshPool, classes: int) -> None:
         if classes < 2:
-            message = "the meshes are of one class; expected at least two; next: give more meshes"
-            raise InputError(message)
+            raise InputError("the meshes are of one class; expected at least two", next="give more meshes")
         self._labels = pool.fact("label").astype(np.int64)
         self.prediction_space = ap_gym.LogitSpace(-np.inf, np.inf, shape=(classes,))
         self.target_space = gym.spaces.Discrete(classes)
@@ -120,8 +117,7 @@ class Volume(_Regression):
         volumes_m3 = pool.fact("volume_m3")
         self._mean_m3, self._std_m3 = float(volumes_m3.mean()), float(volumes_m3.std())
         if not self._std_m3:
-            message = "the meshes are of one volume; expected at least two; next: give more meshes"
-            raise InputError(message)
+            raise InputError("the meshes are of one volume; expected at least two", next="give more meshes")
         self._most_m3 = float(volumes_m3.max())
         low, high = ((bound - self._mean_m3) / self._std_m3 for bound in (volumes_m3.min(), volumes_m3.max()))
         super().__init__(gym.spaces.Box(low, high, shape=(1,)), 1.0)

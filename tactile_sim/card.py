@@ -21,8 +21,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import missed_text
 from tactile_toolkit.touch.jpeg import decode_image
 
-__all__ = ["write_card"]
-
 _COLUMNS_SHOWN = 8
 _ROUNDS_SHOWN = 4
 

@@ -12,8 +12,6 @@ from tactile_toolkit.read.columns import vectors_type
 from tactile_toolkit.rows import column, plain_schema, row
 from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
 
-__all__ = ["TouchRow", "touch_schema"]
-
 _CELL = "m, cell frame"
 _XY = vectors_type(pa.float64(), 2)
 _XYZ = vectors_type(pa.float64(), 3)

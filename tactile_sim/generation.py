@@ -42,8 +42,6 @@ from tactile_toolkit.store.shards import Skipped
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M, RENDERED_CONTACT_M
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
 
-__all__ = ["GenerateSpec", "TouchMaking", "forecast", "generate", "noisy"]
-
 # The published 64 x 64 sets are these, scaled down: the whole sensor, squashed.
 _PUBLISHED_PX = (320, 240)
 # Encoded pictures in memory, which is all that a worker holds of a shard.
@@ -56,8 +54,9 @@ _JPEG_BYTES_PER_PX = 0.25
 def require_pictures(optics: str) -> None:
     """Raise InputError where noise is asked for and optics make no pictures that a camera could take."""
     if optics == "depth":
-        message = "the optics 'depth' have no noise: it is that of a camera's pictures; next: --optics taxim"
-        raise InputError(message)
+        raise InputError(
+            "the optics 'depth' have no noise: it is that of a camera's pictures", next="--optics taxim"
+        )
 
 
 @dataclass(frozen=True)
@@ -108,8 +107,7 @@ class GenerateSpec:
         object.__setattr__(self, "layer_m", checked_layer_m(self.layer_m))
         noise: Any = self.noise
         if not (noise is None or isinstance(noise, SensorNoise)):
-            message = f"noise is {noise!r}; expected a SensorNoise, or None"
-            raise InputError(message)
+            raise InputError(f"noise is {noise!r}; expected a SensorNoise, or None")
         if self.noise is not None:
             require_pictures(self.optics)
 
@@ -162,11 +160,10 @@ class TouchMaking(making.Making):
         """Look at the source; InputError for one that cannot be touched, or a plan that names no object."""
         name = os.fspath(source)
         if Path(name).suffix.lower() in FORMATS:
-            message = (
-                f"{name!r} is a single mesh; expected a data set of solids; next: `tactile-sim render` for a "
-                "look at one mesh, or `tactile_sim.press` in Python"
+            raise InputError(
+                f"{name!r} is a single mesh; expected a data set of solids",
+                next="`tactile-sim render` for a look at one mesh, or `tactile_sim.press` in Python",
             )
-            raise InputError(message)
         make_optics(spec.optics, spec.weights)  # what is missing is reported before anything is written
         place = place_of(name)
         splits = {split: SolidSplit.find(place, split) for split in splits_of(place)}
@@ -302,10 +299,9 @@ def _require_known_objects(name: str, splits: Mapping[str, SolidSplit], spec: Ge
     unknown = np.setdiff1d(given.object_id, np.concatenate(held))
     if len(unknown):
         shown = ", ".join(map(str, unknown[:5])) + (", ..." if len(unknown) > 5 else "")
-        message = (
-            f"touches of objects {shown} are given, and {name} holds no such id; next: correct `object_id`"
+        raise InputError(
+            f"touches of objects {shown} are given, and {name} holds no such id", next="correct `object_id`"
         )
-        raise InputError(message)
 
 
 def generate(

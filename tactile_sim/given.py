@@ -18,8 +18,6 @@ from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.files import expanded
 
-__all__ = ["GivenTouches"]
-
 _PLACES = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")
 _POSES = ("object_x_m", "object_y_m", "object_turn_rad")
@@ -71,12 +69,14 @@ class GivenTouches:
         lengths = {name: len(getattr(self, name)) for name in _COLUMNS if getattr(self, name) is not None}
         if len(set(lengths.values())) != 1 or not len(self.x_m):
             held = ", ".join(f"{name} {count}" for name, count in lengths.items())
-            message = f"given touches have columns of lengths {held}; expected one length of at least 1"
-            raise InputError(message)
+            raise InputError(
+                f"given touches have columns of lengths {held}; expected one length of at least 1"
+            )
         if 0 < sum(getattr(self, name) is not None for name in _POSES) < len(_POSES):
             missing = [name for name in _POSES if getattr(self, name) is None]
-            message = f"given touches lack {', '.join(missing)}; expected all of {', '.join(_POSES)}, or none"
-            raise InputError(message)
+            raise InputError(
+                f"given touches lack {', '.join(missing)}; expected all of {', '.join(_POSES)}, or none"
+            )
 
     @classmethod
     def read(cls, path: str | Path) -> GivenTouches:
@@ -99,32 +99,27 @@ class GivenTouches:
         file = expanded(path)
         readers = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}
         if file.suffix.lower() not in readers:
-            message = f"given touches in {str(path)!r}: expected a file {', '.join(readers)}"
-            raise InputError(message)
+            raise InputError(f"given touches in {str(path)!r}: expected a file {', '.join(readers)}")
         try:
             columns = readers[file.suffix.lower()](file)
         except InputError as error:  # more than the limit
-            message = f"given touches in {str(path)!r}: {error}"
-            raise InputError(message) from error
+            raise InputError(f"given touches in {str(path)!r}: {error}") from error
         except Exception as error:  # pyarrow, zipfile and numpy raise many kinds
-            message = (
+            raise InputError(
                 f"given touches in {str(path)!r} cannot be read ({error}); expected a "
                 f"whole {file.suffix.lower()} file with columns {', '.join(_PLACES)}"
-            )
-            raise InputError(message) from error
+            ) from error
         unknown, missing = set(columns) - set(_COLUMNS), set(_PLACES) - set(columns)
         if unknown or missing:
             wrong = f"unknown columns {sorted(unknown)}" if unknown else f"no {sorted(missing)}"
-            message = (
+            raise InputError(
                 f"given touches in {str(path)!r} have {wrong}; expected x_m, y_m and of these: "
                 f"{', '.join(_COLUMNS[2:])}"
             )
-            raise InputError(message)
         try:
             return cls(**columns)
         except InputError as error:
-            message = f"{str(path)!r}: {error}"
-            raise InputError(message) from error
+            raise InputError(f"{str(path)!r}: {error}") from error
 
     @cached_property
     def rounds(self) -> int | None:
@@ -179,10 +174,9 @@ def _column(name: str, value: Any) -> NDArray[Any]:
     except (TypeError, ValueError):
         found = numbers = np.empty((0, 0))
     if numbers.ndim != 1 or found.dtype.kind not in "iuf":
-        message = (
+        raise InputError(
             f"column {name} of the given touches is {type(value).__name__}; expected a number for each touch"
         )
-        raise InputError(message)
     if whole:
         wrong = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)) & (numbers >= 0) & (numbers < 2**53))
         expected = "an integer from 0"
@@ -195,8 +189,9 @@ def _column(name: str, value: Any) -> NDArray[Any]:
         wrong, expected = ~(np.abs(numbers) <= half_m), f"metres from {-half_m:g} to {half_m:g}"
     if wrong.any():
         row = int(np.argmax(wrong))
-        message = f"column {name} of the given touches is {found[row]} in row {row}; expected {expected}"
-        raise InputError(message)
+        raise InputError(
+            f"column {name} of the given touches is {found[row]} in row {row}; expected {expected}"
+        )
     return found.astype(np.int64) if whole else numbers
 
 
@@ -206,8 +201,7 @@ def _read_csv(file: Path) -> Mapping[str, Any]:
     with file.open("rb") as stream:
         head = stream.read(_LONGEST_HEADER)
         if len(head) == _LONGEST_HEADER and not _LINE_ENDS.intersection(head):
-            message = f"its first line has more than {_LONGEST_HEADER:,} bytes"
-            raise ValueError(message)
+            raise ValueError(f"its first line has more than {_LONGEST_HEADER:,} bytes")
         stream.seek(0)
         pieces = iter(lambda: stream.read(_PIECE_BYTES), b"")
         lines = sum(max(map(piece.count, (b"\n", b"\r"))) for piece in pieces)
@@ -223,14 +217,12 @@ def _read_parquet(file: Path) -> Mapping[str, Any]:
         groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
         columns = [metadata.schema.column(number) for number in range(metadata.num_columns)]
         if len({column.path for column in columns}) < len(columns):
-            message = f"{len(columns):,} columns, some of one name; expected each once"
-            raise ValueError(message)
+            raise ValueError(f"{len(columns):,} columns, some of one name; expected each once")
         for column in columns:
             if column.path not in _COLUMNS:
                 return {each.path: None for each in columns}  # which is refused, unread
             if "BYTE_ARRAY" in column.physical_type:
-                message = f"column {column.path} holds {column.physical_type}; expected numbers"
-                raise ValueError(message)
+                raise ValueError(f"column {column.path} holds {column.physical_type}; expected numbers")
         counts = [group.column(number).num_values for group in groups for number in range(group.num_columns)]
         _require_rows(max(metadata.num_rows, sum(counts) // max(len(columns), 1)), file)
         return _numbers(source.read())

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.nearness import compiled
 
-__all__ = ["blur", "rasterise", "render_taxim", "to_depth"]
-
 _EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
 
 

@@ -6,8 +6,6 @@ from typing import Any
 
 from tactile_toolkit.kind import DatasetKind, lazy
 
-__all__ = ["KIND"]
-
 
 def _loader(manifest: Any) -> str:
     # A training set has one picture a row, which `datasets` opens.

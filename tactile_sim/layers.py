@@ -21,8 +21,6 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number
 
-__all__ = ["checked_layer_m", "seen_layers"]
-
 Numbers = NDArray[np.float64]
 
 # Printers lay 0.05 to 0.6 mm; a wrong unit is off by a thousand.
@@ -37,10 +35,9 @@ def checked_layer_m(layer_m: Any) -> float:
     found = plain_number(layer_m, float)
     if isinstance(found, float) and (found == 0 or _LEAST_M <= found <= _MOST_M):
         return found
-    message = (
+    raise InputError(
         f"layers are {layer_m!r} m high; expected {_LEAST_M} to {_MOST_M} m, such as 0.0002, or 0 for none"
     )
-    raise InputError(message)
 
 
 def seen_layers(affine: Numbers, layer_m: float, foot_m: float, top_m: float) -> Numbers:

@@ -15,8 +15,6 @@ from tactile_sim.pressing import Pressable, press
 from tactile_toolkit.mesh.mesh import MeshLike
 from tactile_toolkit.touch.contact import RENDERED_CONTACT_M
 
-__all__ = ["Look", "look"]
-
 # On a surface as large as the cell they are two millimetres apart.
 _POINTS = 4096
 

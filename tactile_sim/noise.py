@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 
-__all__ = ["SensorNoise", "add_noise", "draw_noise"]
-
 Numbers = NDArray[np.float64]
 
 
@@ -79,12 +77,14 @@ class SensorNoise:
         try:
             found = json.loads(Path(path).read_text(encoding="utf-8"))
         except (OSError, ValueError, RecursionError) as error:
-            message = f"the noise cannot be read from {str(path)!r} ({error}); expected a JSON file"
-            raise InputError(message) from error
+            raise InputError(
+                f"the noise cannot be read from {str(path)!r} ({error}); expected a JSON file"
+            ) from error
         if not (isinstance(found, dict) and sorted(found) == sorted(names)):
             held = ", ".join(map(repr, found)) if isinstance(found, dict) else type(found).__name__
-            message = f"the noise in {str(path)!r} holds {held}; expected an object with {', '.join(names)}"
-            raise InputError(message)
+            raise InputError(
+                f"the noise in {str(path)!r} holds {held}; expected an object with {', '.join(names)}"
+            )
         return cls(**found)
 
     @classmethod

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from tactile_sim.generation import GenerateSpec
     from tactile_sim.pairs.making import PairsSpec
 
-__all__ = ["SENSOR_NOISE", "PairsOptions", "PictureOptions"]
 
 SENSOR_NOISE = "none|calibrated|FILE"
 """What an option of the noise of a sensor takes."""
@@ -68,8 +67,7 @@ class PictureOptions:
         from tactile_sim.noise import SensorNoise
 
         if self.layer_mm is not None and self.surface != "printed":
-            message = "--layer-mm is about printed solids; next: add --surface printed"
-            raise InputError(message)
+            raise InputError("--layer-mm is about printed solids", next="add --surface printed")
         if self.sensor_noise != "none":
             require_pictures(self.optics)  # before a package is asked for that would not help
         return GenerateSpec(

@@ -15,15 +15,6 @@ from tactile_sim.sensor import CELL_M
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit.arithmetic import cosine_sine
 
-__all__ = [
-    "REACH_M",
-    "RoundPlan",
-    "generator",
-    "key_of",
-    "on_object",
-    "plan_round",
-]
-
 REACH_M = (0.0385, 0.0405)
 """How far from the middle of the cell the gel is sent, x and y, metres: half the cell less ``CELL_PADDING``
 of `tactile-mnist` 0.13.0."""

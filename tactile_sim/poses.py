@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
 
-__all__ = ["as_matrices", "inverse_times", "pose", "product", "turn_quaternion"]
-
 Matrix = NDArray[np.float64]
 
 _SLACK = 1e-6
@@ -46,8 +44,7 @@ def pose(x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, *, turn_rad: floa
     """
     for name, value in (("x_m", x_m), ("y_m", y_m), ("z_m", z_m), ("turn_rad", turn_rad)):
         if not (isinstance(value, (int, float, np.floating, np.integer)) and math.isfinite(value)):
-            message = f"{name} of a pose is {value!r}; expected a finite number"
-            raise InputError(message)
+            raise InputError(f"{name} of a pose is {value!r}; expected a finite number")
     cosine, sine = cosine_sine(float(turn_rad))
     rows = [[cosine, -sine, 0.0, x_m], [sine, cosine, 0.0, y_m], [0.0, 0.0, 1.0, z_m], [0.0, 0.0, 0.0, 1.0]]
     return np.array(rows, np.float64)
@@ -72,17 +69,18 @@ def as_matrices(value: Any, name: str) -> Matrix:
         matrices = np.empty(0)
     if matrices.ndim not in (2, 3) or matrices.shape[-2:] != (4, 4) or not len(matrices):
         shape = np.shape(found) if isinstance(found, (np.ndarray, list, tuple)) else type(value).__name__
-        message = f"{name} is {shape}; expected a pose: a matrix of shape (4, 4), or several, (n, 4, 4)"
-        raise InputError(message)
+        raise InputError(
+            f"{name} is {shape}; expected a pose: a matrix of shape (4, 4), or several, (n, 4, 4)"
+        )
     if not np.isfinite(matrices).all():
-        message = f"{name} holds NaN or infinite numbers; expected a pose of finite numbers"
-        raise InputError(message)
+        raise InputError(f"{name} holds NaN or infinite numbers; expected a pose of finite numbers")
     turn = matrices[..., :3, :3]
     square = (turn[..., :, None, :] * turn[..., None, :, :]).sum(axis=-1)
     rigid = np.abs(square - np.eye(3)).max() <= _SLACK and (np.linalg.det(turn) > 0).all()
     if not rigid or np.abs(matrices[..., 3, :] - [0, 0, 0, 1]).max() > _SLACK:
-        message = f"{name} is not a rigid pose; expected a rotation and a translation, no mirror and no scale"
-        raise InputError(message)
+        raise InputError(
+            f"{name} is not a rigid pose; expected a rotation and a translation, no mirror and no scale"
+        )
     return matrices
 
 

@@ -18,8 +18,6 @@ from tactile_toolkit.mesh.files import merge_equal_vertices
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike, as_mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 
-__all__ = ["Pressable", "Pressed", "depth_image", "press"]
-
 _HARMLESS = (None, "overlap")  # bodies that run into one another are felt as one
 
 _PLATE_FACES = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -141,11 +139,11 @@ def _require_closed(mesh: Mesh) -> None:
         mend = "repair it, `mnist3d validate FILE` names the problem"
         if verdict.problem == "no-volume":
             mend = "look at its unit: metres in Python, millimetres in files but GLB; or repair it"
-        message = (
+        raise InputError(
             f"the mesh bounds no solid ({verdict.problem}: {verdict.detail}); a gel can be pressed onto "
-            f"closed meshes only; next: {mend}"
+            f"closed meshes only",
+            next=mend,
         )
-        raise InputError(message)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -218,8 +216,7 @@ def press(
     count = max(len(solids), len(objects), len(targets))
     for name, given in (("solids", solids), ("object poses", objects), ("sensor poses", targets)):
         if len(given) not in (1, count):
-            message = f"{len(given)} {name} for {count} touches; expected 1 or {count}"
-            raise InputError(message)
+            raise InputError(f"{len(given)} {name} for {count} touches; expected 1 or {count}")
     prepared = [Pressable.of(each) for each in solids]
     _require_above_cell(targets, cell_m)
     width, height = sensor.size_px
@@ -265,12 +262,11 @@ def _require_above_cell(targets: NDArray[np.float64], cell_m: tuple[float, float
     touch = int(np.argmax(off))
     x_mm, y_mm = 1e3 * targets[touch, :2, 3]
     tilt = math.degrees(math.acos(float(np.clip(targets[touch, 2, 2], -1, 1))))
-    message = (
+    raise InputError(
         f"sensor_pose {touch} is at x {x_mm:.1f} mm, y {y_mm:.1f} mm, its axis {tilt:.0f} degrees from the "
         f"vertical; expected a place above the cell of {1e3 * cell_m[0]:.0f} x {1e3 * cell_m[1]:.0f} mm and "
         "a sensor that looks down (its z axis points up)"
     )
-    raise InputError(message)
 
 
 def _to_pixels(seen: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:

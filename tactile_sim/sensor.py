@@ -11,8 +11,6 @@ from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 from tactile_toolkit.wording import is_whole, plain
 
-__all__ = ["CELL_M", "MESA_SAMPLE_PX", "PRESETS", "Sensor", "as_environment", "as_sensor"]
-
 CELL_M = (0.12, 0.12)
 """Width and depth of the plate that objects lie on, metres (`tactile-mnist` 0.13.0, ``CELL_SIZE``)."""
 
@@ -56,18 +54,19 @@ class Sensor:
     def __post_init__(self) -> None:
         size = plain(self.size_px)
         if not (isinstance(size, tuple) and len(size) == 2 and is_whole(*size) and min(size) >= 1):
-            message = f"size of the image is {self.size_px!r}; expected width and height in whole pixels"
-            raise InputError(message)
+            raise InputError(
+                f"size of the image is {self.size_px!r}; expected width and height in whole pixels"
+            )
         if size[0] * size[1] > MAX_IMAGE_PIXELS:
-            message = (
+            raise InputError(
                 f"size of the image is {size[0]} x {size[1]}; expected at most {MAX_IMAGE_PIXELS:,} pixels"
             )
-            raise InputError(message)
         object.__setattr__(self, "size_px", size)
         check_fields(self, "the sensor")
         if not self.press_m < self.gel_m:
-            message = f"press_m of the sensor is {self.press_m!r}; expected less than gel_m, {self.gel_m!r}"
-            raise InputError(message)
+            raise InputError(
+                f"press_m of the sensor is {self.press_m!r}; expected less than gel_m, {self.gel_m!r}"
+            )
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""

@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from tactile_toolkit.pictures.lettering import PAPER, draw_text
 from tactile_toolkit.pictures.writing import png_bytes
 
-__all__ = ["TILE_PX", "sheet_png", "tile"]
-
 TILE_PX = 96
 """Width of pictures in sheets, about."""
 

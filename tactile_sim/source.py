@@ -10,8 +10,6 @@ from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.touch.schema import class_names
 
-__all__ = ["SolidSplit"]
-
 
 @dataclass(frozen=True)
 class SolidSplit:

@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from tactile_sim.given import GivenTouches
     from tactile_sim.noise import SensorNoise
 
-__all__ = ["PLACES", "TURNS", "TouchPlan", "TrainConfig"]
 
 PLACES = ("cell", "grid", "object", "given")
 
@@ -43,8 +42,7 @@ def _is_table(given: Any) -> bool:
 
 def _turn_rad(word: str) -> float:
     if word not in TURNS:
-        message = f"--turn is {word!r}; expected one of {', '.join(TURNS)}"
-        raise InputError(message)
+        raise InputError(f"--turn is {word!r}; expected one of {', '.join(TURNS)}")
     return TURNS[word]
 
 
@@ -115,11 +113,11 @@ class TouchPlan:
         given = self.given
         if (self.place == "given") != _is_table(given):
             held = "none" if given is None else type(given).__name__
-            message = (
+            raise InputError(
                 f"the plan of touches has place {self.place!r}, and its given touches are {held}; expected "
-                "place 'given' and a GivenTouches, or neither; next: --place given --touches-from FILE"
+                "place 'given' and a GivenTouches, or neither",
+                next="--place given --touches-from FILE",
             )
-            raise InputError(message)
         if given is not None:
             object.__setattr__(self, "touches", given.longest)
             object.__setattr__(self, "rounds", self.rounds if given.rounds is None else given.rounds)
@@ -223,8 +221,7 @@ class TrainConfig:
             noise = SensorNoise(**noise) if isinstance(noise, dict) else noise  # as it was written
             object.__setattr__(self, "sensor_noise", noise)
         if not (noise is None or isinstance(noise, SensorNoise)):
-            message = f"sensor_noise of the training is {noise!r}; expected a SensorNoise, or None"
-            raise InputError(message)
+            raise InputError(f"sensor_noise of the training is {noise!r}; expected a SensorNoise, or None")
         check_fields(self, "the training")
 
     @classmethod
@@ -239,13 +236,15 @@ class TrainConfig:
         try:
             held = {} if path is None else tomllib.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            message = f"--config {str(path)!r} cannot be read ({error}); expected a TOML file"
-            raise InputError(message) from error
+            raise InputError(
+                f"--config {str(path)!r} cannot be read ({error}); expected a TOML file"
+            ) from error
         known = [each.name for each in fields(cls)]
         unknown = [name for name in held if name not in known]
         if unknown:
-            message = f"--config {str(path)!r} has {unknown[0]!r}; expected some of {', '.join(known)}"
-            raise InputError(message)
+            raise InputError(
+                f"--config {str(path)!r} has {unknown[0]!r}; expected some of {', '.join(known)}"
+            )
         if isinstance(held.get("sensor_noise"), str):
             held["sensor_noise"] = _noise(held["sensor_noise"])
         return cls(**(held | dict(given)))
@@ -254,12 +253,11 @@ class TrainConfig:
         """Return width and height of the crops, multiples of 4; InputError where they are too small."""
         width, height = (int(self.crop * side) // 4 * 4 for side in size_px)
         if min(width, height) < _LEAST_CROP_PX:
-            message = (
+            raise InputError(
                 f"crops of {width} x {height} pixels (crop {self.crop:g} of {size_px[0]} x {size_px[1]}) are "
-                f"too small for the discriminators; expected at least {_LEAST_CROP_PX}; next: larger "
-                "pictures, or a larger crop"
+                f"too small for the discriminators; expected at least {_LEAST_CROP_PX}",
+                next="larger pictures, or a larger crop",
             )
-            raise InputError(message)
         return width, height
 
     def rate(self, step: int) -> float:

@@ -15,5 +15,4 @@ def __getattr__(name: str) -> Any:
         from tactile_toolkit.versions import toolkit_version
 
         return toolkit_version()
-    message = f"module 'tactile_toolkit' has no attribute {name!r}"
-    raise AttributeError(message)
+    raise AttributeError(f"module 'tactile_toolkit' has no attribute {name!r}")

@@ -14,7 +14,6 @@ import numpy as np
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["cosine_sine", "decay", "moved", "inverse_affine"]
 
 _QUARTER_TURN = math.pi / 2
 # pi / 2 in two parts: multiples of the first are exact, so that nothing of a turned angle is lost.

@@ -7,8 +7,6 @@ import zipfile
 
 from tactile_toolkit.errors import InputError
 
-__all__ = ["CACHE_LIMIT_VARIABLE", "cache_limit_bytes", "require_plain_archive", "require_unpackable"]
-
 UNPACKED_VARIABLE = "TACTILE_TOOLKIT_UNPACKED_MIB"
 """Environment variable that raises the limit, in MiB."""
 
@@ -31,8 +29,7 @@ def _limit_bytes(variable: str, usual_mib: int) -> int:
     named = os.environ.get(variable) or str(usual_mib)
     # Eleven digits of MiB are less than 2^63 bytes, which Arrow and file systems count in.
     if not (named.isascii() and named.isdigit() and len(named) < 12):
-        message = f"{variable} is {named[:40]!r}; expected an integer of MiB, such as {usual_mib}"
-        raise InputError(message)
+        raise InputError(f"{variable} is {named[:40]!r}; expected an integer of MiB, such as {usual_mib}")
     return int(named) << 20
 
 
@@ -44,16 +41,16 @@ def require_unpackable(size_bytes: int, what: str, file_bytes: int = 0) -> None:
     limit = max(_limit_bytes(UNPACKED_VARIABLE, _UNPACKED_MIB), _USUAL_EXPANSION * file_bytes)
     if size_bytes > limit:
         needed_mib = -(-size_bytes // (1 << 20))
-        message = (
+        raise InputError(
             f"{what} unpacks to {size_bytes:,} bytes; expected at most {limit:,}; nothing was unpacked; "
             f"next: where it is meant to be that large, set {UNPACKED_VARIABLE}={needed_mib}"
         )
-        raise InputError(message)
 
 
 def require_plain_archive(archive: zipfile.ZipFile) -> None:
     """Raise ValueError unless all files are stored or deflated: others unpack to any amount at once."""
     for entry in archive.infolist():
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            message = f"{entry.filename[:80]!r} is packed by method {entry.compress_type}; expected Deflate"
-            raise ValueError(message)
+            raise ValueError(
+                f"{entry.filename[:80]!r} is packed by method {entry.compress_type}; expected Deflate"
+            )

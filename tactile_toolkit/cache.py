@@ -29,16 +29,6 @@ from tactile_toolkit.store.files import (
     remove_abandoned,
 )
 
-__all__ = [
-    "CACHE_VARIABLE",
-    "LOCKS",
-    "DiskCache",
-    "MemoryCache",
-    "cache_folder",
-    "cached_files",
-    "prune_cache",
-]
-
 LOCKS = "locks"
 """Folder of the cache whose files processes hold while they write others."""
 

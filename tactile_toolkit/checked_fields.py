@@ -15,20 +15,6 @@ from typing import Any, TypedDict, Unpack
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_whole, plain
 
-__all__ = [
-    "OptionText",
-    "Rule",
-    "check_fields",
-    "check_value",
-    "choice",
-    "integer",
-    "metavar_of",
-    "real",
-    "rule_of",
-    "switch",
-    "text",
-]
-
 _RULE = "rule"
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
 
@@ -148,8 +134,7 @@ def check_value(rule: Rule, value: Any, name: str) -> Any:
     """Return the one spelling of a value; InputError, which begins with ``name``, where it does not fit."""
     spelled = plain(value, rule.kind)
     if not rule.fits(spelled):
-        message = f"{name} is {value!r}; expected {rule.expected}"
-        raise InputError(message)
+        raise InputError(f"{name} is {value!r}; expected {rule.expected}")
     return spelled
 
 

@@ -39,14 +39,24 @@ __all__ = [
 
 
 class ToolkitError(Exception):
-    """Root of all errors that the toolkit raises on purpose; what they quote of data is shown, not obeyed."""
+    """Root of all errors that the toolkit raises on purpose; what they quote of data is shown, not obeyed.
+
+    Parameters
+    ----------
+    what : str
+        What was found where, and what was expected.
+    next : str
+        What the reader can do about it.
+    """
 
     exit_code = 1
-    message: str | None = None
-    """What is said, where the arguments are not that: an error crosses process borders by its arguments."""
+
+    def __init__(self, what: object = "", next: str = "") -> None:
+        self.message = f"{what}; next: {next}" if next else str(what)
+        super().__init__(self.message)
 
     def __str__(self) -> str:
-        return printable(super().__str__() if self.message is None else self.message)
+        return printable(self.message)
 
 
 class InputError(ToolkitError):
@@ -73,9 +83,10 @@ class MissingExtraError(InputError):
     """
 
     def __init__(self, feature: str, package: str, extra: str) -> None:
-        super().__init__(feature, package, extra)
-        missing = f"{feature} needs the package {package!r}, which is not installed"
-        self.message = f"{missing}; next: {install_line(extra)}"
+        super().__init__(
+            f"{feature} needs the package {package!r}, which is not installed", next=install_line(extra)
+        )
+        self.args = (feature, package, extra)  # by which it crosses process borders
 
 
 @contextmanager
@@ -118,12 +129,10 @@ class ItemError(InputError):
         The whole story: what, where, found, expected.
     """
 
-    message: str
-
     def __init__(self, reason: str, message: str) -> None:
-        super().__init__(reason, message)
+        super().__init__(message)
         self.reason = reason
-        self.message = message
+        self.args = (reason, message)
 
 
 class IntegrityError(ToolkitError):
@@ -135,7 +144,7 @@ class IntegrityError(ToolkitError):
     def in_file(cls, path: str, found: str) -> IntegrityError:
         """Return the error for a file of a data set; ``found`` continues right behind the path, in quotes."""
         again = "run `verify` on the data set, then generate, convert or download it again"
-        return cls(f"{path!r}{found}; next: {again}")
+        return cls(f"{path!r}{found}", next=again)
 
 
 class RemoteError(ToolkitError):

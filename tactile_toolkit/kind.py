@@ -15,16 +15,6 @@ from typing import Any
 
 from tactile_toolkit.errors import InputError
 
-__all__ = [
-    "EXPORT",
-    "DatasetKind",
-    "PublishedSet",
-    "is_export",
-    "kinds",
-    "lazy",
-    "tactile_mnist_set",
-]
-
 EXPORT = "export"
 """The operation, in a manifest, that made a copy of a data set for other libraries."""
 
@@ -164,11 +154,10 @@ class DatasetKind:
         """Raise InputError where a manifest names another kind; data without one may be of any."""
         if manifest is None or manifest.kind == self.name:
             return
-        message = (
-            f"{where!r} holds a data set of kind {manifest.kind!r}; expected one of {self.name!r}; next: "
-            "use the command of that kind"
+        raise InputError(
+            f"{where!r} holds a data set of kind {manifest.kind!r}; expected one of {self.name!r}",
+            next="use the command of that kind",
         )
-        raise InputError(message)
 
     def schema_of(self, manifest: Any) -> Any:
         """Return the Arrow schema of every shard of a data set; None where it follows from a source."""

@@ -22,8 +22,6 @@ from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_sp
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
 from tactile_toolkit.wording import counted
 
-__all__ = ["Layout", "Making", "Recipe", "Task", "forecast", "generate", "plan_build"]
-
 _SHARDS_TRIED = 8
 """Shards in which a forecast looks for an item that gives a row."""
 
@@ -145,11 +143,10 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
     )
     if not tasks:
         sizes = {split: len(each) for split, each in items.items()}
-        message = (
-            f"no {making.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}; next: choose "
-            "another --split, or larger ones"
+        raise InputError(
+            f"no {making.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
+            next="choose another --split, or larger ones",
         )
-        raise InputError(message)
     return BuildPlan(
         making.kind.name,
         making.manifest(),
@@ -240,11 +237,11 @@ def forecast(
                 size = len(encode_parquet(table_of(rows, making.schema(task.shard.split)), plan.style))
                 elapsed_s = time.perf_counter() - start_s
                 return Sample(len(rows), size / len(rows), elapsed_s / len(items))
-        message = (
+        raise InputError(
             f"none of {counted(len(skipped), making.kind.nouns)} that were tried could be made; the first: "
-            f"{skipped[0].message}; nothing was written; next: correct the source, or choose another one"
+            f"{skipped[0].message}; nothing was written",
+            next="correct the source, or choose another one",
         )
-        raise InputError(message)
 
     return forecast_build(out, plan, workers, measure, overwrite=overwrite)
 

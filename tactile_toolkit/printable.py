@@ -10,8 +10,6 @@ import json
 import re
 from typing import Any
 
-__all__ = ["markdown_code", "markdown_text", "printable", "printable_json"]
-
 _MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside of a word marks nothing
 
 

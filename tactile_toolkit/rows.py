@@ -16,8 +16,6 @@ import pyarrow as pa
 
 from tactile_toolkit.read.columns import RaggedColumn, ragged_array
 
-__all__ = ["column", "meanings", "plain_schema", "row", "table_of"]
-
 T = TypeVar("T")
 _COLUMN = "column"
 

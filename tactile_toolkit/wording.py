@@ -8,19 +8,6 @@ from typing import Any
 
 from tactile_toolkit.errors import InputError
 
-__all__ = [
-    "class_name",
-    "counted",
-    "did_you_mean",
-    "is_count",
-    "is_whole",
-    "listed",
-    "plain",
-    "plain_number",
-    "plain_pairs",
-    "whole_number",
-]
-
 _LONGEST_COUNT = 18
 """Digits of a count: more may not fit into 64 bits, and ``int`` itself fails from 4,301 digits on."""
 
@@ -103,6 +90,5 @@ def whole_number(value: object, name: str, least: int = 0, most: int | None = No
     number = plain_number(value)
     if not (is_whole(number) and least <= number and (most is None or number <= most)):
         bounds = f"from {least}" if most is None else f"from {least} to {most:,}"
-        message = f"{name} is {value!r}; expected an integer {bounds}"
-        raise InputError(message)
+        raise InputError(f"{name} is {value!r}; expected an integer {bounds}")
     return int(number)

@@ -33,21 +33,6 @@ if TYPE_CHECKING:
 else:
     tactile_mnist = published_package("tactile_mnist")
 
-__all__ = [
-    "CELL_SIZE_M",
-    "CacheSize",
-    "MeshPoint",
-    "StoredMeshDataset",
-    "StoredRows",
-    "StoredTouchDataset",
-    "TouchPoint",
-    "as_mesh_dataset",
-    "as_touch_dataset",
-    "fingerprint_of",
-    "has_equal_rows",
-    "mesh_keywords",
-]
-
 
 def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> StoredMeshDataset:
     """Hand a data set of meshes to code that wants a ``tactile_mnist.MeshDataset``.
@@ -289,11 +274,11 @@ def _touches_per_round(rounds: Any) -> int:
     counts = np.unique(rounds.touch_counts)
     if len(counts) <= 1:
         return int(counts[0]) if len(counts) else 0
-    message = (
+    raise InputError(
         f"the rounds of this data set have {counts[0]} to {counts[-1]} touches; the environments need "
-        "the same number in every round; next: use a data set before touches were selected from it"
+        "the same number in every round",
+        next="use a data set before touches were selected from it",
     )
-    raise InputError(message)
 
 
 def _package_pose(value: Any) -> Any:
@@ -366,8 +351,7 @@ class StoredRows(Sequence[dict[str, Any]]):
 
     def _reader(self, name: str) -> Reader:
         if name not in self.readers:
-            message = f"no column {name!r} in these rows; expected one of {', '.join(self.readers)}"
-            raise InputError(message)
+            raise InputError(f"no column {name!r} in these rows; expected one of {', '.join(self.readers)}")
         return self.readers[name]
 
 

@@ -28,9 +28,9 @@ from env_assets.checks import (
 )
 from env_assets.mesh_folder import mesh_files
 from env_assets.mesh_view import MeshView, PointRecord
-from env_assets.missing import KINDS
+from env_assets.missing import FOREIGN, KINDS
 from env_assets.published.fast import refuse_unfit_renderer, render_fast
-from env_assets.published.ids import FOREIGN, Assets, PublishedEnvironment, published_environment
+from env_assets.published.ids import Assets, PublishedEnvironment, published_environment
 from env_assets.published.learned import learned_sensor
 from env_assets.published.packages import (
     published_package,
@@ -46,7 +46,6 @@ from tactile_toolkit.store.shards import ShardName
 if TYPE_CHECKING:
     from env_assets.source import AssetSource
 
-__all__ = ["SPARSE_SINGLE_BROKEN", "TOUCHES", "assets_for", "folder_of_links", "make", "takes_recorded_noise"]
 
 SPARSE_SINGLE_BROKEN = ("0.7.1",)
 """Versions of ap-gym whose own wrapper for sparse rewards fails with a single environment."""
@@ -144,14 +143,15 @@ def _require_number(environment: PublishedEnvironment, num_envs: int | None) -> 
     """Refuse a number of environments that cannot be run."""
     if num_envs is not None:
         if not isinstance(num_envs, (int, np.integer)) or num_envs < 1:
-            message = f"num_envs is {num_envs!r}; expected an integer from 1 on, or None for a single one"
-            raise InputError(message)
+            raise InputError(
+                f"num_envs is {num_envs!r}; expected an integer from 1 on, or None for a single one"
+            )
     elif environment.sparse and version("ap_gym") in SPARSE_SINGLE_BROKEN:
-        message = (
+        raise InputError(
             f"a single environment {environment.spec.id!r} cannot be reset: the wrapper of ap-gym "
-            f"{version('ap_gym')} around it asks for a prediction that is not there; next: give num_envs=1"
+            f"{version('ap_gym')} around it asks for a prediction that is not there",
+            next="give num_envs=1",
         )
-        raise InputError(message)
 
 
 def _require_fitting_place(
@@ -217,11 +217,10 @@ def assets_for(
             found["sensor_noise"] = _noise_from(_required(provider, environment), settings["sensor_noise"])
         return found
     if own is not None:
-        message = (
-            f"{environment.spec.id!r} plays recorded touches, no objects can be given for them; next: leave "
-            "`assets` out, and name the place of the touches in `places` of the provider"
+        raise InputError(
+            f"{environment.spec.id!r} plays recorded touches, no objects can be given for them",
+            next="leave `assets` out, and name the place of the touches in `places` of the provider",
         )
-        raise InputError(message)
     source = _required(provider, environment)
     rounds = source.touches(TOUCHES, environment.split)
     found = {"dataset": as_touch_dataset(rounds)}
@@ -246,11 +245,10 @@ def _required(provider: AssetSource | None, environment: PublishedEnvironment) -
     name = environment.family.assets
     given = "" if environment.family.recorded else ", or `assets`: a folder of meshes"
     why = f"; {name!r} are {FOREIGN[name]}" if name in FOREIGN else ""
-    message = (
-        f"no assets were given for {environment.spec.id!r}{why}; next: give `provider`, such as "
-        f"env_assets.AssetProvider(){given}"
+    raise InputError(
+        f"no assets were given for {environment.spec.id!r}{why}",
+        next=f"give `provider`, such as env_assets.AssetProvider(){given}",
     )
-    raise InputError(message)
 
 
 def _own_meshes(environment: PublishedEnvironment, own: Any, settings: Mapping[str, Any]) -> Any:
@@ -292,11 +290,10 @@ def _fitting(
     # A source other than ours may give a plain sequence of records, without names of classes.
     view = MeshView.of(meshes, KINDS[kind].class_names if kind else ())
     if view is None:
-        message = (
+        raise InputError(
             f"{where} is a {type(meshes).__name__}; expected a folder of meshes, the name of a data set, an "
             "opened one, or a sequence of records with id, label, vertices_m, faces and mesh"
         )
-        raise InputError(message)
     # The registration wants some objects turned: they arrive so, as its own turn fails.
     view = dataclasses.replace(view, flat=bool(settings.get("smallest_dimension_up", False)))
     require_fitting_meshes(view, kind, where, settings.get("cell_size", CELL_SIZE_M))
@@ -320,12 +317,11 @@ def _given_by(provider: AssetSource, name: Assets, split: str) -> Any:
     except InputError as error:
         if name not in FOREIGN:
             raise
-        message = (
+        raise InputError(
             f"no meshes {name!r}, split {split!r}: {str(error).partition('; next: ')[0]}; these are "
             f"{FOREIGN[name]}; next: give `assets`, a folder of meshes of your own, or let `places` of the "
             f"provider name the place of {name!r}"
-        )
-        raise InputError(message) from error
+        ) from error
 
 
 def _noise_from(provider: AssetSource, noise: Any) -> Any:

@@ -14,8 +14,6 @@ from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import as_environment
 from tactile_toolkit.errors import InputError
 
-__all__ = ["RENDERERS", "refuse_unfit_renderer", "render_fast"]
-
 RENDERERS = ("opengl", "fast")
 
 _HELD_AS = "_TactilePerceptionVectorEnv__renderer"
@@ -27,8 +25,7 @@ def refuse_unfit_renderer(
 ) -> None:
     """Refuse a renderer that is unknown, or does not fit the environment (InputError)."""
     if renderer not in RENDERERS:
-        message = f"renderer is {renderer!r}; expected one of {', '.join(RENDERERS)}"
-        raise InputError(message)
+        raise InputError(f"renderer is {renderer!r}; expected one of {', '.join(RENDERERS)}")
     if renderer != "fast":
         return
     sensor, backend = settings.get("sensor_type", "taxim"), settings.get("sensor_backend", "auto")
@@ -40,11 +37,10 @@ def refuse_unfit_renderer(
     elif options.get("render_mode") == "human":
         why = "its viewer draws with OpenGL"
     if why is not None:
-        message = (
-            f"renderer 'fast' does not apply to {environment.spec.id!r}: {why}; next: leave it away, or "
-            "choose an environment with Depth in its name"
+        raise InputError(
+            f"renderer 'fast' does not apply to {environment.spec.id!r}: {why}",
+            next="leave it away, or choose an environment with Depth in its name",
         )
-        raise InputError(message)
 
 
 def render_fast(env: Any) -> Any:

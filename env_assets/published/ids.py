@@ -9,20 +9,8 @@ import difflib
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from env_assets.missing import FOREIGN
 from env_assets.published.packages import KEPT_AS, published_package
 from tactile_toolkit.errors import InputError
-
-__all__ = [
-    "FAMILIES",
-    "FOREIGN",
-    "Assets",
-    "Family",
-    "PublishedEnvironment",
-    "Task",
-    "published_environment",
-    "published_environments",
-]
 
 Assets = Literal["mnist3d", "starstruck", "wrench", "abc", "minecraft"]
 Task = Literal["classification", "volume", "pose"]
@@ -108,14 +96,14 @@ def published_environment(env_id: str) -> PublishedEnvironment:
     if name in specs:
         return _described(specs[name])
     if name in published_package("gymnasium").registry:
-        message = (
-            f"{env_id!r} is not an environment of tactile-mnist (families {', '.join(FAMILIES)}); next: make "
-            "it with `ap_gym.make`"
+        raise InputError(
+            f"{env_id!r} is not an environment of tactile-mnist (families {', '.join(FAMILIES)})",
+            next="make it with `ap_gym.make`",
         )
-        raise InputError(message)
     close = difflib.get_close_matches(name, specs, n=3) or ["TactileMNIST-Depth-train-v0"]
-    message = f"no environment {env_id!r} is registered; next: choose one such as {', '.join(close)}"
-    raise InputError(message)
+    raise InputError(
+        f"no environment {env_id!r} is registered", next=f"choose one such as {', '.join(close)}"
+    )
 
 
 def published_environments() -> list[PublishedEnvironment]:

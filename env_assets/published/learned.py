@@ -12,8 +12,6 @@ from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.files import expanded
 
-__all__ = ["learned_sensor"]
-
 
 def learned_sensor(
     weights: str | Path, environment: PublishedEnvironment, settings: Mapping[str, Any]
@@ -25,12 +23,11 @@ def learned_sensor(
     """
     sensor, backend = settings.get("sensor_type", "taxim"), settings.get("sensor_backend", "auto")
     if sensor != "cycle_gan" or backend not in ("auto", "torch"):
-        message = (
+        raise InputError(
             f"weights do not apply to {environment.spec.id!r}: its sensor is {sensor!r}, backend "
-            f"{backend!r}; expected 'cycle_gan' with 'torch'; next: choose an environment with CycleGAN in "
-            "its name"
+            f"{backend!r}; expected 'cycle_gan' with 'torch'",
+            next="choose an environment with CycleGAN in its name",
         )
-        raise InputError(message)
     from tactile_sim.learned.networks import generator_of
     from tactile_sim.learned.weights import read_weights
 

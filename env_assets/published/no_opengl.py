@@ -11,8 +11,6 @@ import sys
 from importlib import import_module
 from types import ModuleType
 
-__all__ = ["do_without_opengl"]
-
 
 def do_without_opengl() -> None:
     """Make PyOpenGL and pyrender importable in this process, with EGL as the platform."""

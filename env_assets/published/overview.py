@@ -8,13 +8,12 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any
 
+from env_assets.missing import FOREIGN
 from env_assets.published.environments import SPARSE_SINGLE_BROKEN, TOUCHES, takes_recorded_noise
-from env_assets.published.ids import FAMILIES, FOREIGN, PublishedEnvironment, published_environments
+from env_assets.published.ids import FAMILIES, PublishedEnvironment, published_environments
 from env_assets.published.packages import published_package, require_sensor, sensor_factories
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean
-
-__all__ = ["EnvironmentState", "overview"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,11 +49,11 @@ def overview(words: Sequence[str] = ()) -> list[EnvironmentState]:
         known = {word for each in published for word in each.spec.id.split("-")}
         strange = [word for word in words if word not in known]
         near = did_you_mean(strange[0], known) if strange else ""
-        message = (
-            f"no environment has {' and '.join(map(repr, strange or words))} in its id{near}; next: choose "
-            f"fewer words, or others such as {', '.join(FAMILIES)}, Depth, CycleGAN, DR, train or test"
+        raise InputError(
+            f"no environment has {' and '.join(map(repr, strange or words))} in its id{near}",
+            next=f"choose "
+            f"fewer words, or others such as {', '.join(FAMILIES)}, Depth, CycleGAN, DR, train or test",
         )
-        raise InputError(message)
     return [_state(each) for each in found]
 
 

@@ -15,16 +15,6 @@ from typing import Any
 
 from tactile_toolkit.errors import InputError, MissingExtraError
 
-__all__ = [
-    "BACKENDS",
-    "NO_OPENGL",
-    "has_opengl",
-    "published_package",
-    "require_drawing",
-    "require_sensor",
-    "sensor_factories",
-]
-
 _SHOWN_BY = {"tactile_mnist": "tactile-mnist", "ap_gym": "ap-gym"}
 # X11 and Wayland: with neither, pyglet and GLX have nothing to draw on.
 _SCREENS = ("DISPLAY", "WAYLAND_DISPLAY")
@@ -69,14 +59,12 @@ def require_drawing(renderer: str) -> None:
     OpenGL decides when it is imported, which may have been before this toolkit was asked.
     """
     if renderer == "opengl" and not has_opengl():
-        message = f"{NO_OPENGL}, or give renderer='fast' to an environment with Depth in its name"
-        raise InputError(message)
+        raise InputError(f"{NO_OPENGL}, or give renderer='fast' to an environment with Depth in its name")
     if _without_screen() and "OpenGL" in sys.modules and _opengl_platform() == "GLXPlatform":
-        message = (
+        raise InputError(
             "OpenGL was imported before and draws on a screen only, which this machine does not have; "
             "next: set PYOPENGL_PLATFORM=egl before anything is imported, or call env_assets.make first"
         )
-        raise InputError(message)
 
 
 NO_OPENGL = (
@@ -132,8 +120,7 @@ def require_sensor(sensor: str, backend: str, factories: Mapping[str, Mapping[st
     """
     if sensor not in BACKENDS or backend not in ("auto", *BACKENDS[sensor]):
         choice = "; ".join(f"{name}: auto, {', '.join(of)}" for name, of in BACKENDS.items())
-        message = f"no sensor {sensor!r} with backend {backend!r}; expected one of these ({choice})"
-        raise InputError(message)
+        raise InputError(f"no sensor {sensor!r} with backend {backend!r}; expected one of these ({choice})")
     # "auto" takes the first that is installed, so it fails only where all of them do.
     chosen = [name for name in BACKENDS[sensor] if backend in (name, "auto")]
     missing = [_missing_module(name, factories.get(sensor, {})) for name in chosen]

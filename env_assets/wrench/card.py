@@ -15,7 +15,6 @@ if TYPE_CHECKING:
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["WrenchFacts", "wrench_facts", "write_card"]
 
 _PITCH_M = 0.0002
 """Side of a pixel of the picture: the usual wrench of 157.5 mm is 790 pixels long."""

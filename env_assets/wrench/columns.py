@@ -10,8 +10,6 @@ from env_assets.wrench.kind import KIND
 from tactile_toolkit.mesh.rows import MeshRow, mesh_schema
 from tactile_toolkit.rows import column, row
 
-__all__ = ["WrenchRow", "wrench_schema"]
-
 
 @row
 class WrenchRow(MeshRow):

@@ -17,8 +17,6 @@ from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 
-__all__ = ["WrenchMaking", "wrench_recipe", "write_wrench"]
-
 
 @dataclass(frozen=True)
 class WrenchMaking(making.Making):

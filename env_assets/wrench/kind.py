@@ -4,9 +4,6 @@ from __future__ import annotations
 
 from tactile_toolkit.kind import DatasetKind, lazy
 
-__all__ = ["KIND"]
-
-
 KIND = DatasetKind(
     name="wrench",
     command="env-assets",

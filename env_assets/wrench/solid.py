@@ -15,8 +15,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 
-__all__ = ["chamfered_plate", "wrench_mesh", "wrench_outline"]
-
 _SEGMENTS = 96
 """Sides of a whole circle: 0.03 mm from round at 60 mm across, less than a printer can show."""
 
@@ -85,20 +83,18 @@ def _require_whole(spec: WrenchSpec, body: Any, tidy: Any) -> None:
     """Refuse what is not one piece, below and above the chamfer, or does not hold every nut any more."""
     for piece in (tidy, _grown(tidy, -spec.chamfer_mm)):
         if piece.num_contour() != 1:
-            message = (
+            raise InputError(
                 f"a chamfer of {spec.chamfer_mm:g} mm cuts this wrench into {piece.num_contour()} parts; "
                 "next: choose a smaller chamfer_mm, or a larger handle_mm, head_mm or second_head_mm"
             )
-            raise InputError(message)
     lost = body - tidy
     for place_mm, opening_mm, turned_deg in _jaws(spec):
         flats = _flats(spec, opening_mm).rotate(turned_deg).translate((place_mm, 0.0))
         if (lost ^ flats).area() > _NOTHING_MM2:
-            message = (
-                f"a chamfer of {spec.chamfer_mm:g} mm leaves no whole jaw for {opening_mm:g} mm; next: "
-                "choose a smaller chamfer_mm, or a larger head_mm or second_head_mm"
+            raise InputError(
+                f"a chamfer of {spec.chamfer_mm:g} mm leaves no whole jaw for {opening_mm:g} mm",
+                next="choose a smaller chamfer_mm, or a larger head_mm or second_head_mm",
             )
-            raise InputError(message)
 
 
 def _body(spec: WrenchSpec) -> Any:

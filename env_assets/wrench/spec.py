@@ -9,15 +9,6 @@ from typing import Any, Self
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 
-__all__ = [
-    "LARGEST_MM",
-    "SMALLEST_MM",
-    "WIDTHS_ACROSS_FLATS_MM",
-    "WrenchSpec",
-    "next_smaller_mm",
-    "width_across_flats_mm",
-]
-
 WIDTHS_ACROSS_FLATS_MM: dict[str, float] = {
     "M3": 5.5,
     "M4": 7.0,
@@ -132,10 +123,9 @@ class WrenchSpec:
         """
         opening_mm = width_across_flats_mm(size)
         if single and second is not None:
-            message = (
-                f"a second size ({second}) was given for a wrench with a single jaw; next: give one of both"
+            raise InputError(
+                f"a second size ({second}) was given for a wrench with a single jaw", next="give one of both"
             )
-            raise InputError(message)
         second_mm = next_smaller_mm(opening_mm) if second is None else width_across_flats_mm(second)
         second_mm = 0.0 if single else second_mm
         largest_mm = max(opening_mm, second_mm)
@@ -164,38 +154,36 @@ def _require_proportions(spec: WrenchSpec) -> None:
         # The far corner of the nut needs the most room: its distance from the middle is the width / sqrt(3).
         least_mm = 2 * ((opening_mm + spec.clearance_mm) / math.sqrt(3) + _LEAST_WALL_MM + spec.chamfer_mm)
         if opening_mm and head_mm < least_mm:
-            message = (
+            raise InputError(
                 f"{name} of the wrench is {head_mm:g}; its jaw of {opening_mm:g} needs {least_mm:.1f} or more"
             )
-            raise InputError(message)
         # A wider handle would swallow the circle of the head, and the jaw would be cut into the handle.
         if spec.handle_mm > head_mm:
-            message = f"handle_mm of the wrench is {spec.handle_mm:g}, wider than {name} ({head_mm:g})"
-            raise InputError(message)
+            raise InputError(
+                f"handle_mm of the wrench is {spec.handle_mm:g}, wider than {name} ({head_mm:g})"
+            )
     if (spec.opening_mm, spec.head_mm) == (spec.second_opening_mm, spec.second_head_mm):
-        message = (
+        raise InputError(
             f"both ends of the wrench are alike ({spec.opening_mm:g} mm): turned about it would look the "
-            "same, so that its pose could not be found; next: choose another second size"
+            "same, so that its pose could not be found",
+            next="choose another second size",
         )
-        raise InputError(message)
     if spec.length_mm < spec.head_mm + spec.second_head_mm:
         needed_mm = spec.head_mm + spec.second_head_mm
-        message = f"length_mm of the wrench is {spec.length_mm:g}; its ends alone take {needed_mm:g}"
-        raise InputError(message)
+        raise InputError(f"length_mm of the wrench is {spec.length_mm:g}; its ends alone take {needed_mm:g}")
     if spec.chamfer_mm > 0.4 * spec.thickness_mm:
-        message = (
+        raise InputError(
             f"chamfer_mm of the wrench is {spec.chamfer_mm:g}; at most 0.4 of thickness_mm "
             f"({spec.thickness_mm:g}) leaves a side to hold"
         )
-        raise InputError(message)
     # The rounding of the corners takes away what is narrower than twice its radius.
     least_mm = max(2.0, 4 * spec.chamfer_mm)
     if spec.handle_mm <= least_mm:
-        message = (
+        raise InputError(
             f"handle_mm of the wrench is {spec.handle_mm:g}; expected more than {least_mm:g} with a chamfer "
-            f"of {spec.chamfer_mm:g}; next: choose a wider handle_mm or a smaller chamfer_mm"
+            f"of {spec.chamfer_mm:g}",
+            next="choose a wider handle_mm or a smaller chamfer_mm",
         )
-        raise InputError(message)
 
 
 def width_across_flats_mm(size: str | float) -> float:
@@ -213,11 +201,10 @@ def width_across_flats_mm(size: str | float) -> float:
         width_mm = float("nan")
     if not SMALLEST_MM <= width_mm <= LARGEST_MM:
         known = ", ".join(f"{thread} ({width:g} mm)" for thread, width in WIDTHS_ACROSS_FLATS_MM.items())
-        message = (
+        raise InputError(
             f"no wrench of size {str(size)!r} is made; expected a width across flats of {SMALLEST_MM:g} to "
             f"{LARGEST_MM:g} mm or a thread: {known}"
         )
-        raise InputError(message)
     return width_mm
 
 

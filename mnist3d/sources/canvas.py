@@ -14,7 +14,6 @@ from tactile_toolkit.errors import ItemError
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-__all__ = ["SIDE_PX", "as_grey", "enlarge", "fit"]
 
 SIDE_PX = 500
 """Side of the square sheet that every source hands out: 100 mm at the published 0.2 mm per pixel."""
@@ -38,20 +37,20 @@ def as_grey(values: NDArray[Any], full_scale: float, where: str) -> NDArray[np.u
         return np.array(values, order="C")
     if values.dtype.kind == "f" and not np.isfinite(values).all():
         reason, count = "not-finite", int(np.count_nonzero(~np.isfinite(values)))
-        message = (
+        raise ItemError(
+            reason,
             f"{where}: found {count} pixels that are NaN or infinite, expected finite grey levels; "
-            "next: repair this image in the file, or leave it out"
+            "next: repair this image in the file, or leave it out",
         )
-        raise ItemError(reason, message)
     low, high = float(values.min()), float(values.max())
     slack = full_scale * _HALF_LEVEL
     if low < -slack or high > full_scale + slack:
         reason = "bad-pixels"
-        message = (
+        raise ItemError(
+            reason,
             f"{where}: found pixels from {low:g} to {high:g}, expected 0 to {full_scale:g}; "
-            "next: rescale this image in the file, or leave it out"
+            "next: rescale this image in the file, or leave it out",
         )
-        raise ItemError(reason, message)
     if values.dtype.kind in "iu" and full_scale == _PAPER:
         return values.astype(np.uint8, order="C")
     levels = np.rint(values.astype(np.float64) * (_PAPER / full_scale))

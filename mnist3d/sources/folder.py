@@ -24,7 +24,6 @@ from tactile_toolkit.touch.jpeg import require_bounded_jpeg
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-__all__ = ["FolderSource", "read_picture"]
 
 _SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".pgm", ".ppm", ".pbm"}
@@ -88,8 +87,9 @@ class FolderSource:
         pictures = self._pictures()
         if not 0 <= digit_id < len(pictures):
             reason, last = "unknown-id", len(pictures) - 1
-            message = f"{self.root}: no picture {digit_id}, expected 0 to {last}; next: check the id"
-            raise ItemError(reason, message)
+            raise ItemError(
+                reason, f"{self.root}: no picture {digit_id}, expected 0 to {last}; next: check the id"
+            )
         picture = pictures[digit_id]
         pixels = fit(read_picture(Path(self.root, picture.name), self.ink))
         return DigitImage(digit_id, picture.label, pixels, picture.writer)
@@ -108,17 +108,17 @@ class FolderSource:
                     content = hashlib.file_digest(stream, "sha256").digest()
                     size = stream.tell()
             except OSError as error:
-                message = (
-                    f"{path}: cannot be opened ({error.strerror}), expected a picture; next: check the file"
-                )
-                raise InputError(message) from error
+                raise InputError(
+                    f"{path}: cannot be opened ({error.strerror}), expected a picture", next="check the file"
+                ) from error
             total.update(b"%s\0%d\0%s" % (os.fsencode(picture.name), size, content))
         return {"name": self.name, "ink": self.ink, "images": len(pictures), "sha256": total.hexdigest()}
 
     def _pictures(self) -> tuple[_Picture, ...]:
         if self.ink not in _INKS:
-            message = f"ink: found {self.ink!r}, expected one of {', '.join(_INKS)}; next: choose one of them"
-            raise InputError(message)
+            raise InputError(
+                f"ink: found {self.ink!r}, expected one of {', '.join(_INKS)}", next="choose one of them"
+            )
         # Listed again when one of the folders has changed since.
         folders = [Path(self.root), *(Path(self.root, digit) for digit in sorted(_DIGITS))]
         stamps = tuple(folder.stat().st_mtime_ns if folder.is_dir() else 0 for folder in folders)
@@ -136,33 +136,31 @@ def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
     folders, files = _visible(root, "")
     others = [name for name in folders if name not in _DIGITS]
     if others:
-        message = (
+        raise InputError(
             f"{root}: found the folders {_some(others)}, expected only folders named 0 to 9; "
             "next: rename them or move them away"
         )
-        raise InputError(message)
     matches = {name: _LABEL.search(name) for name in files}
     unlabelled = [name for name, match in matches.items() if match is None]
     if unlabelled:
-        message = (
+        raise InputError(
             f"{root}: found pictures without a digit in their names: {_some(unlabelled)}, expected names "
-            "with label<digit> such as a_label7_b.png; next: rename them or sort them into folders named 0 "
-            "to 9"
+            "with label<digit> such as a_label7_b.png",
+            next="rename them or sort them into folders named 0 to 9",
         )
-        raise InputError(message)
     found = [_Picture(int(match[1]), name, _writer(name)) for name, match in matches.items() if match]
     for folder in folders:
         inner, names = _visible(root, folder)
         if inner:
-            message = f"{root}: found the folder {inner[0]!r}, expected pictures only; next: move it away"
-            raise InputError(message)
+            raise InputError(
+                f"{root}: found the folder {inner[0]!r}, expected pictures only", next="move it away"
+            )
         found += [_Picture(int(folder), name, _writer(name)) for name in names]
     if not found:
-        message = (
+        raise InputError(
             f"{root}: found no picture, expected {root}/<digit>/*.png (or jpg, tif, ...), digits 0 to 9; "
             "next: check the path and sort the pictures into such folders"
         )
-        raise InputError(message)
     return tuple(sorted(found, key=lambda picture: (picture.label, _natural(picture.name))))
 
 
@@ -181,11 +179,10 @@ def _visible(root: str, folder: str) -> tuple[list[str], list[str]]:
                 elif Path(name).suffix.lower() in _SUFFIXES:
                     files.append(name)
     except OSError as error:
-        message = (
+        raise InputError(
             f"{path}: cannot be listed ({error.strerror}), expected a folder of pictures; "
             "next: check the path"
-        )
-        raise InputError(message) from error
+        ) from error
     return sorted(folders), sorted(files)
 
 
@@ -255,11 +252,11 @@ def _decoded(path: Path) -> Image:
     # Decoders of broken files raise whatever comes: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:
         reason = "unreadable"
-        message = (
+        raise ItemError(
+            reason,
             f"{path}: cannot be read as a picture ({type(error).__name__}: {error}), expected an intact "
-            "image file; next: replace or remove it"
-        )
-        raise ItemError(reason, message) from error
+            "image file; next: replace or remove it",
+        ) from error
 
 
 def _brightness(picture: Image, ink: str, path: Path) -> NDArray[np.uint8]:

@@ -18,8 +18,6 @@ from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
 from mnist3d.sources.canvas import as_grey, fit
 from tactile_toolkit.errors import InputError, ItemError
 
-__all__ = ["HwdPlusSource", "open_npy"]
-
 _SCALE_SAMPLE = 16
 _FINGERPRINT_SAMPLE = 64
 # At most 18 figures: the number fits 64 bits.
@@ -66,11 +64,11 @@ class HwdPlusSource:
         """
         stack, (labels, writers) = self._stack(), self._people()
         if len(labels) != stack.shape[0]:
-            message = (
+            raise InputError(
                 f"{self.writer_info}: found {len(labels)} rows, expected {stack.shape[0]}, one for each "
-                f"image of {self.images}; next: take both files from the same download"
+                f"image of {self.images}",
+                next="take both files from the same download",
             )
-            raise InputError(message)
         return DigitCatalog(np.arange(len(labels)), labels, writers)
 
     def image(self, digit_id: int) -> DigitImage:
@@ -83,8 +81,9 @@ class HwdPlusSource:
         where = f"{self.images}, row {digit_id}"
         if not 0 <= digit_id < min(stack.shape[0], len(labels)):
             reason = "unknown-id"
-            message = f"{where}: no such image, expected rows 0 to {stack.shape[0] - 1}; next: check the id"
-            raise ItemError(reason, message)
+            raise ItemError(
+                reason, f"{where}: no such image, expected rows 0 to {stack.shape[0] - 1}; next: check the id"
+            )
         full_scale = _full_scale(self.images, _stamp(self.images))
         pixels = fit(as_grey(np.array(stack[digit_id]), full_scale, where))
         return DigitImage(digit_id, int(labels[digit_id]), pixels, int(writers[digit_id]))
@@ -116,11 +115,11 @@ class HwdPlusSource:
         squarish = len(shape) == 3 and min(shape) > 0 and max(shape[1:]) <= 1.5 * min(shape[1:])
         if squarish and stack.dtype.kind in "biuf":
             return stack
-        message = (
+        raise InputError(
             f"{self.images}: found shape {shape} of {stack.dtype}, expected (N, 500, 500) of integers or "
-            "floats; next: give the file 'Images(500x500).npy' of HWD+"
+            "floats",
+            next="give the file 'Images(500x500).npy' of HWD+",
         )
-        raise InputError(message)
 
     def _people(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         open_npy(self.writer_info)  # names what is wrong with the file
@@ -153,11 +152,11 @@ def _labels_and_writers(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     cells = open_npy(path)
     if cells.ndim not in (1, 2) or min(cells.shape) <= 0 or cells.dtype.kind not in "biufUS":
-        message = (
+        raise InputError(
             f"{path}: found shape {cells.shape} of {cells.dtype}, expected one row per image with the "
-            "digit in column 0, as numbers or strings of digits; next: give the file 'WriterInfo.npy' of HWD+"
+            "digit in column 0, as numbers or strings of digits",
+            next="give the file 'WriterInfo.npy' of HWD+",
         )
-        raise InputError(message)
     table = np.array(cells).reshape(len(cells), -1)
     labels = _int_column(table, 0, path)
     wrong = np.flatnonzero((labels < 0) | (labels > 9))
@@ -177,11 +176,11 @@ def _writers(table: NDArray[Any], writer_column: int | None, path: str) -> NDArr
         there = (
             f"expected 1 to {width - 1}" if width > 1 else "expected none, as there is no column of writers"
         )
-        message = (
+        raise InputError(
             f"{path}: writer column {writer_column} is not there, {there} (the file has {width} columns, "
-            "column 0 is the digit); next: change --writer-column"
+            "column 0 is the digit)",
+            next="change --writer-column",
         )
-        raise InputError(message)
     return _int_column(table, writer_column, path)
 
 
@@ -224,14 +223,15 @@ def open_npy(path: str) -> NDArray[Any]:
             warnings.simplefilter("ignore")
             return np.lib.format.open_memmap(path, mode="r")
     except OSError as error:
-        message = f"{path}: cannot be opened ({error.strerror}), expected a .npy file; next: check the path"
-        raise InputError(message) from error
+        raise InputError(
+            f"{path}: cannot be opened ({error.strerror}), expected a .npy file", next="check the path"
+        ) from error
     except _DAMAGED as error:
-        message = (
+        raise InputError(
             f"{path}: is not an intact .npy file ({error}), expected numbers or strings as numpy.save "
-            "writes them; next: download or copy it again"
-        )
-        raise InputError(message) from error
+            "writes them",
+            next="download or copy it again",
+        ) from error
 
 
 _DAMAGED = (

@@ -25,8 +25,6 @@ from mnist3d.sources.canvas import SIDE_PX, enlarge
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import HubError, InputError, ItemError, MissingExtraError, StorageError
 
-__all__ = ["IMAGES_MAGIC", "LABELS_MAGIC", "MnistSource", "download_mnist", "read_idx"]
-
 IMAGES_MAGIC = 0x803
 """First number of a file of images: unsigned bytes (8) in three dimensions (3)."""
 
@@ -90,10 +88,10 @@ class MnistSource:
                 return DigitImage(digit_id, int(labels[index]), pixels)
             index -= len(images)
         reason, count = "unknown-id", digit_id - index
-        message = (
-            f"{self.root}: no digit {digit_id}, expected 0 to {count - 1}; next: check the id and the part"
+        raise ItemError(
+            reason,
+            f"{self.root}: no digit {digit_id}, expected 0 to {count - 1}; next: check the id and the part",
         )
-        raise ItemError(reason, message)
 
     def fingerprint(self) -> dict[str, object]:
         """Return count and SHA-256 of the unpacked images and labels of each part.
@@ -122,11 +120,11 @@ class MnistSource:
         if path is not None:
             return path
         names = sorted(each.name for each in folder.iterdir())[:8] if folder.is_dir() else "no such folder"
-        message = (
+        raise InputError(
             f"{self.root}: found {names}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, "
-            "there or in MNIST/raw; next: check the folder, or fetch the files with --download"
+            "there or in MNIST/raw",
+            next="check the folder, or fetch the files with --download",
         )
-        raise InputError(message)
 
 
 def download_mnist(root: str) -> None:
@@ -147,27 +145,26 @@ def download_mnist(root: str) -> None:
         with redirect_stdout(sys.stderr):
             MNIST(root, download=True)
     except (RuntimeError, HTTPException, URLError, TimeoutError, ConnectionError, EOFError) as error:
-        message = (
+        raise HubError(
             f"MNIST could not be downloaded ({' '.join(str(error).split())}), expected its four files from "
-            f"{list(MNIST.mirrors)}; next: check the network and try again, or copy the files into the folder"
-        )
-        raise HubError(message) from error
+            f"{list(MNIST.mirrors)}",
+            next="check the network and try again, or copy the files into the folder",
+        ) from error
     except OSError as error:
-        message = (
+        raise StorageError(
             f"{root}: MNIST could not be stored there ({error.strerror or error}), expected a folder that "
-            "can be written, with 70 MB of room; next: make room or choose another folder"
-        )
-        raise StorageError(message) from error
+            "can be written, with 70 MB of room",
+            next="make room or choose another folder",
+        ) from error
 
 
 def _chosen(root: str, part: str) -> list[str]:
     if part in _PREFIXES:
         return [_PREFIXES[part]]
     if part != "auto":
-        message = (
-            f"part of MNIST: found {part!r}, expected 'train', 'test' or 'auto'; next: choose one of them"
+        raise InputError(
+            f"part of MNIST: found {part!r}, expected 'train', 'test' or 'auto'", next="choose one of them"
         )
-        raise InputError(message)
     # One file of a pair is enough to choose the part: the missing one is then reported by its name.
     there = [prefix for prefix in _PREFIXES.values() if any(_find(root, prefix, kind) for kind in _KINDS)]
     return there or list(_PREFIXES.values())

@@ -23,8 +23,6 @@ from mnist3d.sources.handwriting.pen import draw, on_page
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError
 
-__all__ = ["DRAWING_VERSION", "HWD_PLUS_COUNT", "SyntheticSource"]
-
 DRAWING_VERSION = 2
 """Raised whenever the same seed and id would give other pixels than before."""
 

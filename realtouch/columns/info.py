@@ -13,8 +13,6 @@ from realtouch.damage import damaged, missing_column
 from realtouch.poses import Poses, bad_pose, rigid_transform
 from tactile_toolkit.read.dataset import Row
 
-__all__ = ["Info", "has_info", "read_info"]
-
 _POSE = ("position", "quaternion")
 
 

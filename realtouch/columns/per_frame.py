@@ -19,20 +19,6 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.avi import MAX_CLIP_FRAMES, NoIndexError, read_index
 from tactile_toolkit.touch.ffmpeg import ffmpeg_count
 
-__all__ = [
-    "clip_length",
-    "clip_lengths",
-    "clip_times",
-    "cut",
-    "cut_touch",
-    "frame_times",
-    "padded_times",
-    "stored_clip",
-    "times_of_touches",
-    "touch_durations",
-    "touch_times",
-]
-
 _SECOND = np.timedelta64(1, "s")
 _TOUCH_TIMES = ("touch_start_time_rel", "touch_end_time_rel")
 

@@ -19,22 +19,6 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index
 from tactile_toolkit.touch.schema import PER_TOUCH_COLUMNS
 
-__all__ = [
-    "column_of",
-    "entries_of",
-    "int_value",
-    "intended_position",
-    "intended_positions",
-    "known_positions",
-    "per_touch",
-    "plain_value",
-    "readable",
-    "require_touches",
-    "stored_value",
-    "touch_total",
-    "vectors",
-]
-
 # The first of these that is there says how many touches a round has; poses only where they were read alone.
 _COUNTED = (
     "pos_in_cell",

@@ -16,22 +16,12 @@ from realtouch.columns.per_touch import readable, vectors
 from realtouch.damage import damaged
 from realtouch.poses import Poses, PoseSequences, bad_pose
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.touch.contact import PRESS_DEPTH_M, ContactHeight
-from tactile_toolkit.touch.schema import PLATE_COLUMN, POSE_COLUMN, Kind
+from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
+from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
 
 if TYPE_CHECKING:
     from realtouch.pose import Pose
 
-__all__ = [
-    "clip_poses",
-    "contact_z_m",
-    "known_contact_z_m",
-    "plate_z_m",
-    "pose_sequences",
-    "poses",
-    "touch_contact_z_m",
-    "touch_pose",
-]
 
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 

@@ -17,7 +17,7 @@ from typing import Any, Literal, SupportsIndex
 import numpy as np
 
 from realtouch.card import origin_of, write_card
-from realtouch.contact import MIN_CONTACT_HEIGHT_M, require_method
+from realtouch.contact import require_method
 from realtouch.convert.pictures import IMAGE_FOLDER, INDEX_FILE, WritePictures, repeated_ids, write_index
 from realtouch.convert.plan import Conversion, RowChoice, Source, plan_conversion
 from realtouch.convert.steps import KeepTouches, ResizeMedia, TakeContactFrames
@@ -30,11 +30,9 @@ from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.contact import ContactHeight, height_text
+from tactile_toolkit.touch.contact import MIN_CONTACT_HEIGHT_M, ContactHeight, height_text
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 from tactile_toolkit.touch.schema import class_names
-
-__all__ = ["convert", "first_rows", "frames", "resize", "select", "to_single"]
 
 _CONTACT_FRAME_ROWS = 16
 _INDEX_ROWS = 16
@@ -97,8 +95,7 @@ def to_single(
     method = require_method(frame)
     opened = Source.open(source, split=split)
     if opened.kind != "seq":
-        message = f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
-        raise InputError(message)
+        raise InputError(f"{opened.name!r} holds single images already; expected a data set of clips (seq)")
     conversion = Conversion(
         opened,
         "to-single",
@@ -145,11 +142,10 @@ def resize(
         As :func:`to_single`.
     """
     if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS or not 1 <= quality <= 100:
-        message = (
+        raise InputError(
             f"size {width} x {height} at quality {quality}; expected at least 1 x 1, at most "
             f"{MAX_IMAGE_PIXELS:,} pixels in all (4096 x 4096), and a quality of 1 to 100"
         )
-        raise InputError(message)
     opened = Source.open(source, split=split)
     conversion = Conversion(
         opened,
@@ -207,8 +203,7 @@ def select(
         As :func:`to_single`.
     """
     if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
-        message = f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}"
-        raise InputError(message)
+        raise InputError(f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}")
     opened = Source.open(source, split=split)
     if min_height_m is None:
         rule = ContactHeight.of(column_types(opened.schema))
@@ -227,12 +222,11 @@ def select(
             float(dataset_of(shards, opened.kind).touches().heights_m().max(initial=-math.inf))
             for shards in opened.shards.values()
         )
-        message = (
+        raise InputError(
             f"no touch that was chosen of {opened.name!r} counts as contact (it does where "
             f"{height_text(min_height_m)}); the highest of all touches is {1e3 * highest_m:.1f} mm above it; "
             "next: a smaller --min-height-mm, or fewer filters"
         )
-        raise InputError(message)
     conversion = Conversion(opened, "select", options, KeepTouches(contact), choices)
     return convert(conversion, out, workers, overwrite, on_progress)
 
@@ -247,11 +241,10 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
         )
     if options["objects"]:
         if not dataset.has_column("object_id"):
-            message = (
-                f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'; next: "
-                "choose by --labels, or import it again with --object-column"
+            raise InputError(
+                f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'",
+                next="choose by --labels, or import it again with --object-column",
             )
-            raise InputError(message)
         dataset = dataset[np.isin(dataset.column("object_id"), options["objects"])]
     rows = dataset.row_numbers.tolist()
     if not options["contact"]:
@@ -303,11 +296,9 @@ def frames(
         As :func:`to_single`.
     """
     if kind not in ("png", "jpeg"):
-        message = f"no picture format {kind!r}; expected png or jpeg"
-        raise InputError(message)
+        raise InputError(f"no picture format {kind!r}; expected png or jpeg")
     if difference not in (None, "grey", "absolute"):
-        message = f"no difference {difference!r} that a picture can show; expected grey or absolute"
-        raise InputError(message)
+        raise InputError(f"no difference {difference!r} that a picture can show; expected grey or absolute")
     method = require_method(frame)
     opened = Source.open(source, split=split)
     choices = first_rows(opened, limit)
@@ -367,8 +358,7 @@ def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
 
 def _require_limit(limit: int | None) -> int | None:
     if limit is not None and limit < 1:
-        message = f"the limit is {limit}; expected an integer of at least 1"
-        raise InputError(message)
+        raise InputError(f"the limit is {limit}; expected an integer of at least 1")
     return None if limit is None else operator.index(limit)
 
 
@@ -376,5 +366,4 @@ def _object_id(value: SupportsIndex) -> int:
     try:
         return operator.index(value)
     except TypeError as error:
-        message = f"objects holds {value!r}; expected integers, such as 12"
-        raise InputError(message) from error
+        raise InputError(f"objects holds {value!r}; expected integers, such as 12") from error

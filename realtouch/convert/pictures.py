@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pyarrow as pa
 
+from realtouch.changes import difference
 from realtouch.columns.per_touch import int_value, intended_positions, plain_value
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import Made, RowChoice, Source
@@ -18,7 +19,7 @@ from realtouch.convert.shown import Shown, shown_touches
 from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
 from realtouch.integrity.files import write_changed
-from realtouch.preprocess import background, difference
+from realtouch.preprocess import background
 from realtouch.rounds import TouchSingleRound
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
@@ -28,19 +29,6 @@ from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, ImageFormat, Pixels, encode_image
 from tactile_toolkit.touch.schema import CLASS_NAMES
-
-__all__ = [
-    "IMAGE_FOLDER",
-    "INDEX_FILE",
-    "POSE_COLUMNS",
-    "POSITION_COLUMNS",
-    "Repeated",
-    "WritePictures",
-    "columns_of_touches",
-    "repeated_ids",
-    "require_first",
-    "write_index",
-]
 
 IMAGE_FOLDER = "images"
 INDEX_FILE = "index.csv"

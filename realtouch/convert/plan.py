@@ -42,17 +42,6 @@ from tactile_toolkit.touch.schema import (
     with_features,
 )
 
-__all__ = [
-    "KIND",
-    "Conversion",
-    "Made",
-    "Pack",
-    "RowChoice",
-    "Source",
-    "Step",
-    "plan_conversion",
-]
-
 KIND = "realtouch"
 
 # What a worker may hold, unpacked.
@@ -281,10 +270,9 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
             name = ShardName(split, index, len(chunks))
             tasks.append(_ConvertShard(name, paths, starts[first], chunk, step, schema, conversion.pack))
     if not tasks:
-        message = (
-            f"nothing is left of {source.name!r} after {conversion.operation!r}; next: choose fewer filters"
+        raise InputError(
+            f"nothing is left of {source.name!r} after {conversion.operation!r}", next="choose fewer filters"
         )
-        raise InputError(message)
     spec = {
         "operation": conversion.operation,
         "options": dict(conversion.options),

@@ -19,8 +19,6 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import POSE_COLUMN
 
-__all__ = ["Shown", "shown_touches"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Shown:

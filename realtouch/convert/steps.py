@@ -21,19 +21,17 @@ from realtouch.media.round_clips import SensorClips
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.avi import write_avi
+from tactile_toolkit.touch.contact import PLATE_COLUMN
 from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
 from tactile_toolkit.touch.rows import bytes_lists, flat_row, number_lists, take_touches
 from tactile_toolkit.touch.schema import (
     MEDIA_COLUMN,
     MEDIA_TYPE,
-    PLATE_COLUMN,
     POSE_COLUMN,
     Kind,
     column_type,
     is_per_touch,
 )
-
-__all__ = ["KeepTouches", "ResizeMedia", "TakeContactFrames"]
 
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}
@@ -56,8 +54,9 @@ class TakeContactFrames:
         """Return the published ``single`` schema with the columns of the source; InputError without poses."""
         leaf = column_type(source, f"{_POSE_SEQUENCE}.position")
         if leaf is None:
-            message = f"the source has no column '{_POSE_SEQUENCE}.position'; expected poses of each frame"
-            raise InputError(message)
+            raise InputError(
+                f"the source has no column '{_POSE_SEQUENCE}.position'; expected poses of each frame"
+            )
         # In the precision of the source: poses are copied, not computed.
         number = pa.float64() if "double" in str(leaf) else pa.float32()
         video = column_type(source, "sensor_video")

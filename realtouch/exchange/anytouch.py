@@ -23,8 +23,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.store.shards import ShardName, Skipped
 
-__all__ = ["FORMAT", "items_of_lists"]
-
 _FOLDER, _IMAGES, _FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
 _BACKGROUND = "background.jpg"
 _LIST_END = "_bg.txt"
@@ -71,8 +69,7 @@ def items_of_lists(home: DataFolder, columns: ImportColumns, table: str | None) 
     """Yield a touch for each line of the lists (or one, by its name); of a file that is not there, why."""
     lists = [name for name in home.sizes() if name.endswith(_LIST_END) and table in (None, name)]
     if not lists:
-        message = f"{home.address()!r} holds no lists (*{_LIST_END}){f' {table!r}' if table else ''}"
-        raise InputError(message)
+        raise InputError(f"{home.address()!r} holds no lists (*{_LIST_END}){f' {table!r}' if table else ''}")
     sizes, number = cache(home.sizes), 0
     for each in lists:
         for line in home.read_bytes(each).decode(errors="replace").splitlines():

@@ -14,8 +14,6 @@ from tactile_toolkit.run.processes import Runner
 from tactile_toolkit.store.build import Progress
 from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["export"]
-
 
 def export(
     source: str | PathLike[str],

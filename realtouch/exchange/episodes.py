@@ -31,8 +31,6 @@ from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import encode_image
 from tactile_toolkit.touch.schema import MEDIA_TYPE, POSE_COLUMN, class_names, column_type
 
-__all__ = ["ACTION", "IMAGE", "STATE", "TIME", "Episodes", "Numbering", "only_split"]
-
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 
@@ -40,11 +38,10 @@ _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 def only_split(source: Source, choices: Mapping[str, Sequence[RowChoice]], what: str) -> str:
     """Return the one split that is exported; InputError for several."""
     if len(choices) > 1:
-        message = (
-            f"{source.name!r} has the splits {', '.join(choices)}; a {what} holds one; next: add "
-            f"--split {next(iter(choices))}"
+        raise InputError(
+            f"{source.name!r} has the splits {', '.join(choices)}; a {what} holds one",
+            next=f"add --split {next(iter(choices))}",
         )
-        raise InputError(message)
     return next(iter(choices))
 
 
@@ -63,8 +60,9 @@ class Numbering:
         chosen = choices[split]
         counts = _episode_lengths(source, split)[[row for row, _ in chosen]]
         if not counts.sum():
-            message = f"{source.name!r} has no touches in split {split!r}; next: choose another split"
-            raise InputError(message)
+            raise InputError(
+                f"{source.name!r} has no touches in split {split!r}", next="choose another split"
+            )
         ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
         return split, cls(ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist())
 
@@ -76,20 +74,19 @@ class Numbering:
         Raises IntegrityError where a round was left out, or lengths were not as stated.
         """
         if skipped:
-            message = (
+            raise IntegrityError(
                 f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
-                "nothing of this file was written; next: leave the round out first (`realtouch select`)"
+                "nothing of this file was written",
+                next="leave the round out first (`realtouch select`)",
             )
-            raise IntegrityError(message)
         episode, frame = self.starts[shard.index]
         starts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
         if self.starts[shard.index + 1] != [episode + len(starts), frame + len(rows)]:
-            message = (
+            raise IntegrityError(
                 f"{shard}: {len(starts):,} episodes of {len(rows):,} frames in all, other than "
                 "'video_length_frames' stated when the export was planned; nothing of this file was written; "
                 "next: run `realtouch verify` on the source"
             )
-            raise IntegrityError(message)
         return episode + np.arange(len(starts)), frame + starts, np.diff([*starts, len(rows)])
 
 
@@ -185,12 +182,12 @@ class Episodes:
             raise damaged(row, name, str(error), touch) from error
         if size != self.size:
             (height, width), (first_height, first_width) = size, self.size
-            message = (
+            raise InputError(
                 f"{row.path!r}, row {row.number}, touch {touch}: an image of {width} x {height} pixels; "
                 f"expected {first_width} x {first_height} as in the first touch: episodes have images of "
-                "one size; next: make them alike with `realtouch resize`"
+                "one size",
+                next="make them alike with `realtouch resize`",
             )
-            raise InputError(message)
 
 
 def _states(pose: Poses) -> pa.Array:
@@ -210,11 +207,10 @@ def _episode_lengths(source: Source, split: str) -> NDArray[np.int64]:
     found = []
     for shard in source.shards[split]:
         if "video_length_frames" not in shard.types:
-            message = (
+            raise InputError(
                 f"{shard.path!r} has no column 'video_length_frames', by which frames are numbered ahead; "
                 "next: make single images of it first (`realtouch to-single`)"
             )
-            raise InputError(message)
         for index in range(shard.metadata.num_row_groups):
             lengths = shard.read(columns=["video_length_frames"], groups=[index]).column(0)
             rows = [np.asarray(each, np.int64) for each in lengths.to_pylist()]

@@ -13,8 +13,6 @@ from typing import Any
 
 from tactile_toolkit.errors import InputError
 
-__all__ = ["EXPORTS", "IMPORTS", "format_of"]
-
 EXPORTS = {
     "flat": "rows:FORMAT.plan",
     "webdataset": "webdataset:FORMAT.plan",
@@ -37,7 +35,6 @@ IMPORTS = {
 def format_of(formats: Mapping[str, str], name: str) -> Any:
     """Return the function of a format; InputError where there is none of that name."""
     if name not in formats:
-        message = f"there is no layout {name!r}; expected {', '.join(formats)}"
-        raise InputError(message)
+        raise InputError(f"there is no layout {name!r}; expected {', '.join(formats)}")
     module, _, function = formats[name].partition(":")
     return attrgetter(function)(import_module(f"realtouch.exchange.{module}"))

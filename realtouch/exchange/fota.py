@@ -24,8 +24,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
 
-__all__ = ["FORMAT", "items_of_fota"]
-
 _FOLDER = "fota"
 _POSE = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
 _LENGTHS = 3  # of these, the first so many are lengths
@@ -35,11 +33,11 @@ _MM_PER_M = 1000.0
 def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
     """Return the touches of a shard as one tar; the same touches give the same bytes."""
     if not len(rows):
-        message = (
+        raise IntegrityError(
             f"{shard}: no round is left, the first because {skipped[0].message}; tars are numbered "
-            "without gaps; nothing of this file was written; next: leave it out (`realtouch select`)"
+            "without gaps; nothing of this file was written",
+            next="leave it out (`realtouch select`)",
         )
-        raise IntegrityError(message)
     index = rows.drop_columns([IMAGE])
     samples = (
         (f"{fields['id']}.jpg", as_jpeg(image.as_py()["bytes"]), {**fields, **_pose_mm(fields)})

@@ -35,8 +35,6 @@ from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
 
-__all__ = ["NOT_IMPORTED", "import_images"]
-
 NOT_IMPORTED = "not_imported"
 """What the statistics call the fields of the source that were not imported: touches that had one, by name."""
 
@@ -120,14 +118,12 @@ def import_images(
     home, chosen = DataFolder(fspath(source)), columns or ImportColumns()
     read = format_of(IMPORTS, layout)
     if split is not None and not _SPLIT.fullmatch(split):
-        message = f"the split is {split!r}; expected letters, digits and underscores"
-        raise InputError(message)
+        raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
     folder = DataFolder(fspath(out))
     _refuse_inside(folder, home)
     items, columns = _listed(read(home, chosen, table), chosen)
     if not items:
-        message = f"{home.address()!r} holds nothing to import; expected images"
-        raise InputError(message)
+        raise InputError(f"{home.address()!r} holds nothing to import; expected images")
     plan = _plan(items, columns, tuple(classes), split, layout)
     return build(
         folder,
@@ -169,20 +165,19 @@ def _is_unicode(text: str) -> bool:
 
 def _refuse_inside(folder: DataFolder, home: DataFolder) -> None:
     if not home.exists():
-        message = (
-            f"{home.address()!r} does not exist; expected a folder of images or tars; next: check the name"
+        raise InputError(
+            f"{home.address()!r} does not exist; expected a folder of images or tars", next="check the name"
         )
-        raise InputError(message)
     out, source = (
         Path(each.address()).resolve() if each.is_local else PurePosixPath(each.address())
         for each in (folder, home)
     )
     if out.is_relative_to(source) or source.is_relative_to(out):
-        message = (
+        raise InputError(
             f"{folder.address()!r}, the folder to write, is, holds or lies in the source {home.address()!r}; "
-            "nothing was changed; next: choose a folder outside it"
+            "nothing was changed",
+            next="choose a folder outside it",
         )
-        raise InputError(message)
 
 
 def _plan(
@@ -195,8 +190,7 @@ def _plan(
     """Divide the touches into splits, rounds and shards. InputError where nothing can be imported."""
     names = classes or _class_names(items, columns.label)
     if len(set(map(_whole, classes))) < len(classes):
-        message = f"the classes are {', '.join(names)}; expected each once"
-        raise InputError(message)
+        raise InputError(f"the classes are {', '.join(names)}; expected each once")
     rounds = _rounds(items, columns, split)
     size = _first_size(items)
     schema = _schema(columns, names)
@@ -282,19 +276,19 @@ def _rounds(
         tar = _OUR_TAR.fullmatch(item.path.rpartition("/")[2])
         part = _text(item.values, columns.split) or split or (tar[1] if tar is not None else "train")
         if not _SPLIT.fullmatch(part):
-            message = f"{item.name!r}: the split {part[:_LONGEST_SHOWN]!r}; expected letters and digits"
-            raise InputError(message)
+            raise InputError(
+                f"{item.name!r}: the split {part[:_LONGEST_SHOWN]!r}; expected letters and digits"
+            )
         name = _text(item.values, columns.round)
         if not name:
             name = _UNNAMED.sub("_", item.name.rpartition(".")[0] or item.name)[-_LONGEST_ID:]
             while name in home or name in named:
                 name = f"{name}_{item.number}"
         if home.setdefault(name, part) != part:
-            message = (
+            raise InputError(
                 f"{item.name!r}: round {name[:_LONGEST_SHOWN]!r} lies in the splits {home[name]!r} and "
                 f"{part!r}; expected each round in one"
             )
-            raise InputError(message)
         found.setdefault(part, {}).setdefault(name, []).append(item)
     return found
 

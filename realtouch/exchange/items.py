@@ -19,17 +19,6 @@ from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 from tactile_toolkit.wording import did_you_mean
 
-__all__ = [
-    "HERE",
-    "IMAGE_ENDINGS",
-    "ImportColumns",
-    "Item",
-    "Reason",
-    "contents_of",
-    "require_columns",
-    "size_below",
-]
-
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 HERE = re.compile(r"^(?:\./+)+")
 """What a path may begin with to no effect."""
@@ -93,11 +82,10 @@ class ImportColumns:
         for what, chosen, count in (("position", self.position, 2), ("pose", self.pose, 7)):
             names = chosen or ()
             if len(names) not in (0, 1, count):
-                message = (
+                raise InputError(
                     f"{len(names)} {what} columns ({', '.join(names)}); expected {count}, or one that holds "
                     f"a list of {count}"
                 )
-                raise InputError(message)
 
     def found_in(self, known: Collection[str]) -> ImportColumns:
         """Return these columns and, where none was named, those of our own exports among the known ones."""
@@ -174,16 +162,15 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
     """Refuse columns that are not there, or there several times (InputError)."""
     for name in wanted:
         if name not in known:
-            message = (
+            raise InputError(
                 f"{where!r} has no column {name!r}{did_you_mean(name, known)}; found "
-                f"{', '.join(known) or 'none'}; next: name the columns with the options of `realtouch import`"
+                f"{', '.join(known) or 'none'}",
+                next="name the columns with the options of `realtouch import`",
             )
-            raise InputError(message)
         if known.count(name) > 1:
-            message = (
-                f"{where!r} has {known.count(name)} columns {name!r}; expected one; next: name them apart"
+            raise InputError(
+                f"{where!r} has {known.count(name)} columns {name!r}; expected one", next="name them apart"
             )
-            raise InputError(message)
 
 
 def size_below(home: DataFolder, name: str, sizes: Callable[[str], Mapping[str, int]]) -> int:

@@ -33,8 +33,6 @@ from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
 
-__all__ = ["plan"]
-
 _FOLDER = "lerobot"
 _VERSION = "v3.0"
 _FILES_PER_CHUNK = 1000

@@ -17,8 +17,6 @@ from realtouch.exchange.rows import decoded
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.touch.schema import MEDIA_TYPE
 
-__all__ = ["columns_of_episodes", "statistics_of_all"]
-
 _IMAGES_SEEN = 8
 """Images of an episode that are decoded for its statistics."""
 

@@ -30,8 +30,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import is_unchanged
 
-__all__ = ["plan"]
-
 _FOLDER = "replay"
 _FILE = f"{_FOLDER}/touches.zarr.zip"
 _PIXELS = "data/tactile"

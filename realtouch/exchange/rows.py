@@ -34,18 +34,6 @@ from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, encode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, class_names, column_type
 
-__all__ = [
-    "FORMAT",
-    "IMAGE",
-    "RowsFormat",
-    "as_jpeg",
-    "background_of",
-    "decoded",
-    "image_column",
-    "known_label",
-    "require_intact",
-]
-
 IMAGE = "image"
 
 _JPEG = b"\xff\xd8"
@@ -128,8 +116,9 @@ def require_intact(data: bytes | memoryview) -> tuple[int, int]:
         decode_image(data)
     # Encoders of clips fill up to even lengths.
     elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
-        message = f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
-        raise ValueError(message)
+        raise ValueError(
+            f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
+        )
     return size
 
 
@@ -159,11 +148,10 @@ def decoded(image: bytes, name: str, out: Pixels | None = None) -> Pixels:
     try:
         return decode_image(image, out)
     except ValueError as error:
-        message = (
-            f"{name!r}: {error}; next: run `realtouch verify` on the source, and leave the round out first "
-            "(`realtouch select`)"
-        )
-        raise IntegrityError(message) from error
+        raise IntegrityError(
+            f"{name!r}: {error}",
+            next="run `realtouch verify` on the source, and leave the round out first (`realtouch select`)",
+        ) from error
 
 
 def background_of(images: Sequence[bytes], names: Sequence[str]) -> bytes:
@@ -174,11 +162,10 @@ def background_of(images: Sequence[bytes], names: Sequence[str]) -> bytes:
     sizes = {image_size(image) for image in images}
     if len(sizes) > 1:
         found = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
-        message = (
-            f"images of {found} pixels have no common background; expected one size; next: make them alike "
-            "with `realtouch resize`"
+        raise InputError(
+            f"images of {found} pixels have no common background; expected one size",
+            next="make them alike with `realtouch resize`",
         )
-        raise InputError(message)
     pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]
     return encode_image(median_in_memory(np.stack(pixels)))
 

@@ -27,8 +27,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 
-__all__ = ["FORMAT", "items_of_pickles"]
-
 _FOLDER = "sparsh"
 _BACKGROUND = "bgs/bg_gs.jpg"
 _PROTOCOL = 4
@@ -84,8 +82,7 @@ class _Bounded:
 
     def read(self, size: int) -> bytes:
         if size > MAX_IMAGE_BYTES:
-            message = f"a value of {size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}"
-            raise ValueError(message)
+            raise ValueError(f"a value of {size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
         content: bytes = self._stream.read(size)
         return content
 
@@ -102,11 +99,11 @@ def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
             if opcode.name in _HEADER_BYTES and content is not None and position is not None:
                 yield position + _HEADER_BYTES[opcode.name], len(content)
             elif opcode.name not in _OF_LISTS:
-                message = f"{name!r} holds something else than a list of encoded images ({opcode.name})"
-                raise InputError(message)
+                raise InputError(
+                    f"{name!r} holds something else than a list of encoded images ({opcode.name})"
+                )
     except ValueError as error:
-        message = f"{name!r} is not an intact pickle ({error}); next: fetch it again"
-        raise InputError(message) from error
+        raise InputError(f"{name!r} is not an intact pickle ({error})", next="fetch it again") from error
 
 
 def items_of_pickles(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
@@ -114,8 +111,7 @@ def items_of_pickles(home: DataFolder, columns: ImportColumns, table: str | None
     split, number = home.address().rstrip("/").rpartition("/")[2], 0
     names = [name for name in home.sizes() if name.endswith(".pkl")]
     if not names:
-        message = f"{home.address()!r} holds no pickles (*.pkl)"
-        raise InputError(message)
+        raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
     for name in names:
         stem = name.removesuffix(".pkl")
         beside = table or f"{stem}.csv"
@@ -127,10 +123,9 @@ def items_of_pickles(home: DataFolder, columns: ImportColumns, table: str | None
                 yield Item(number, f"{stem}_{count:06d}", f"{home.address()}/{name}", start, size, values)
                 number, count = number + 1, count + 1
         if found is not None and len(found) != count:  # else they would be of other images
-            message = (
+            raise InputError(
                 f"{beside!r} has {len(found):,} lines; expected {count:,}, one for each image of {name!r}"
             )
-            raise InputError(message)
 
 
 def _lines(home: DataFolder, name: str) -> list[dict[str, Any]]:
@@ -139,5 +134,6 @@ def _lines(home: DataFolder, name: str) -> list[dict[str, Any]]:
         text = home.read_bytes(name).decode("utf-8-sig")
         return list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
     except (IntegrityError, UnicodeDecodeError, csv.Error) as error:
-        message = f"{home.address(name)!r} cannot be read ({error}); expected a table with commas, in UTF-8"
-        raise InputError(message) from error
+        raise InputError(
+            f"{home.address(name)!r} cannot be read ({error}); expected a table with commas, in UTF-8"
+        ) from error

@@ -17,8 +17,6 @@ from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.touch.tars import files_of_tar
 
-__all__ = ["items_of_tars", "tar_of"]
-
 _MOST_JSON_BYTES = 1 << 20
 
 
@@ -38,8 +36,7 @@ def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, Any]]]) -> bytes:
 def items_of_tars(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
     if table is not None:
-        message = "--table is about folders of images; a WebDataset has JSON files"
-        raise InputError(message)
+        raise InputError("--table is about folders of images; a WebDataset has JSON files")
     number, seen, known = 0, set[str](), dict[str, None]()
     for folder, name in _tars(home):
         for key, members in groupby(_members(folder, name), key=lambda each: each[0]):
@@ -63,8 +60,7 @@ def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:
     place = home.address()
     if Path(place).is_file() if home.is_local else place.endswith(".tar"):
         return [file_at(place)]
-    message = f"{place!r} holds no tars (*.tar); compressed ones are unpacked first"
-    raise InputError(message)
+    raise InputError(f"{place!r} holds no tars (*.tar); compressed ones are unpacked first")
 
 
 _Member = tuple[str, str, int, int, bytes]
@@ -84,11 +80,10 @@ def _members(folder: DataFolder, name: str) -> Iterator[_Member]:
                     content = stream.read(member.size)
                 yield f"{directory}{slash}{stem}", ending.lower(), start, member.size, content
     except (tarfile.TarError, OSError) as error:
-        message = (
-            f"{folder.address(name)!r} is not an intact tar ({error}); nothing was written; next: fetch it "
-            "again"
-        )
-        raise IntegrityError(message) from error
+        raise IntegrityError(
+            f"{folder.address(name)!r} is not an intact tar ({error}); nothing was written",
+            next="fetch it again",
+        ) from error
 
 
 def _is_image(ending: str) -> bool:

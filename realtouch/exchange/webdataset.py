@@ -12,8 +12,6 @@ from realtouch.exchange.tars import tar_of
 from realtouch.integrity.files import with_files
 from tactile_toolkit.store.shards import ShardName, Skipped
 
-__all__ = ["FORMAT"]
-
 _FOLDER = "webdataset"
 
 

@@ -17,8 +17,6 @@ from tactile_toolkit.read.source import manifest_beside
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind, kind_of, require_types
 
-__all__ = ["TouchFiles", "folder_meant", "stated_class_names", "stored_touch_counts", "usual_touch_count"]
-
 
 class TouchFiles:
     """Files of one data set: each is taken only when it can be read and agrees with those before it.
@@ -42,18 +40,18 @@ class TouchFiles:
         kind = kind_of(shard.schema, shard.path if self.shards else self.where)
         require_types(shard)
         if self.shards and kind != self.kind:
-            message = (
+            raise IntegrityError(
                 f"{shard.path!r}, field {MEDIA_COLUMN[self.kind]!r}: the column is not there; expected it as "
-                f"in {self.shards[0].path!r}; next: open files of one data set together"
+                f"in {self.shards[0].path!r}",
+                next="open files of one data set together",
             )
-            raise IntegrityError(message)
         names, expected = shard.class_names, self.stated_names
         if names is not None and expected is not None and names != expected:
-            message = (
+            raise IntegrityError(
                 f"{shard.path!r}, field 'label': the classes are named {_listed(names)}; expected "
-                f"{_listed(expected)} as in the files before it; next: open them apart, or make them again"
+                f"{_listed(expected)} as in the files before it",
+                next="open them apart, or make them again",
             )
-            raise IntegrityError(message)
         self.shards.append(shard)
         self.kind = kind
         self.stated_names = names if expected is None else expected

@@ -26,8 +26,6 @@ from tactile_toolkit.touch.ffmpeg import ffmpeg_count
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, PER_TOUCH_COLUMNS, POSE_COLUMN, Kind
 
-__all__ = ["check_round"]
-
 Size = tuple[int, int]  # height and width, pixels
 
 

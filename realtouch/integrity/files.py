@@ -12,8 +12,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import is_unchanged, sha256_hex
 from tactile_toolkit.store.shards import ShardRecord
 
-__all__ = ["checksums", "file_fields", "files_are_current", "files_of", "with_files", "write_changed"]
-
 _PREFIXES = ("", "meta_")
 
 

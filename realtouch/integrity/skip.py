@@ -17,8 +17,6 @@ from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 
-__all__ = ["PartialShard", "find_damage"]
-
 
 @dataclass(frozen=True)
 class PartialShard(Shard):

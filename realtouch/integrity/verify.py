@@ -30,8 +30,6 @@ from tactile_toolkit.store.verify import verify as verify_files
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 from tactile_toolkit.touch.tars import files_of_tar
 
-__all__ = ["TouchVerification", "check_folder", "check_round", "verify"]
-
 
 @dataclass(frozen=True, slots=True)
 class TouchVerification:

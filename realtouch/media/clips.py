@@ -44,7 +44,6 @@ from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_fo
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
 
-__all__ = ["TouchClip"]
 
 T = TypeVar("T")
 NO_CONTACT = "no-contact"
@@ -170,8 +169,7 @@ class TouchClip(Sequence[Pixels]):
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
         """Return all frames, shape (N, H, W, 3), for numpy: the items of an iteration are not arrays."""
         if copy is False:
-            message = "frames are decoded into a new array; a clip cannot be an array without a copy"
-            raise ValueError(message)
+            raise ValueError("frames are decoded into a new array; a clip cannot be an array without a copy")
         return np.asarray(self.frames(), dtype)
 
     @property
@@ -218,8 +216,9 @@ class TouchClip(Sequence[Pixels]):
             The index does not lead to the frame; names file, row and touch.
         """
         if self._avi is None:
-            message = f"touch {self.touch}: the clip is not an indexed AVI of JPEGs; next: decode its frames"
-            raise InputError(message)
+            raise InputError(
+                f"touch {self.touch}: the clip is not an indexed AVI of JPEGs", next="decode its frames"
+            )
         number = checked_index(frame, self._count, "frame", "frames")
         found = self._avi.frame(number) if self._index is None else None
         return self._whole_index().frame(self.data, number) if found is None else found
@@ -273,8 +272,7 @@ class TouchClip(Sequence[Pixels]):
         times = self.timestamps_s
         if not len(times) or not times[0] <= time_s <= times[-1] + 1.0 / self.fps:
             span = f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no frames"
-            message = f"no frame at {time_s} s; expected a time within the clip, {span}"
-            raise InputError(message)
+            raise InputError(f"no frame at {time_s} s; expected a time within the clip, {span}")
         return self[int(np.searchsorted(times, time_s, side="right")) - 1]
 
     @property
@@ -322,11 +320,11 @@ class TouchClip(Sequence[Pixels]):
         if chosen == "median":
             frame = most_changed_frame(self.frames(), min_change=min_change, min_area=min_area)
             if frame is None:
-                message = (
+                raise ItemError(
+                    NO_CONTACT,
                     f"touch {self.touch} of {self._row.path!r}, row {self._row.number}, shows no contact: no "
-                    f"frame differs from the median by {min_change} levels on {min_area:.2%} of its pixels"
+                    f"frame differs from the median by {min_change} levels on {min_area:.2%} of its pixels",
                 )
-                raise ItemError(NO_CONTACT, message)
             return frame
         if chosen == "best":
             return best_of(self.frames())[0]

@@ -16,8 +16,6 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
 
-__all__ = ["SensorImages", "in_parallel"]
-
 # Long enough that taking a run costs nothing, short enough that threads end together.
 _LONGEST_RUN = 16
 

@@ -20,8 +20,6 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 
-__all__ = ["SensorClips", "contact_frames_of", "contact_windows_of", "decode_frames"]
-
 
 class SensorClips(Sequence[TouchClip]):
     """The clips of one round; each is opened when it is asked for."""

@@ -11,8 +11,6 @@ from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
 from tactile_toolkit.touch.jpeg import Pixels, resized
 
-__all__ = ["MOST_TILES", "contact_sheet", "evenly_spaced", "fitted", "round_html", "touch_html"]
-
 MOST_TILES = 32
 """Touches that a notebook shows of a round."""
 

@@ -27,8 +27,6 @@ from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
 from tactile_toolkit.wording import class_name
 
-__all__ = ["DEFAULT_TOUCHES", "FRAMES_PER_FILM", "RoundChoice", "film_of", "plan_gallery", "sheet_of"]
-
 FRAMES_PER_FILM = 24
 """Frames shown of a clip, evenly spaced; of the published 58 to 90 every third or so."""
 
@@ -67,8 +65,7 @@ class RoundChoice(Choice):
 
     def __post_init__(self) -> None:
         if self.touches < 1:
-            message = f"--touches is {self.touches}; expected 1 or more"
-            raise InputError(message)
+            raise InputError(f"--touches is {self.touches}; expected 1 or more")
 
 
 def plan_gallery(choice: RoundChoice) -> Gallery:

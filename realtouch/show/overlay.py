@@ -17,16 +17,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
 
-__all__ = [
-    "CELL_M",
-    "SENSING_AREA_M",
-    "CellMap",
-    "Placed",
-    "cell_map",
-    "overlay",
-    "placed_touches",
-]
-
 SENSING_AREA_M = (0.01888, 0.01416)
 """Width and height of what the sensor sees, metres (package tactile-mnist 0.13.0, GelSight Mini)."""
 
@@ -113,11 +103,10 @@ def overlay(touches: Sequence[Placed], cell: CellMap) -> Pixels:
     sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})
     if len(sizes) > 1:
         found = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
-        message = (
+        raise InputError(
             f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size; "
             "next: make them alike with `realtouch resize`"
         )
-        raise InputError(message)
     width, height = cell.size_px
     sums, weights = np.zeros((height, width, 3)), np.zeros((height, width, 1))
     rest = np.median([touch.pixels for touch in touches], axis=0)

@@ -30,18 +30,6 @@ from tactile_toolkit.touch.contact import ContactHeight, height_text
 from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
 from tactile_toolkit.wording import counted
 
-__all__ = [
-    "CONTACT",
-    "IN_CONTACT",
-    "TouchPreviewSpec",
-    "draw_grid",
-    "draw_overlay",
-    "draw_strip",
-    "frames_shown",
-    "plan_previews",
-    "timeline",
-]
-
 CONTACT = ACCENTS[0]
 """Colour of the frame around touches in which the gel stopped on an object."""
 
@@ -79,12 +67,10 @@ def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
     dataset = load(name, spec.split, revision=spec.revision)
     split = spec.split or "-".join(dataset.splits)
     if not len(dataset):
-        message = f"split {split!r} of {name!r} holds no round; next: choose another split"
-        raise InputError(message)
+        raise InputError(f"split {split!r} of {name!r} holds no round", next="choose another split")
     number = spec.round_number
     if not 0 <= number < len(dataset):
-        message = f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}"
-        raise InputError(message)
+        raise InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
     record = dataset[number]
     stem = "-".join(filter(None, (file_stem(name), split)))
 
@@ -93,12 +79,12 @@ def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
 
     def strip() -> list[PlannedPicture]:
         if not isinstance(record, TouchSeqRound):
-            message = "a film strip needs clips, and this data set holds images; next: give a seq set"
-            raise InputError(message)
+            raise InputError(
+                "a film strip needs clips, and this data set holds images", next="give a seq set"
+            )
         touch, clips = spec.touch, record.sensor_video
         if not 0 <= touch < len(clips):
-            message = f"--touch is {touch}; round {number} has touches 0 to {len(clips) - 1}"
-            raise InputError(message)
+            raise InputError(f"--touch is {touch}; round {number} has touches 0 to {len(clips) - 1}")
         title = f"{_title(record)}, touch {touch}"
         what = f"the clip of touch {touch} of {record!r}"
         return planned(f"touch-{touch}-strip", what, lambda: draw_strip(clips[touch], title))

@@ -18,8 +18,6 @@ from tactile_sim.plan import generator
 from tactile_sim.sensor import as_environment, as_sensor
 from tactile_sim.spec import TrainConfig
 
-__all__ = ["Batch", "Batches", "by_taxim"]
-
 # Enough for a median without noise, and 100 MB at 256 x 256 pixels.
 _LEVEL_TOUCHES = 512
 

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from tactile_sim.noise import SensorNoise, draw_noise
 
-__all__ = ["depth_channels", "noisy_channels", "picture_channels", "shades_of"]
-
 
 def depth_channels(images: NDArray[np.float32]) -> Any:
     """Return the input of a generator, (n, 3, H, W) float32, -1 to 1, of depth images (n, H, W), 0 to 1."""

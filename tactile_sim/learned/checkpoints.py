@@ -26,17 +26,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.typed_json import decode
 
-__all__ = [
-    "DEPTH_WEIGHTS",
-    "TOUCH_WEIGHTS",
-    "claim_folder",
-    "foreign_checkpoint",
-    "read_checkpoint",
-    "settings_of",
-    "write_checkpoint",
-    "write_log",
-]
-
 TOUCH_WEIGHTS = "depth_to_touch.npz"
 DEPTH_WEIGHTS = "touch_to_depth.npz"
 _SETTINGS = "training.json"
@@ -73,23 +62,24 @@ def claim_folder(folder: DataFolder, settings: Mapping[str, Any], *, resume: boo
         if differing:
             first = differing[0]
             found, asked = (each["config"].get(first, each["pairs"]) for each in (there, wanted))
-            message = (
+            raise SpecMismatchError(
                 f"{folder.address()!r} holds a training with other settings: {first} is {found!r:.60} there, "
-                f"{asked!r:.60} was asked for; nothing was changed; next: choose another folder (--out)"
+                f"{asked!r:.60} was asked for; nothing was changed",
+                next="choose another folder (--out)",
             )
-            raise SpecMismatchError(message)
         folder.remove_temporaries()
         return True
     if resume:
-        message = f"{folder.address()!r} holds no training to continue with; next: leave --resume away"
-        raise InputError(message)
+        raise InputError(
+            f"{folder.address()!r} holds no training to continue with", next="leave --resume away"
+        )
     strangers = [name for name in folder.names() if not name.startswith(".")]
     if strangers:
-        message = (
+        raise InputError(
             f"{folder.address()!r} is not empty and holds no training (found {strangers[0]!r}); nothing was "
-            "changed; next: choose an empty or new folder (--out)"
+            "changed",
+            next="choose an empty or new folder (--out)",
         )
-        raise InputError(message)
     folder.write_bytes(_SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
     return False
 
@@ -109,11 +99,10 @@ def read_checkpoint(folder: DataFolder) -> dict[str, Any] | None:
     stored = folder.read_bytes(_CHECKPOINT)
     digest, content = stored[:_DIGEST_BYTES], stored[_DIGEST_BYTES:]
     if hashlib.sha256(content).digest() != digest:
-        message = (
-            f"{folder.address(_CHECKPOINT)!r} is damaged: its content does not match its checksum; next: "
-            "train again in another folder"
+        raise IntegrityError(
+            f"{folder.address(_CHECKPOINT)!r} is damaged: its content does not match its checksum",
+            next="train again in another folder",
         )
-        raise IntegrityError(message)
     try:
         # weights_only: a checkpoint is data, and unpickling it must run no code.
         found: dict[str, Any] = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)

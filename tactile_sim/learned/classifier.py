@@ -11,8 +11,6 @@ import torch
 from numpy.typing import NDArray
 from torch import nn
 
-__all__ = ["INPUT_PX", "SmallCNN", "balanced_accuracy"]
-
 INPUT_PX = 64
 """Larger pictures are scaled to this size, pixels."""
 

@@ -14,8 +14,6 @@ from tactile_sim.learned.channels import noisy_channels
 from tactile_sim.learned.networks import Generator, discriminator, initialise
 from tactile_sim.spec import TrainConfig
 
-__all__ = ["LOSSES", "CycleGan"]
-
 LOSSES = (
     "touch_adversarial",
     "depth_adversarial",

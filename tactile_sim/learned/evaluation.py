@@ -28,8 +28,6 @@ from tactile_sim.sheets import sheet_png
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 
-__all__ = ["BASELINES", "Evaluation", "Measured", "add_noise_per_object", "evaluate", "two_sample_test"]
-
 BASELINES = ("taxim", "untrained")
 """What trained weights may be compared with."""
 
@@ -174,17 +172,15 @@ def evaluate(
     """
     for name in baselines:
         if name not in BASELINES:
-            message = f"baselines has {name!r}; expected some of {', '.join(BASELINES)}"
-            raise InputError(message)
+            raise InputError(f"baselines has {name!r}; expected some of {', '.join(BASELINES)}")
     data = Pairs.open(pairs)
     touch = read_weights(Path(weights) / TOUCH_WEIGHTS)
     if touch.size_px != data.size_px:
         found, expected = (f"{w} x {h}" for w, h in (data.size_px, touch.size_px))
-        message = (
-            f"{pairs!r} holds pictures of {found} pixels; these weights were trained with {expected}; next: "
-            f"make a set with --size {touch.size_px[0]}x{touch.size_px[1]}"
+        raise InputError(
+            f"{pairs!r} holds pictures of {found} pixels; these weights were trained with {expected}",
+            next=f"make a set with --size {touch.size_px[0]}x{touch.size_px[1]}",
         )
-        raise InputError(message)
     untrained = Generator(touch.filters, touch.blocks)
     initialise(untrained, seed)
     makers: dict[str, Callable[[NDArray[np.float32]], NDArray[np.uint8]]] = {
@@ -207,12 +203,11 @@ def _spread(domain: Domain, count: int, pairs: str) -> NDArray[np.int64]:
     contact = domain.contact[rows]
     objects = len(np.unique(domain.object_ids[rows]))
     if len(rows) < _LEAST or not contact.any() or contact.all() or objects < 2:
-        message = (
+        raise InputError(
             f"{pairs!r} holds {len(rows)} pictures of one kind, {int(contact.sum())} with contact, of "
             f"{objects} objects; expected at least {_LEAST}, with and without contact, of several objects; "
             "next: a larger --count or another --without-contact of `tactile-sim pairs`"
         )
-        raise InputError(message)
     return rows
 
 

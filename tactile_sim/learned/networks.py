@@ -15,8 +15,6 @@ from torch import nn
 
 from tactile_sim.learned.weights import GeneratorWeights
 
-__all__ = ["Generator", "discriminator", "generator_of", "initialise", "weights_of"]
-
 
 class _Residual(nn.Module):  # type: ignore[misc]
     """Two convolutions whose result is added to what went in."""

@@ -19,8 +19,6 @@ from tactile_sim.pressing import depth_image
 from tactile_sim.sensor import Sensor
 from tactile_toolkit.errors import InputError
 
-__all__ = ["CycleganDepth", "CycleganOptics"]
-
 _LEAST_PX = 16
 
 
@@ -64,8 +62,9 @@ class CycleganOptics(_Learned):
     def depth_size(self, width: int, height: int) -> tuple[int, int]:
         """Return the size that the network was trained at, whatever the size of the pictures."""
         if min(width, height) < _LEAST_PX:
-            message = f"a picture of {width} x {height} pixels is too small; expected at least 16 x 16"
-            raise InputError(message)
+            raise InputError(
+                f"a picture of {width} x {height} pixels is too small; expected at least 16 x 16"
+            )
         return self.size_px
 
     def render(

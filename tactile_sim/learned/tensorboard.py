@@ -10,20 +10,16 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.touch.jpeg import decode_image
 
-__all__ = ["Events", "require_tensorboard"]
-
 
 def require_tensorboard(folder: DataFolder) -> None:
     """Raise InputError where TensorBoard is not installed, or cannot write to the folder."""
     if find_spec("tensorboard") is None:
-        message = (
-            "--tensorboard needs the package 'tensorboard', which is not installed; next: pip install "
-            "tensorboard, or leave it away: losses.parquet and samples/ hold the same"
+        raise InputError(
+            "--tensorboard needs the package 'tensorboard', which is not installed",
+            next="pip install tensorboard, or leave it away: losses.parquet and samples/ hold the same",
         )
-        raise InputError(message)
     if not folder.is_local:
-        message = f"--tensorboard writes to local folders only, not to {folder.address()!r}"
-        raise InputError(message)
+        raise InputError(f"--tensorboard writes to local folders only, not to {folder.address()!r}")
 
 
 class Events:

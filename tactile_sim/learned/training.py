@@ -37,8 +37,6 @@ from tactile_toolkit.errors import InputError, MissingExtraError, SpecMismatchEr
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder
 
-__all__ = ["Trained", "train"]
-
 _SAMPLES = 4
 
 
@@ -122,17 +120,18 @@ def train(
     config.crop_px(data.size_px)
     for split, domain in zip(SPLITS, (data.depth, data.real), strict=True):
         if not domain.contact.any():
-            message = (
+            raise InputError(
                 f"split {split!r} of {pairs!r} holds no picture with contact, so that nothing can be learned "
-                "of it; next: a larger --count or a smaller --without-contact of `tactile-sim pairs`"
+                "of it",
+                next="a larger --count or a smaller --without-contact of `tactile-sim pairs`",
             )
-            raise InputError(message)
     if config.start_steps:
         try:
             by_taxim(data)
         except MissingExtraError as error:
-            message = f"{error}, or leave out the pairs of the first steps: --start-steps 0"
-            raise InputError(message) from error
+            raise InputError(
+                f"{error}, or leave out the pairs of the first steps: --start-steps 0"
+            ) from error
     folder = DataFolder(os.fspath(out))
     if tensorboard:
         require_tensorboard(folder)
@@ -199,11 +198,11 @@ class _Run:
         except (AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
             raise foreign_checkpoint(self.folder, error) from error
         if len(pools) != self.place.count:
-            message = (
+            raise SpecMismatchError(
                 f"{self.folder.address()!r} was trained by {len(pools)} processes, and now there "
-                f"are {self.place.count}; nothing was changed; next: as many processes as before"
+                f"are {self.place.count}; nothing was changed",
+                next="as many processes as before",
             )
-            raise SpecMismatchError(message)
         if self.place.rank == 0:
             # A kill may have come between the checkpoint and what follows from it.
             self._publish(step, state["log"])
@@ -252,11 +251,11 @@ class _Run:
     def _require_finite(self, losses: dict[str, float], done: int) -> None:
         wrong = [name for name, loss in losses.items() if not math.isfinite(loss)]
         if wrong:
-            message = (
+            raise ToolkitError(
                 f"the loss {wrong[0]} is {losses[wrong[0]]} at step {done:,}: the loss diverged; the "
-                "last checkpoint stays; next: a smaller learning rate in another folder"
+                "last checkpoint stays",
+                next="a smaller learning rate in another folder",
             )
-            raise ToolkitError(message)
 
 
 def _pictures(channels: Any, name: str, size_px: tuple[int, int]) -> Any:
@@ -278,11 +277,10 @@ def _alone(folder: DataFolder, place: _Place) -> Iterator[None]:
         try:
             stack.enter_context(locked(Path(folder.address()), patience_s=0))
         except BlockingIOError as error:
-            message = (
-                f"another training is at work in {folder.address()!r}; nothing was changed; next: wait for "
-                "it, or choose another folder (--out)"
-            )
-            raise InputError(message) from error
+            raise InputError(
+                f"another training is at work in {folder.address()!r}; nothing was changed",
+                next="wait for it, or choose another folder (--out)",
+            ) from error
         yield
 
 
@@ -293,8 +291,9 @@ def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
     rank, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     chosen = _device(device)
     if deterministic and chosen != "cpu":
-        message = "deterministic training runs on the CPU; next: --device cpu, or leave --deterministic away"
-        raise InputError(message)
+        raise InputError(
+            "deterministic training runs on the CPU", next="--device cpu, or leave --deterministic away"
+        )
     if chosen == "cuda":
         chosen = f"cuda:{int(os.environ.get('LOCAL_RANK', '0'))}"
         torch.cuda.set_device(chosen)
@@ -321,11 +320,9 @@ def _device(name: str) -> str:
     if name == "auto":
         return "cuda" if available else "cpu"
     if name not in ("cpu", "cuda"):
-        message = f"device is {name!r}; expected auto, cpu or cuda"
-        raise InputError(message)
+        raise InputError(f"device is {name!r}; expected auto, cpu or cuda")
     if name == "cuda" and not available:
-        message = "device is 'cuda', but PyTorch finds no GPU here; next: --device cpu"
-        raise InputError(message)
+        raise InputError("device is 'cuda', but PyTorch finds no GPU here", next="--device cpu")
     return name
 
 

@@ -25,18 +25,6 @@ from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.store.files import expanded, open_regular
 from tactile_toolkit.store.folder import DataFolder
 
-__all__ = [
-    "FIRST_BLOCK",
-    "PUBLISHED_SIZE_PX",
-    "Direction",
-    "GeneratorWeights",
-    "layer_shapes",
-    "published_weights",
-    "read_weights",
-    "weights_bytes",
-    "write_weights",
-]
-
 Direction = Literal["touch", "depth"]
 """What a generator makes: touches of depth, or depth of touches."""
 
@@ -133,8 +121,9 @@ def read_weights(file: str | Path) -> GeneratorWeights:
     """
     path = expanded(file)
     if not path.is_file():
-        message = f"no file of weights {str(path)!r}; expected an .npz such as `tactile-sim train` writes"
-        raise InputError(message)
+        raise InputError(
+            f"no file of weights {str(path)!r}; expected an .npz such as `tactile-sim train` writes"
+        )
     try:
         with open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
             require_unpackable(sum(entry.file_size for entry in archive.infolist()), repr(str(path)))
@@ -151,8 +140,7 @@ def read_weights(file: str | Path) -> GeneratorWeights:
         MemoryError,
         zlib.error,
     ) as error:
-        message = f"{str(path)!r} cannot be read as weights of a generator ({error})"
-        raise InputError(message) from error
+        raise InputError(f"{str(path)!r} cannot be read as weights of a generator ({error})") from error
     _require_generator(arrays, str(path))
     return GeneratorWeights(arrays, _noted_size(noted, str(path)))
 
@@ -183,16 +171,16 @@ def _require_generator(arrays: Mapping[str, NDArray[Any]], where: str) -> None:
     wrong = next((name for name in [*expected, *found] if found.get(name) != expected.get(name)), None)
     if wrong is not None or not expected:
         named = wrong or "model.1.weight"
-        message = (
+        raise InputError(
             f"{where!r} does not hold weights of a generator: {named} has the shape "
-            f"{found.get(named, 'none')}, expected {expected.get(named, '(filters, 3, 7, 7)')}; next: give a "
-            "file that `tactile-sim train` wrote, or one of `tactile-mnist`"
+            f"{found.get(named, 'none')}, expected {expected.get(named, '(filters, 3, 7, 7)')}",
+            next="give a file that `tactile-sim train` wrote, or one of `tactile-mnist`",
         )
-        raise InputError(message)
     for name, array in arrays.items():
         if array.dtype != np.float32 or not np.isfinite(array).all():
-            message = f"{where!r}: {name} holds values that are not finite numbers in single precision"
-            raise IntegrityError(message)
+            raise IntegrityError(
+                f"{where!r}: {name} holds values that are not finite numbers in single precision"
+            )
 
 
 def _noted_size(comment: bytes, where: str) -> tuple[int, int]:
@@ -201,12 +189,14 @@ def _noted_size(comment: bytes, where: str) -> tuple[int, int]:
     try:
         width, height = json.loads(comment)["size_px"]
     except (ValueError, TypeError, KeyError, RecursionError) as error:
-        message = f"{where!r} does not state the size of its pictures as `tactile-sim train` does"
-        raise IntegrityError(message) from error
+        raise IntegrityError(
+            f"{where!r} does not state the size of its pictures as `tactile-sim train` does"
+        ) from error
     for side in (width, height):
         if not isinstance(side, int) or isinstance(side, bool) or side not in _SIDES_PX or side % 4:
-            message = f"{where!r} is of {width!r} x {height!r} pixels; expected multiples of 4, 16 to 2048"
-            raise IntegrityError(message)
+            raise IntegrityError(
+                f"{where!r} is of {width!r} x {height!r} pixels; expected multiples of 4, 16 to 2048"
+            )
     return width, height
 
 

@@ -82,9 +82,7 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
     if name == "cyclegan":
         return lazy("tactile_sim.learned.rendering:CycleganOptics")(weights)  # type: ignore[no-any-return]
     if name not in OPTICS:
-        message = f"no optics {name!r}; expected one of {', '.join(OPTICS)}"
-        raise InputError(message)
+        raise InputError(f"no optics {name!r}; expected one of {', '.join(OPTICS)}")
     if weights is not None and name != "cyclegan":
-        message = f"weights were given, but the optics are {name!r}; next: --optics cyclegan"
-        raise InputError(message)
+        raise InputError(f"weights were given, but the optics are {name!r}", next="--optics cyclegan")
     return makers[name]()  # type: ignore[no-any-return]

@@ -23,8 +23,6 @@ from tactile_sim.sensor import Sensor
 from tactile_toolkit.arithmetic import cosine_sine, decay
 from tactile_toolkit.errors import InputError, MissingExtraError
 
-__all__ = ["FLAT_SLOPE", "TaximOptics"]
-
 FLAT_SLOPE = 1e-5
 """Tangent of a slope below which the gel counts as flat: about the rounding of the package, which works in
 single precision where this does in double."""
@@ -46,10 +44,9 @@ class TaximOptics:
     def depth_size(self, width: int, height: int) -> tuple[int, int]:
         """Return the size of the picture; InputError where that is too small for Taxim's filters."""
         if min(width, height) < _LEAST_PX:
-            message = (
+            raise InputError(
                 f"a picture of {width} x {height} pixels is too small for Taxim; expected at least 16 x 16"
             )
-            raise InputError(message)
         return width, height
 
     def render(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.uint8]:

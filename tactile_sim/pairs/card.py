@@ -18,8 +18,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import height_text
 from tactile_toolkit.touch.jpeg import decode_image
 
-__all__ = ["write_card"]
-
 _SHOWN = 8
 
 

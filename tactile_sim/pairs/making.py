@@ -36,8 +36,6 @@ from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import Skipped
 from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
 
-__all__ = ["PairsMaking", "PairsSpec", "make_pairs"]
-
 # Pictures of 256 x 256 pixels take some 100 MB then.
 _ROWS_PER_SHARD = 1000
 # One real touch in five met its object: 16 places in the cell fail 3 times in 100, then places on the object
@@ -85,10 +83,9 @@ class PairsSpec:
         object.__setattr__(self, "size_px", as_sensor(*self.size_px).size_px)
         check_fields(self, "the training set")
         if not all(side in _SIDES_PX and side % 4 == 0 for side in self.size_px):
-            message = (
+            raise InputError(
                 f"size_px of the training set is {self.size_px}; expected multiples of 4 from 16 to 2048"
             )
-            raise InputError(message)
 
     @property
     def sensor(self) -> Sensor:
@@ -121,11 +118,11 @@ def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> 
             pressed = press(solid, drawn.object_poses[0], target, sensor)
             if float(pressed.sensor_z_m) - sensor.press_m >= least_m:
                 return np.asarray(pressed.image)
-    message = (
+    raise InputError(
         f"object {object_id} is nowhere {1e3 * least_m:.1f} mm high, so that no touch of it counts "
-        "as contact; next: lower --min-height-mm"
+        "as contact",
+        next="lower --min-height-mm",
     )
-    raise InputError(message)
 
 
 @dataclass(frozen=True)
@@ -147,8 +144,7 @@ class PairsMaking(making.Making):
         """Look at both sources; InputError for what is not of the right kind, or holds no mesh."""
         solids = SolidSplit.find(place_of(objects), split)
         if not len(solids):
-            message = f"split {split!r} of {objects!r} holds no mesh; next: choose another split"
-            raise InputError(message)
+            raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
         touches = KIND.load(real, split)
         if spec.min_height_m is None:
             spec = replace(spec, min_height_m=max(rule.min_height_m for rule in touches.contact_rules()))
@@ -234,13 +230,12 @@ def _draw(touches: Any, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
     wanted = {True: sum(flags), False: spec.count - sum(flags)}
     found = {flag: np.flatnonzero(contact == flag) for flag in wanted}
     if any(len(found[flag]) < count for flag, count in wanted.items()):
-        message = (
+        raise InputError(
             f"{real!r} holds {len(found[True]):,} touches with contact and {len(found[False]):,} without, "
             f"the highest {1e3 * heights_m.max(initial=0.0):.1f} mm above the plate; expected at least "
-            f"{wanted[True]:,} and {wanted[False]:,}; nothing was written; next: a smaller --count, or "
-            "another --without-contact or --min-height-mm"
+            f"{wanted[True]:,} and {wanted[False]:,}; nothing was written",
+            next="a smaller --count, or another --without-contact or --min-height-mm",
         )
-        raise InputError(message)
     pools = {
         flag: iter(np.sort(rng.permutation(found[flag])[:count]).tolist()) for flag, count in wanted.items()
     }

@@ -20,8 +20,6 @@ from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.touch.jpeg import decode_image
 
-__all__ = ["Domain", "Pairs"]
-
 
 @dataclass(frozen=True, eq=False)
 class Domain:
@@ -56,15 +54,16 @@ class Domain:
         try:
             image: NDArray[Any] = decode_depth(data) if self.is_depth else decode_image(data)
         except ValueError as error:
-            message = f"{group.path!r}, row {row}: {error}; next: run `tactile-sim verify` on the folder"
-            raise IntegrityError(message) from error
+            raise IntegrityError(
+                f"{group.path!r}, row {row}: {error}", next="run `tactile-sim verify` on the folder"
+            ) from error
         if image.shape[1::-1] != self.size_px:
             width, height = image.shape[1::-1]
-            message = (
+            raise IntegrityError(
                 f"{group.path!r}, row {row}: a picture of {width} x {height} pixels; expected "
-                f"{self.size_px[0]} x {self.size_px[1]} as in the manifest; next: make the set again"
+                f"{self.size_px[0]} x {self.size_px[1]} as in the manifest",
+                next="make the set again",
             )
-            raise IntegrityError(message)
         return image
 
     def images(self, rows: Sequence[int] | NDArray[np.int64], pool: Executor | None = None) -> NDArray[Any]:
@@ -100,17 +99,17 @@ class Pairs:
         """Open a folder; InputError for something else or an unfinished one, IntegrityError if damaged."""
         manifest = require_manifest(KIND, DataFolder(folder))
         if manifest.spec.get("operation") != "pairs":
-            message = f"{folder!r} is not a training set; expected a folder that `tactile-sim pairs` made"
-            raise InputError(message)
+            raise InputError(
+                f"{folder!r} is not a training set; expected a folder that `tactile-sim pairs` made"
+            )
         try:
             options = manifest.spec["options"]
             (width, height), like = options["size_px"], options["like"]
         except (KeyError, TypeError, ValueError) as error:
-            message = (
+            raise IntegrityError(
                 f"the specification in {folder!r} does not state size and window of the pictures; "
                 "next: make the set again"
-            )
-            raise IntegrityError(message) from error
+            ) from error
         tables = [ShardedTable(find_shards(folder, split)) for split in SPLITS]
         depth, real = (
             Domain(table, split == "depth", (width, height))

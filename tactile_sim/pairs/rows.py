@@ -15,16 +15,6 @@ from tactile_toolkit.rows import column, plain_schema, row
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
 from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
 
-__all__ = [
-    "DEPTH_LEVELS",
-    "SPLITS",
-    "PairRow",
-    "decode_depth",
-    "depth_levels",
-    "encode_depth",
-    "pair_schema",
-]
-
 SPLITS = ("depth", "real")
 
 DEPTH_LEVELS = 65535
@@ -73,11 +63,9 @@ def decode_depth(data: bytes) -> NDArray[np.float32]:
                 raise ValueError(problem)
             mode, levels = image.mode, np.asarray(image)
     except Exception as error:  # Pillow raises OSError, SyntaxError, struct.error and more on bad files
-        message = f"a depth image of {len(data):,} bytes that cannot be decoded ({error})"
-        raise ValueError(message) from error
+        raise ValueError(f"a depth image of {len(data):,} bytes that cannot be decoded ({error})") from error
     if levels.ndim != 2 or levels.dtype.kind not in "ui" or mode not in ("I;16", "I"):
-        message = f"a picture of mode {mode}; expected a grey PNG of 16 bits"
-        raise ValueError(message)
+        raise ValueError(f"a picture of mode {mode}; expected a grey PNG of 16 bits")
     return (levels / np.float32(DEPTH_LEVELS)).astype(np.float32)
 
 

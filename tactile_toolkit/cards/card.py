@@ -19,29 +19,6 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 
-__all__ = [
-    "CARD_FILE",
-    "Card",
-    "Column",
-    "MESH_TASKS",
-    "PREVIEW_FOLDER",
-    "addressed",
-    "between",
-    "bibtex",
-    "column_type_text",
-    "field_table",
-    "first_rows",
-    "json_block",
-    "made_by",
-    "markdown_table",
-    "megabytes",
-    "placeholders",
-    "render_card",
-    "skipped_text",
-    "split_table",
-    "write_card_files",
-]
-
 CARD_FILE = "README.md"
 PREVIEW_FOLDER = "previews"
 Column = tuple[str, str]

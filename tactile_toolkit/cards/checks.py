@@ -20,8 +20,6 @@ from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.shards import Finding
 
-__all__ = ["check_card"]
-
 _GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
 _DOLLAR = re.compile(r"\$(?:(?P<bare>[a-z_]\w*)|\{(?P<braced>[a-z_]\w*)\})")
 # Code may have variables of its own, some of which are called like placeholders.

@@ -23,14 +23,6 @@ from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding
 from tactile_toolkit.wording import counted
 
-__all__ = [
-    "CROISSANT_FILE",
-    "check_croissant",
-    "croissant_for_hub",
-    "croissant_of_folder",
-    "croissant_text",
-]
-
 CROISSANT_FILE = "croissant.json"
 
 # Up to so many shards are listed with their digests; of more, those in the manifest must do.
@@ -222,8 +214,7 @@ def croissant_of_folder(text: str, folder: DataFolder) -> str:
     manifest = read_manifest(folder)
     values = json.loads(text)
     if not isinstance(values, dict):
-        message = "not a JSON object"
-        raise ValueError(message)
+        raise ValueError("not a JSON object")
     # That is the page of the repository, of which the folder may be a part only.
     values.pop("url", None)
     return printable_json({**values, **_structure(folder, folder_facts(folder, manifest), manifest)}) + "\n"

@@ -20,14 +20,6 @@ from tactile_toolkit.store.parquet import unpacked_bytes
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName
 from tactile_toolkit.versions import toolkit_version
 
-__all__ = [
-    "FolderFacts",
-    "SplitFacts",
-    "folder_facts",
-    "viewer_files",
-    "yaml_features",
-]
-
 _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
 
@@ -99,8 +91,7 @@ def folder_facts(folder: DataFolder, manifest: Manifest | None = None, schema: A
             sizes = zip(*in_threads(partial(_sizes, folder), files, os.cpu_count() or 1), strict=True)
         splits.append(SplitFacts(split, tuple(shards), paths, *map(sum, sizes)))
     if not splits:
-        message = f"{folder.lacks('Parquet files')}; next: give the folder of a data set"
-        raise InputError(message)
+        raise InputError(f"{folder.lacks('Parquet files')}", next="give the folder of a data set")
     # Another version of the toolkit may have written other columns.
     if not recorded or schema is None or manifest is None or manifest.toolkit_version != toolkit_version():
         schema = splits[0].shards[0].schema

@@ -9,8 +9,6 @@ from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.printable import printable
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, ShardName
 
-__all__ = ["card_head", "config_of", "configs", "dataset_info", "head_text", "size_category"]
-
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 
 

@@ -17,8 +17,6 @@ from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 
-__all__ = ["Terms", "write_table_card"]
-
 _COLUMNS: dict[str, Column] = {
     "label_name": ("", "name of the class"),
     **{name: ("m", f"extent along {name[5]}") for name in SIZES},

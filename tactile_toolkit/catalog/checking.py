@@ -15,8 +15,6 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import runner_for
 
-__all__ = ["CheckedRow", "RowsToCheck", "check_rows", "shards_to_check"]
-
 T = TypeVar("T")
 
 

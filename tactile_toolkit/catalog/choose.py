@@ -16,19 +16,6 @@ from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.store.address import is_remote, place_of_data
 from tactile_toolkit.store.files import expanded
 
-__all__ = [
-    "Choice",
-    "IdChoice",
-    "choose_rows",
-    "chosen_records",
-    "class_by_class",
-    "open_splits",
-    "parse_ids",
-    "portions",
-    "short_name",
-    "splits_to_show",
-]
-
 D = TypeVar("D", bound=RecordDataset[Any])
 
 _IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
@@ -45,16 +32,16 @@ def open_splits(name: str, split: str | None, load: Callable[[str, str], D], thi
     """
     known = splits_of(name)
     if split is not None and split not in known:
-        message = f"no split {split!r} in {name!r}: it has {', '.join(known)}; next: choose one of them"
-        raise InputError(message)
+        raise InputError(
+            f"no split {split!r} in {name!r}: it has {', '.join(known)}", next="choose one of them"
+        )
     chosen = known if split is None else (split,)
     opened = {each: load(name, each) for each in chosen}
     filled = {each: rows for each, rows in opened.items() if len(rows)}
     if not filled:
-        message = (
-            f"{', '.join(chosen)} of {name!r}: no {things}; next: generate some, or choose another split"
+        raise InputError(
+            f"{', '.join(chosen)} of {name!r}: no {things}", next="generate some, or choose another split"
         )
-        raise InputError(message)
     return filled
 
 
@@ -75,11 +62,10 @@ def chosen_records(
         found = {int(known[row]): (split, dataset[row]) for row in reversed(rows)} | found
     missing = [str(number) for number in dict.fromkeys(ids) if number not in found]
     if missing:
-        message = (
-            f"no {things} of id {', '.join(missing)} in {', '.join(datasets)} of {name!r}; next: give ids of "
-            "the data set, such as those on its contact sheet"
+        raise InputError(
+            f"no {things} of id {', '.join(missing)} in {', '.join(datasets)} of {name!r}",
+            next="give ids of the data set, such as those on its contact sheet",
         )
-        raise InputError(message)
     return [found[number] for number in dict.fromkeys(ids)]
 
 
@@ -140,8 +126,9 @@ def choose_rows(
             classes = list(rows.label_names)
             unknown = [label for label in labels if label not in classes]
             if unknown:
-                message = f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(classes)}"
-                raise InputError(message)
+                raise InputError(
+                    f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(classes)}"
+                )
             wanted &= np.isin(rows.labels, [classes.index(label) for label in labels])
         chosen = np.flatnonzero(wanted)
         if per_class is not None:
@@ -154,16 +141,14 @@ def choose_rows(
         low, high = missing[0]
         what = f"id {low}" if low == high else f"an id from {low} to {high}"
         more = f" ({len(missing)} of the ids and ranges are not there)" if len(missing) > 1 else ""
-        message = (
-            f"no object with {what} in what was chosen{more}; next: look at the ids of the split, or name "
-            "another --split"
+        raise InputError(
+            f"no object with {what} in what was chosen{more}",
+            next="look at the ids of the split, or name another --split",
         )
-        raise InputError(message)
     if not any(len(chosen) for _, _, chosen in found):
-        message = (
+        raise InputError(
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
         )
-        raise InputError(message)
     return found
 
 
@@ -178,8 +163,7 @@ def parse_ids(text: str) -> list[int | tuple[int, int]]:
         match = _IDS.fullmatch(part.strip())
         low, high = (int(match[1]), int(match[2] or match[1])) if match is not None else (0, -1)
         if match is None or high < low:
-            message = f"--ids has {part.strip()!r}; expected numbers and ranges such as 3,17,40-60"
-            raise InputError(message)
+            raise InputError(f"--ids has {part.strip()!r}; expected numbers and ranges such as 3,17,40-60")
         numbers.append(low if match[2] is None else (low, high))
     return numbers
 

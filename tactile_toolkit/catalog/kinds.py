@@ -15,8 +15,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.origin import read_record
 
-__all__ = ["finished_manifest", "kind_of_meshes", "require_kind", "require_manifest", "specification_read"]
-
 
 def kind_of_meshes(schema: Any) -> DatasetKind | None:
     """Tell the kind of meshes by a column that only it has, or else by the classes of its published set."""
@@ -47,8 +45,7 @@ def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[
         what, next_step = f"data of kind {stated!r}", "use a command of that kind"
     else:
         what, next_step = other.nouns, f"run `{other.command} {command} {name}`"
-    message = f"{name!r} holds {what}; `{kind.command} {command}` is for {kind.nouns}; next: {next_step}"
-    raise InputError(message)
+    raise InputError(f"{name!r} holds {what}; `{kind.command} {command}` is for {kind.nouns}", next=next_step)
 
 
 def finished_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest | None:
@@ -65,8 +62,7 @@ def finished_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest | None:
         else:
             what = "the download into"
             next_step = f"download {record.repo_id} there again, it continues where it stopped"
-        message = f"{what} {folder.address()!r} is not finished; next: {next_step}"
-        raise InputError(message)
+        raise InputError(f"{what} {folder.address()!r} is not finished", next=next_step)
     return manifest
 
 
@@ -74,11 +70,10 @@ def require_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest:
     """Read the manifest of a finished folder, which has to be there; raises as :func:`finished_manifest`."""
     manifest = finished_manifest(kind, folder)
     if manifest is None:
-        message = (
-            f"{folder.lacks(MANIFEST_FILE)}; next: give the folder of a data set, such as one "
-            f"made by `{kind.made_by}`"
+        raise InputError(
+            f"{folder.lacks(MANIFEST_FILE)}",
+            next=f"give the folder of a data set, such as one made by `{kind.made_by}`",
         )
-        raise InputError(message)
     return manifest
 
 
@@ -88,8 +83,8 @@ def specification_read(where: str) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, AttributeError) as error:
-        message = (
+        raise IntegrityError(
             f"the specification in {where!r} is not that of a data set of this kind ({type(error).__name__}: "
-            f"{error}); next: download or generate the data set again"
-        )
-        raise IntegrityError(message) from error
+            f"{error})",
+            next="download or generate the data set again",
+        ) from error

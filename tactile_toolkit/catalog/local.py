@@ -10,8 +10,6 @@ from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import manifest_so_far
 
-__all__ = ["LocalSet", "local_sets"]
-
 
 @dataclass(frozen=True, slots=True)
 class LocalSet:
@@ -35,8 +33,9 @@ def local_sets(folder: Path) -> list[LocalSet]:
     Reads manifests only.
     """
     if not folder.is_dir():
-        message = f"{DataFolder(str(folder)).lacks('data sets')}; next: give a folder with data set folders"
-        raise InputError(message)
+        raise InputError(
+            f"{DataFolder(str(folder)).lacks('data sets')}", next="give a folder with data set folders"
+        )
     places = [folder, *sorted(each for each in folder.iterdir() if each.is_dir())]
     found = [_local_set(place, folder) for place in places]
     return [each for each in found if each is not None]

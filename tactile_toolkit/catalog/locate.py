@@ -28,17 +28,6 @@ from tactile_toolkit.store.shards import (
 from tactile_toolkit.store.small_columns import small_files
 from tactile_toolkit.wording import did_you_mean
 
-__all__ = [
-    "available_splits",
-    "find_files",
-    "find_shards",
-    "folder_named",
-    "repository_named",
-    "repository_shards",
-    "splits_of",
-    "splits_to_check",
-]
-
 _LONGEST_SHOWN = 200
 _USUAL_SPLIT = "train"
 _PARQUET = ".parquet"
@@ -79,8 +68,7 @@ def find_files(
 ) -> tuple[Shard, ...]:
     """Find Parquet files that belong together, local or on the Hub, as :func:`find_shards` does."""
     if not names:
-        message = "no files given; expected Parquet files of one data set"
-        raise InputError(message)
+        raise InputError("no files given; expected Parquet files of one data set")
     shards: list[Shard] = []
     repositories: dict[tuple[str, str | None], HubRepository] = {}  # one each: its files are of one commit
     for name in names:
@@ -92,8 +80,7 @@ def find_files(
         elif isinstance(place, str):
             shards.append(Shard(place))
         else:
-            message = f"no file {_shown(name)}; expected Parquet files of one data set"
-            raise InputError(message)
+            raise InputError(f"no file {_shown(name)}; expected Parquet files of one data set")
     return tuple(shards)
 
 
@@ -101,8 +88,9 @@ def repository_named(name: str, revision: str | None = None) -> HubRepository:
     """Return the repository that a name means; InputError for other names, and for a part of one."""
     named = _named_on_hub(name, revision)
     if named.path:
-        message = f"{name!r} is a part of a repository; expected all of it; next: leave {named.path!r} out"
-        raise InputError(message)
+        raise InputError(
+            f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
+        )
     return HubRepository(named.repo_id, named.revision)
 
 
@@ -116,12 +104,11 @@ def _named_on_hub(name: str, revision: str | None) -> HubName:
     if named is None:
         published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
         lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))
-        message = (
+        raise InputError(
             f"{_shown(name)} does not exist; expected a folder, a Parquet file, a repository of the Hub "
-            f"(USER/NAME) or a published set{did_you_mean(name, published)}; next: check the name (the "
-            f"published sets: {lists}), or make a data set"
+            f"(USER/NAME) or a published set{did_you_mean(name, published)}",
+            next=f"check the name (the published sets: {lists}), or make a data set",
         )
-        raise InputError(message)
     return named
 
 
@@ -143,11 +130,10 @@ def _found_here(name: str) -> str | DataFolder | None:
             return place_of_data(name)
         folder = DataFolder(name)
         if not folder.exists():
-            message = (
-                f"{folder.lacks('data set')}; expected the folder of a data set, or a Parquet file; next: "
-                "check the address"
+            raise InputError(
+                f"{folder.lacks('data set')}; expected the folder of a data set, or a Parquet file",
+                next="check the address",
             )
-            raise InputError(message)
         return folder
     try:
         place = expanded(place_of_data(name))
@@ -182,8 +168,7 @@ def _split_of(known: Sequence[str], split: str | None, name: str) -> str:
     only, *further = dict.fromkeys(known or [_USUAL_SPLIT])
     if further:
         found = f"{_shown(name)} has the splits {', '.join([only, *further])}; expected one of them"
-        message = f"{found}; next: name it, split={only!r} (in a shell --split {only})"
-        raise InputError(message)
+        raise InputError(found, next=f"name it, split={only!r} (in a shell --split {only})")
     return only
 
 
@@ -220,8 +205,7 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
         files = _shards_below(HubRepository(place.repo_id, place.revision), place.path)
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
-        message = f"no Parquet files in {name!r}; next: give the folder or repository of a data set"
-        raise InputError(message)
+        raise InputError(f"no Parquet files in {name!r}", next="give the folder or repository of a data set")
     return splits
 
 
@@ -268,20 +252,18 @@ def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], 
     if shards and len(shards) == shards[0].count:
         return
     if complete and shards:
-        message = (
+        raise IntegrityError(
             f"{len(shards)} of {shards[0].count} shards of split {split!r} are listed in "
-            f"{folder.address(MANIFEST_FILE)!r}, all were expected; next: download or generate the data "
-            "set again"
+            f"{folder.address(MANIFEST_FILE)!r}, all were expected",
+            next="download or generate the data set again",
         )
-        raise IntegrityError(message)
     there = [file.path for file in _folder_files(folder) if file.split == split]
     if there or not complete:
-        message = (
+        raise IntegrityError(
             f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
-            f"{split!r} are there, {MANIFEST_FILE} does not list them all); next: run the same command "
-            "again, it continues"
+            f"{split!r} are there, {MANIFEST_FILE} does not list them all)",
+            next="run the same command again, it continues",
         )
-        raise IntegrityError(message)
 
 
 def _folder_files(folder: DataFolder) -> list[ShardFile]:
@@ -326,8 +308,7 @@ def splits_to_check(path: str) -> tuple[str, ...]:
                 break
     splits = available_splits(folder)
     if not splits:
-        message = (
-            f"{path!r} holds no data set (no manifest and no Parquet files); next: name a generated folder"
+        raise InputError(
+            f"{path!r} holds no data set (no manifest and no Parquet files)", next="name a generated folder"
         )
-        raise InputError(message)
     return splits

@@ -16,8 +16,6 @@ from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
 from tactile_toolkit.store.manifest import MANIFEST_FILE
 from tactile_toolkit.store.shards import DATA_FOLDER, shard_files
 
-__all__ = ["SetState", "kind_that_published", "place_of", "published_set", "states"]
-
 _THREADS = 8
 
 

@@ -40,8 +40,6 @@ from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
 from tactile_toolkit.store.shards import DATA_FOLDER, files_of_split, shard_files
 
-__all__ = ["DownloadPlan", "download", "plan_download"]
-
 # What is fitted to the splits that a folder gets.
 _METADATA_FILES = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
 
@@ -210,11 +208,11 @@ def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord
         return record
     if record is not None or holds_set:
         found = f"a download of {record.repo_id!r}" if record is not None else "a data set of another origin"
-        message = (
+        raise SpecMismatchError(
             f"{folder.address()!r} holds {found}, not one of {repository.repo_id!r}; nothing in it was "
-            "changed; next: choose another folder with --out"
+            "changed",
+            next="choose another folder with --out",
         )
-        raise SpecMismatchError(message)
     if names:
         refuse_unknown_files(folder)
     return None
@@ -227,11 +225,11 @@ def _refuse_own_files(folder: DataFolder, paths: Iterable[str]) -> None:
     record = read_record(folder) if own else None
     own = [path for path in own if record is None or path not in record.files]
     if own:
-        message = (
+        raise InputError(
             f"{folder.address()!r} holds a file of your own where the data set has one ({own[0]!r}); nothing "
-            "was changed; next: move it away, or choose another folder with --out"
+            "was changed",
+            next="move it away, or choose another folder with --out",
         )
-        raise InputError(message)
 
 
 def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -> list[str]:
@@ -314,11 +312,11 @@ def _require_space(plan: DownloadPlan) -> None:
     there = next(path for path in (target, *target.absolute().parents) if path.exists())
     free = shutil.disk_usage(there).free
     if plan.missing_bytes > free:
-        message = (
+        raise StorageError(
             f"{plan.missing_bytes:,} bytes are to be fetched, and {str(there)!r} has room for {free:,}; "
-            "nothing was fetched; next: free some space, or choose another place with --out or HF_HOME"
+            "nothing was fetched",
+            next="free some space, or choose another place with --out or HF_HOME",
         )
-        raise StorageError(message)
 
 
 def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:

@@ -32,7 +32,6 @@ if TYPE_CHECKING:
     from tactile_toolkit.mesh.records import SolidRecord
     from tactile_toolkit.read.dataset import RecordDataset
 
-__all__ = ["export_tables", "forecast_tables", "viewer_tables"]
 
 Choices: TypeAlias = "Iterable[tuple[str, RecordDataset[SolidRecord], NDArray[Any]]]"
 
@@ -141,11 +140,11 @@ def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str
     def make(record: ShardRecord) -> tuple[str, str]:
         shard = Shard(folder.address(record.shard.data_path), record.rows)
         if not {VERTICES, FACES} <= set(column_names(shard.schema)):
-            message = (
+            raise InputError(
                 f"--viewer shows meshes in 3D, and {folder.address()!r} holds none (the Hub shows images and "
-                "clips without it); nothing was sent; next: leave --viewer out"
+                "clips without it); nothing was sent",
+                next="leave --viewer out",
             )
-            raise InputError(message)
         rows = SolidDataset([ShardedTable((shard,))], label_names=class_names(shard.schema, ()))
         content = encode_parquet(flat_table(rows), _VIEWER_STYLE)
         path = f"{VIEWER_FOLDER}/{record.shard}.parquet"

@@ -37,8 +37,6 @@ from tactile_toolkit.store.origin import Digest, HubFile
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName
 from tactile_toolkit.store.verify import problem_of_place, verify
 
-__all__ = ["PreparedUpload", "UploadOptions", "UploadResult", "check_folder", "prepare_upload", "run_upload"]
-
 _MAIN = "main"
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 # Written by the Hub itself; every repository has them.
@@ -362,12 +360,11 @@ class PreparedUpload:
         ]
         wrong += [f"{path} is still there" for path in arrived.removed]
         if wrong:
-            message = (
+            raise IntegrityError(
                 f"{self.target.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
-                f"{'; '.join(wrong[:3])} ({len(wrong)} such files); next: run the same upload again, it "
-                "sends what is missing"
+                f"{'; '.join(wrong[:3])} ({len(wrong)} such files)",
+                next="run the same upload again, it sends what is missing",
             )
-            raise IntegrityError(message)
 
     @property
     def mixed(self) -> tuple[str, ...]:
@@ -444,11 +441,11 @@ def prepare_upload(
     is_name = hub_name(repo_id) == HubName(repo_id, None, "")
     _refuse((not is_name, f"{repo_id!r} is not a name of a repository; next: give USER/NAME"))
     if manifest is None:
-        message = (
+        raise InputError(
             f"{place.lacks(MANIFEST_FILE)}: only data sets made by this toolkit can be checked before they "
-            "are sent; next: give the folder of one"
+            "are sent",
+            next="give the folder of one",
         )
-        raise InputError(message)
     if not place.is_local:
         place = local_copy(place, scratch.place / "copy")
     _require_sound(check(place) if check else verify(place, check_card=check_card).findings)
@@ -479,11 +476,10 @@ def _require_sound(findings: Iterable[Finding]) -> None:
     found = [f"{each.file} {each.problem}".partition("; next: ")[0] for each in findings]
     if found:
         more = f" and {len(found) - 3} more" if len(found) > 3 else ""
-        message = (
-            f"the folder is not fit to be sent, nothing was: {'; '.join(found[:3])}{more}; next: run the "
-            "command that made it again, or the command `card` where only the card is wrong"
+        raise IntegrityError(
+            f"the folder is not fit to be sent, nothing was: {'; '.join(found[:3])}{more}",
+            next="run the command that made it again, or the command `card` where only the card is wrong",
         )
-        raise IntegrityError(message)
 
 
 def _refuse_conflicts(prepared: PreparedUpload) -> None:

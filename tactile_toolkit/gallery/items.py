@@ -13,18 +13,6 @@ from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.read.dataset import RecordDataset
 
-__all__ = [
-    "NONE",
-    "SPLIT",
-    "Facet",
-    "Gallery",
-    "Item",
-    "ItemTask",
-    "Measure",
-    "RowsTask",
-    "gallery_of_rows",
-]
-
 NONE = "none"
 """Facet value of items without a value, so that these can be looked at too."""
 

@@ -22,7 +22,6 @@ from tactile_toolkit.mesh.raster import highest_faces
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.records import SolidRecord
 
-__all__ = ["STEP_MM", "THUMBNAIL_PX", "packed_mesh", "require_mesh", "size_text", "thumbnail", "top_view"]
 
 STEP_MM = 0.01
 """Grid that corners are rounded to, a twentieth of a printed layer; coarser for meshes above 655 mm and finer
@@ -87,12 +86,11 @@ def require_mesh(record: SolidRecord, split: str) -> None:
     vertices, faces = record.vertices_m, record.faces
     whole = len(vertices) and len(faces) and np.isfinite(vertices).all()
     if not whole or faces.min() < 0 or faces.max() >= len(vertices):
-        message = (
+        raise IntegrityError(
             f"the mesh of id {record.id} in split {split!r} ({len(vertices):,} vertices, {len(faces):,} "
-            "triangles) cannot be drawn: it is empty, or has corners that are missing or not finite; next: "
-            "run `verify` and `validate` on the data set, then generate or download it again"
+            "triangles) cannot be drawn: it is empty, or has corners that are missing or not finite",
+            next="run `verify` and `validate` on the data set, then generate or download it again",
         )
-        raise IntegrityError(message)
 
 
 def thumbnail(pixels: NDArray[np.uint8], opaque_from: int | None = None) -> bytes:

@@ -20,18 +20,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import SPLIT, Gallery, Item
 from tactile_toolkit.versions import toolkit_version
 
-__all__ = [
-    "ASSETS",
-    "asset",
-    "content_script",
-    "index_of",
-    "index_script",
-    "natural_order",
-    "page",
-    "script_json",
-    "viewer_library",
-]
-
 _SCRIPTS = ("state.js", "filters.js", "grid.js", "viewer.js", "film.js", "dialog.js", "page.js")
 
 ASSETS = ("page.css", "theme.js", *_SCRIPTS)
@@ -144,11 +132,11 @@ def viewer_library() -> tuple[str, str]:
     licences = (str(file.read_text()) for file in distribution.files or [] if _LICENSE_FILE.search(str(file)))
     terms = next((text for text in licences if "Permission is hereby granted, free of charge" in text), None)
     if found is None or terms is None or "SPDX-License-Identifier: MIT" not in found["notice"]:
-        message = (
+        raise InputError(
             f"the installed {origin} carries no three.js with its licence where releases 4.9 to 5.2 do "
-            f"({_TEMPLATE}); next: pip install 'trimesh>=4.9,<=5.2.0'"
+            f"({_TEMPLATE})",
+            next="pip install 'trimesh>=4.9,<=5.2.0'",
         )
-        raise InputError(message)
     release = _RELEASE.search(found["code"])
     name = f"three.js r{release[1]}" if release else "three.js"
     text = (

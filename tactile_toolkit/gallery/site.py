@@ -35,8 +35,6 @@ from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.files import expanded, named_failures
 from tactile_toolkit.versions import toolkit_version
 
-__all__ = ["MARKER_FILE", "MOST_BYTES", "MOST_ITEMS", "Site", "SiteForecast", "build_site", "forecast_site"]
-
 MARKER_FILE = "gallery.json"
 """What a site is, and its files; nothing else is ever replaced."""
 
@@ -95,12 +93,11 @@ def build_site(
                 # A site that grows too large stops as soon as that is known, not when the disk is full.
                 is_judged = len(site.shown) >= _JUDGED_AFTER and forecast > MOST_BYTES
                 if is_judged or site.size > MOST_BYTES:
-                    message = (
+                    raise InputError(
                         f"the gallery would take about {forecast / 1e9:.1f} GB; the most is "
-                        f"{MOST_BYTES / 1e9:.0f} GB; what was written is removed; next: choose fewer with "
-                        "--limit, --split or --per-class"
+                        f"{MOST_BYTES / 1e9:.0f} GB; what was written is removed",
+                        next="choose fewer with --limit, --split or --per-class",
                     )
-                    raise InputError(message)
                 on_progress(len(site.shown), gallery.size)
         site.finish()
         _put_in_place(staging, path, site, overwrite=overwrite)
@@ -241,16 +238,18 @@ def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
 def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> Path:
     """Return where a site may be made; InputError where something stands that may not be replaced."""
     if "://" in out:
-        message = f"--out is {out!r}; a gallery is made in a local folder; next: make it there, then copy it"
-        raise InputError(message)
+        raise InputError(
+            f"--out is {out!r}; a gallery is made in a local folder", next="make it there, then copy it"
+        )
     # Where a symbolic link leads: the link itself is not ours to replace.
     path = Path(os.path.realpath(expanded(out)))
     if path.is_dir():
         # Whether it is this gallery is known for certain when this one is made, and mostly before.
         _require_replaceable(path, overwrite or _may_be(gallery, path))
     elif path.exists():
-        message = f"{str(path)!r} is a file; a gallery is a folder; nothing was changed; next: another --out"
-        raise InputError(message)
+        raise InputError(
+            f"{str(path)!r} is a file; a gallery is a folder; nothing was changed", next="another --out"
+        )
     return path
 
 
@@ -266,17 +265,15 @@ def _require_replaceable(path: Path, may_replace: bool) -> set[str]:
     known = {MARKER_FILE, *listed, *folders} if marker else set()
     for name in found:
         if name not in known:
-            message = (
-                f"{str(path)!r} holds {name!r}, which is not part of a gallery; nothing was changed; next: "
-                "choose an empty or new folder with --out"
+            raise InputError(
+                f"{str(path)!r} holds {name!r}, which is not part of a gallery; nothing was changed",
+                next="choose an empty or new folder with --out",
             )
-            raise InputError(message)
     if not may_replace:
-        message = (
-            f"{str(path)!r} holds a gallery already; nothing was changed; next: replace it with "
-            "--overwrite, or choose another folder with --out"
+        raise InputError(
+            f"{str(path)!r} holds a gallery already; nothing was changed",
+            next="replace it with --overwrite, or choose another folder with --out",
         )
-        raise InputError(message)
     return listed.intersection(found)
 
 
@@ -329,14 +326,15 @@ def _is_part_of(folder: Path, staging: Path) -> bool:
 def _require_size(gallery: Gallery) -> None:
     one, many = gallery.nouns
     if gallery.size == 0:
-        message = f"there is no {one} to show; next: choose another --split, or a data set that holds some"
-        raise InputError(message)
-    if gallery.size > MOST_ITEMS:
-        message = (
-            f"the gallery would show {gallery.size:,} {many}; the most is {MOST_ITEMS:,}; nothing was "
-            "written; next: choose fewer with --limit, --split or --per-class"
+        raise InputError(
+            f"there is no {one} to show", next="choose another --split, or a data set that holds some"
         )
-        raise InputError(message)
+    if gallery.size > MOST_ITEMS:
+        raise InputError(
+            f"the gallery would show {gallery.size:,} {many}; the most is {MOST_ITEMS:,}; nothing was "
+            "written",
+            next="choose fewer with --limit, --split or --per-class",
+        )
 
 
 @dataclass(frozen=True, slots=True)

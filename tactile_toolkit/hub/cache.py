@@ -13,8 +13,6 @@ from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.origin import Digest
 
-__all__ = ["commit_of", "matches_digest", "remember_commit", "snapshot_folder"]
-
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 
 

@@ -27,12 +27,6 @@ from tactile_toolkit.hub.errors import (
 )
 from tactile_toolkit.store.names import problem_of_name
 
-__all__ = [
-    "call_with_retry",
-    "is_transient",
-    "is_unanswered",
-]
-
 ANSWER_BYTES = 32 << 20
 """Largest answer to a question, unpacked: a listing of more than 100,000 files."""
 QUESTION_S = 30.0
@@ -168,8 +162,9 @@ def _check_answer(response: Any) -> None:
     for name in ("etag", "x-linked-etag", "x-repo-commit") if request.method == "HEAD" else ():
         value = response.headers.get(name, "").removeprefix("W/").strip('"')
         if value and ("/" in value or problem_of_name(value)):
-            message = f"the Hub calls a file {value[:80]!r}, which is not a digest; next: check HF_ENDPOINT"
-            raise HubError(message)
+            raise HubError(
+                f"the Hub calls a file {value[:80]!r}, which is not a digest", next="check HF_ENDPOINT"
+            )
     if response.status_code in _TRANSIENT_STATUS and requested_s(response.headers):
         # Raised at once: the caller waits, who can give a reason for it.
         import_module("huggingface_hub.utils").hf_raise_for_status(response)
@@ -191,8 +186,7 @@ def _limited(pieces: Callable[..., Iterator[bytes]], most: float) -> Callable[..
             now_s = time.monotonic()
             arrived, lately = arrived + len(piece), lately + len(piece)
             if arrived > most:
-                message = f"more than the {most:,} bytes that were expected"
-                raise TooLargeError(message)
+                raise TooLargeError(f"more than the {most:,} bytes that were expected")
             if lately >= LEAST_BYTES:
                 lately, since_s = 0, now_s
             elif now_s > since_s + WAIT_S:

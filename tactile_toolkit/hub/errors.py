@@ -15,20 +15,6 @@ from typing import Any
 
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
 
-__all__ = [
-    "cause_chain",
-    "class_names",
-    "failure_of",
-    "named_failures",
-    "not_cached",
-    "requested_s",
-    "requested_wait_s",
-    "scrub",
-    "shown_cause",
-    "status_of",
-    "storage_failure_as_hub_error",
-]
-
 # Tokens of users begin with hf_, those of organisations with api_org_.
 _TOKEN = re.compile(r"\b(?:hf|api_org)_[A-Za-z0-9]{6,}")
 _HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")

@@ -24,17 +24,6 @@ from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import Digest, HubFile
 
-__all__ = [
-    "HubName",
-    "HubRepository",
-    "HubSnapshot",
-    "Transfers",
-    "cached_snapshot",
-    "fetch_repo_info",
-    "hub_name",
-    "listing",
-]
-
 _PREFIX = "hf://datasets/"
 # Names of branches that hold a slash are written %2F, but for the two kinds that the Hub makes itself.
 _NAME = re.compile(
@@ -72,11 +61,10 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
         return None
     named = match["revision"].replace("%2F", "/") if match["revision"] else None
     if named and revision and named != revision:
-        message = (
+        raise InputError(
             f"{name!r} names the revision {named!r}, and {revision!r} is given next to it; "
             "next: leave one of them out"
         )
-        raise InputError(message)
     return HubName(match["repo"], named or revision, match["path"] or "")
 
 
@@ -330,19 +318,19 @@ class HubRepository:
         listed = replace(there, digest=Digest("sha256", sha256)) if sha256 else self._shards.get(path, there)
         kinds = {each.digest and each.digest.kind for each in (there, listed)}
         if len(kinds) == 1 and there.digest != listed.digest:
-            message = (
+            raise IntegrityError(
                 f"{path!r} of Hub data set {self.repo_id!r} is not the file that its {MANIFEST_FILE} lists: "
-                f"{there.digest}, expected {listed.digest}; nothing was fetched; next: ask its owner to "
-                "upload it again"
+                f"{there.digest}, expected {listed.digest}; nothing was fetched",
+                next="ask its owner to upload it again",
             )
-            raise IntegrityError(message)
         return listed
 
     def _lacks(self, path: str) -> NoReturn:
         if self.snapshot.is_cache:
             raise not_cached(self.repo_id, repr(path))
-        message = f"Hub data set {self.repo_id!r} has no file {path!r}; next: see what it has on its page"
-        raise HubError(message)
+        raise HubError(
+            f"Hub data set {self.repo_id!r} has no file {path!r}", next="see what it has on its page"
+        )
 
     def address(self, path: str) -> str:
         """Return the fsspec address of a file at the commit, for reading it piece by piece."""
@@ -407,8 +395,8 @@ class HubRepository:
             # With what it is a link to: damaged content must not be found again.
             Path(os.path.realpath(file)).unlink(missing_ok=True)
             file.unlink(missing_ok=True)
-        message = (
+        raise IntegrityError(
             f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice, expected {wanted.digest}; "
-            "nothing of it was kept; next: try again later or through another network"
+            "nothing of it was kept",
+            next="try again later or through another network",
         )
-        raise IntegrityError(message)

@@ -12,13 +12,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.features import stored_class_names
 
-__all__ = [
-    "FACES",
-    "VERTICES",
-    "class_names",
-    "require_mesh_columns",
-]
-
 VERTICES = "mesh.vertices"
 """Column of corner positions: ``list<float32[3]>``, metres."""
 
@@ -43,8 +36,8 @@ def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
     found = column_names(schema)
     missing = [column for column in ("id", "label", VERTICES, FACES) if column not in found]
     if missing:
-        message = (
+        raise InputError(
             f"{name!r} is not a data set of meshes: column {missing[0]!r} is missing (found "
-            f"{', '.join(found)}); next: name a data set such as one written by `{made_by}`"
+            f"{', '.join(found)})",
+            next=f"name a data set such as one written by `{made_by}`",
         )
-        raise InputError(message)

@@ -18,7 +18,6 @@ from tactile_toolkit.mesh.solid_check import require_solid
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["convex_parts"]
 
 _DIRECTIONS = [
     np.array([math.cos(angle), math.sin(angle)]) for angle in np.linspace(0, math.pi, 12, endpoint=False)

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.raster import positions_in_runs
 
-__all__ = ["faces_not_proven_free", "self_crossing", "tolerance_mm"]
-
 Numbers = NDArray[np.float64]
 Indices = NDArray[np.int64]
 

@@ -24,15 +24,6 @@ if TYPE_CHECKING:
 
     from tactile_toolkit.mesh.mesh import MeshLike
 
-__all__ = [
-    "BROKEN_FILE",
-    "FORMATS",
-    "file_ending",
-    "merge_equal_vertices",
-    "pack_mesh",
-    "read_mesh",
-    "write_mesh",
-]
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
@@ -69,27 +60,24 @@ def read_mesh(path: str | Path) -> Mesh:
     try:
         data = path.read_bytes()
     except OSError as error:
-        message = f"{path}: cannot be read ({error.strerror}); expected a mesh file"
-        raise InputError(message) from error
+        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
     if not data:
-        message = f"{path}: the file is empty; expected a mesh; next: export or copy it again"
-        raise InputError(message)
+        raise InputError(f"{path}: the file is empty; expected a mesh", next="export or copy it again")
     try:
         if ending == ".3mf":
             surface = joined([(item.vertices_mm, item.faces) for item in read_build(data)])
         else:
             surface = merge_equal_vertices(*_read_with_trimesh(data, ending))
     except InputError as error:  # more than the limit
-        message = f"{path}: {error}"
-        raise InputError(message) from error
+        raise InputError(f"{path}: {error}") from error
     except BROKEN_FILE as error:
         story = str(error) or type(error).__name__
-        message = f"{path}: not a readable {ending[1:].upper()} file ({story}); next: export the mesh again"
-        raise InputError(message) from error
+        raise InputError(
+            f"{path}: not a readable {ending[1:].upper()} file ({story})", next="export the mesh again"
+        ) from error
     vertices, faces = surface
     if not len(faces):
-        message = f"{path}: the file holds no triangle; expected a closed surface"
-        raise InputError(message)
+        raise InputError(f"{path}: the file holds no triangle; expected a closed surface")
     return Mesh(vertices / (1.0 if ending == ".glb" else MM_PER_M), faces)
 
 
@@ -157,8 +145,7 @@ def file_ending(path: Path) -> str:
     ending = path.suffix.lower()
     if ending not in FORMATS:
         found = f"files ending in {ending!r}" if ending else "files without an ending"
-        message = f"{path}: {found} are not known; expected one of {', '.join(FORMATS)}"
-        raise InputError(message)
+        raise InputError(f"{path}: {found} are not known; expected one of {', '.join(FORMATS)}")
     return ending
 
 

@@ -14,7 +14,6 @@ from tactile_toolkit.read.features import feature_metadata
 if TYPE_CHECKING:
     from tactile_toolkit.read.dataset import RecordDataset
 
-__all__ = ["MESH", "SIZES", "flat_table"]
 
 MESH = "mesh"
 """Column of the GLB files, metres, which `datasets` knows as its feature ``Mesh``."""

@@ -21,8 +21,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import as_mesh
 from tactile_toolkit.mesh.raster import highest_values
 
-__all__ = ["HeightCache", "HeightMap", "MOST_PIXELS", "Window", "content_key", "top_surface", "window_of"]
-
 MOST_PIXELS = 1 << 27
 """Largest grid, 512 MiB: a finer pitch is refused instead of filling the memory."""
 
@@ -147,28 +145,29 @@ def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
 def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
     """Return the pixels that touch the bounding box of some vertices; raises as :func:`top_surface`."""
     if not _is_length(pitch_m):
-        message = f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
-        raise InputError(message)
+        raise InputError(
+            f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
+        )
     if not len(vertices_m):
-        message = "a mesh without vertices has no height map"
-        raise InputError(message)
+        raise InputError("a mesh without vertices has no height map")
     # Column by column: numpy reduces short rows slowly.
     low, high = (
         np.array([reduce(column) for column in vertices_m.T[:2]], np.float64) for reduce in (np.min, np.max)
     )
     if not np.isfinite([low, high]).all():
-        message = "a mesh with vertices that are NaN or infinite has no height map; next: make it again"
-        raise InputError(message)
+        raise InputError(
+            "a mesh with vertices that are NaN or infinite has no height map", next="make it again"
+        )
     with np.errstate(over="ignore", invalid="ignore"):  # of a tiny pitch, which is refused below
         # Counted from the origin and not from the mesh: two meshes of one frame share their pixels.
         first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
         columns, rows = np.maximum(stop - first, 1).tolist()
     if not columns * rows <= MOST_PIXELS:
-        message = (
+        raise InputError(
             f"a height map of {columns:.7g} x {rows:.7g} pixels of {pitch_m:g} m was asked for, at most "
-            f"{MOST_PIXELS:,} are made; next: choose a larger pitch"
+            f"{MOST_PIXELS:,} are made",
+            next="choose a larger pitch",
         )
-        raise InputError(message)
     return Window(int(first[0]), int(first[1]), int(columns), int(rows), float(pitch_m))
 
 

@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
     from tactile_toolkit.read.dataset import Record
 
-__all__ = ["Mesh", "MeshLike", "MM_PER_M", "as_mesh"]
 
 MM_PER_M = 1000.0
 
@@ -133,8 +132,7 @@ def as_mesh(thing: MeshLike) -> Mesh:
     # Known by what it has: importing trimesh to look at its class would take longer than most uses of this.
     if hasattr(thing, "vertices") and hasattr(thing, "faces"):
         return Mesh.from_trimesh(cast("trimesh.Trimesh", thing))
-    message = (
+    raise InputError(
         f"a {type(thing).__name__} holds no triangles; expected a Mesh, a record of a data set or a "
         "trimesh.Trimesh, in metres"
     )
-    raise InputError(message)

@@ -23,8 +23,6 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["FACING", "compiled", "near_pairs", "passages", "thinnest_wall_mm"]
-
 Numbers: TypeAlias = NDArray[np.float64]
 Indices: TypeAlias = NDArray[np.int64]
 Vector: TypeAlias = tuple[float, float, float]

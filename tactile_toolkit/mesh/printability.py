@@ -18,7 +18,6 @@ if TYPE_CHECKING:
 
     from tactile_toolkit.mesh.mesh import MeshLike
 
-__all__ = ["PrintProfile", "PrintReport", "REPORT_COLUMNS", "UNREADABLE", "WARNINGS", "inspect", "unreadable"]
 
 WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
 """What a print may suffer from; the numbers behind them are those of :class:`PrintProfile`."""

@@ -14,8 +14,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ScanLines", "highest_faces", "highest_values", "pixels_of", "positions_in_runs", "scan_lines"]
-
 # A centre no further than this outside an edge counts as on it: rounding must leave no hole between
 # neighbours.
 _EDGE_PX = 1e-9

@@ -18,7 +18,6 @@ from tactile_toolkit.wording import counted
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["RecordStream", "SolidDataset", "SolidRecord", "open_solids"]
 
 R = TypeVar("R", bound=Record)
 D = TypeVar("D", bound=RecordDataset[Any])

@@ -11,8 +11,6 @@ from tactile_toolkit.read.columns import vectors_type
 from tactile_toolkit.read.features import dtype_name, feature_metadata, label_feature
 from tactile_toolkit.rows import column, plain_schema, row
 
-__all__ = ["MeshRow", "mesh_schema"]
-
 
 @row
 class MeshRow:

@@ -12,8 +12,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.height_map import MOST_PIXELS
 from tactile_toolkit.mesh.raster import highest_values, pixels_of, scan_lines
 
-__all__ = ["Box", "heights_in", "surface_points", "voxels_in"]
-
 # Columns of voxels are followed this far next to their centres, in voxels: there no edge of a solid lies, and
 # only one of the triangles that share it is met.
 _ASIDE_PX = (0.618e-5, 0.414e-5)
@@ -43,11 +41,10 @@ class Box:
         lengths = np.array([*self.extent_m, self.pitch_m], np.float64)
         possible = lengths.shape == (4,) and bool((lengths > 0).all()) and bool(np.isfinite(lengths).all())
         if not possible or not np.prod(np.maximum(1.0, lengths[:3] / lengths[3])) <= MOST_PIXELS:
-            message = (
+            raise InputError(
                 f"a grid of {self.extent_m!r} m in steps of {self.pitch_m!r} m was asked for; expected three "
                 f"positive lengths and a step such as 0.001, at most {MOST_PIXELS:,} voxels"
             )
-            raise InputError(message)
 
     @property
     def shape(self) -> tuple[int, int, int]:

@@ -16,8 +16,6 @@ from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.crossings import self_crossing
 from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["PROBLEMS", "ManifoldCheck", "check_manifold", "require_solid"]
-
 PROBLEMS = (
     "bad-shape",
     "empty",
@@ -84,8 +82,7 @@ def require_solid(mesh: Mesh) -> ManifoldCheck:
     """Return the verdict on a mesh that bounds a solid; raises ItemError where it bounds none."""
     verdict = check_manifold(mesh)
     if verdict.problem is not None:
-        message = f"it does not bound a solid ({verdict.problem}: {verdict.detail})"
-        raise ItemError(verdict.problem, message)
+        raise ItemError(verdict.problem, f"it does not bound a solid ({verdict.problem}: {verdict.detail})")
     return verdict
 
 

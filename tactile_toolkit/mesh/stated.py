@@ -10,8 +10,6 @@ from typing import Any
 
 from tactile_toolkit.bounds import require_unpackable
 
-__all__ = ["require_bounded"]
-
 # Memory that reading takes for each vertex or triangle, and for each line of text or corner of a polygon.
 _PER_ELEMENT, _PER_LINE = 240, 720
 _MOST_PARTS = 2_000
@@ -34,8 +32,7 @@ def require_bounded(data: bytes, ending: str) -> None:
 
 def _require_few(parts: int) -> None:
     if parts > _MOST_PARTS:
-        message = f"{parts:,} parts; expected one surface, or at most {_MOST_PARTS:,} parts"
-        raise ValueError(message)
+        raise ValueError(f"{parts:,} parts; expected one surface, or at most {_MOST_PARTS:,} parts")
 
 
 def _require_lines(lines: int, size_bytes: int) -> None:
@@ -59,14 +56,12 @@ def _bound_obj(data: bytes) -> None:
 def _bound_ply(data: bytes) -> None:
     head, _, body = data.partition(b"end_header")
     if len(head) > _MOST_PLY_HEADER_BYTES:
-        message = f"a header of {len(head):,} bytes; expected at most {_MOST_PLY_HEADER_BYTES:,}"
-        raise ValueError(message)
+        raise ValueError(f"a header of {len(head):,} bytes; expected at most {_MOST_PLY_HEADER_BYTES:,}")
     stated = sum(abs(int(line.split()[2])) for line in head.splitlines() if line.startswith(b"element "))
     if b"ascii" in head:
         lines = sum(1 for _ in _LINE_END.finditer(body))
         if stated > lines + 1:
-            message = f"{lines:,} lines; its header states {stated:,}"
-            raise ValueError(message)
+            raise ValueError(f"{lines:,} lines; its header states {stated:,}")
         _require_lines(lines, len(data))
     else:
         require_unpackable(_PER_ELEMENT * stated, f"{stated:,} vertices and triangles", len(data))
@@ -86,8 +81,7 @@ def _bound_glb(data: bytes) -> None:
     # Several views, and accessors, of the same bytes are usual; bytes of which none are stored are not.
     for what, size_bytes in (("views", views), ("accessors", held)):
         if size_bytes > 4 * len(data):
-            message = f"{what} of {size_bytes:,} bytes; the file has {len(data):,}"
-            raise ValueError(message)
+            raise ValueError(f"{what} of {size_bytes:,} bytes; the file has {len(data):,}")
     sizes = [[_primitive_size(each, accessors) for each in mesh["primitives"]] for mesh in meshes]
     _require_shallow(nodes)
     edges = [root for scene in tree.get("scenes", []) for root in scene.get("nodes", [])]
@@ -117,5 +111,4 @@ def _require_shallow(nodes: Sequence[Mapping[str, Any]]) -> None:
     for _ in range(_DEEPEST):
         level = {child for at in level for child in nodes[at].get("children", [])}
     if level:
-        message = f"nodes more than {_DEEPEST} deep, or in a circle"
-        raise ValueError(message)
+        raise ValueError(f"nodes more than {_DEEPEST} deep, or in a circle")

@@ -23,7 +23,6 @@ from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = ["BuildItem", "read_build", "write_build"]
 
 _MM_PER_UNIT = {
     "micron": 0.001,
@@ -97,8 +96,7 @@ class _Package:
         """Yield each thing to build where it will be built, all its parts as one."""
         models = [name for name in self._archive.namelist() if name.lower().endswith(".model")]
         if not models:
-            message = "the archive holds no .model file"
-            raise ValueError(message)
+            raise ValueError("the archive holds no .model file")
         root = self._model(_MODEL_PATH if _MODEL_PATH in models else models[0])
         for item in root.element.iterfind("m:build/m:item", _NS):
             model, identity = self._named(item, root)
@@ -108,8 +106,7 @@ class _Package:
     def _model(self, path: str) -> _Model:
         name = self._names.get(path.lower().lstrip("/"))
         if name is None:
-            message = f"the archive holds no {path}"
-            raise ValueError(message)
+            raise ValueError(f"the archive holds no {path}")
         if name not in self._models:
             size = sum(self._archive.getinfo(each).file_size for each in {*self._models, name})
             require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", self._file_bytes)
@@ -125,8 +122,7 @@ class _Package:
         path, identity = element.get(_PATH), str(element.get("objectid"))
         model = here if path is None else self._model(path)
         if identity not in model.objects:
-            message = f"object {identity!r}{f' of {path}' if path else ''} is missing"
-            raise ValueError(message)
+            raise ValueError(f"object {identity!r}{f' of {path}' if path else ''} is missing")
         return model, identity
 
     def _placed(self, element: ElementTree.Element, here: _Model, depth: int = 0) -> Iterator[Surface]:
@@ -154,8 +150,7 @@ class _Package:
         self._parts += 1
         self._built_bytes += size_bytes
         if depth > _DEEPEST or self._parts > _MOST_PARTS:
-            message = f"object {identity!r} holds itself, or more than {_MOST_PARTS:,} parts"
-            raise ValueError(message)
+            raise ValueError(f"object {identity!r} holds itself, or more than {_MOST_PARTS:,} parts")
         require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
 
 
@@ -174,8 +169,7 @@ class _Builder(ElementTree.TreeBuilder):
 
     def doctype(self, *_: str | None) -> None:
         """Refuse what 3MF does not have: names for text, which a few bytes repeat to any size."""
-        message = "the model has a document type; expected plain XML"
-        raise ValueError(message)
+        raise ValueError("the model has a document type; expected plain XML")
 
     def end(self, tag: str) -> ElementTree.Element:
         element = super().end(tag)
@@ -191,8 +185,7 @@ class _Builder(ElementTree.TreeBuilder):
         elif tag == _MESH:
             faces = np.array(self._corners, np.int64)
             if len(faces) and not (faces.min() >= -(2**31) and faces.max() < 2**31):
-                message = "a triangle names a vertex by a number of more than 32 bits"
-                raise ValueError(message)
+                raise ValueError("a triangle names a vertex by a number of more than 32 bits")
             vertices = np.array(self._points, np.float64).reshape(-1, 3)
             self.surfaces[element] = (vertices, faces.astype(np.int32).reshape(-1, 3))
             self._points, self._corners = array("d"), array("q")
@@ -211,8 +204,7 @@ def _parsed(
         parser.feed(piece)
         if len(piece) == _PIECE_BYTES and builder.elements == before:
             # Attributes take 30 times as much memory, and are looked through again with each piece.
-            message = f"XML of {_PIECE_BYTES:,} bytes in which no element ends"
-            raise ValueError(message)
+            raise ValueError(f"XML of {_PIECE_BYTES:,} bytes in which no element ends")
     return parser.close(), builder.surfaces
 
 

@@ -19,7 +19,6 @@ else:
     with needs_extra("a torch data set of solids", "torch", "torch"):
         import torch
 
-__all__ = ["FORMS", "TARGETS", "MeshBatch", "MeshItem", "SolidTensors", "collate_meshes"]
 
 Form = Literal["points", "voxels", "height_map", "mesh"]
 FORMS: tuple[Form, ...] = get_args(Form)
@@ -122,17 +121,16 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         seed: int = 0,
     ) -> None:
         if form not in FORMS:
-            message = f"no form {form!r}; expected one of {', '.join(FORMS)}"
-            raise InputError(message)
+            raise InputError(f"no form {form!r}; expected one of {', '.join(FORMS)}")
         if isinstance(target, str) and target not in TARGETS:
-            message = (
+            raise InputError(
                 f"no target {target!r}; expected one of {', '.join(TARGETS)}, a function of a record, or None"
             )
-            raise InputError(message)
         counts = plain_number(points), plain_number(seed)
         if not (is_whole(*counts) and counts[0] >= 1 and counts[1] >= 0):
-            message = f"points is {points!r} and seed is {seed!r}; expected integers from 1 and from 0"
-            raise InputError(message)
+            raise InputError(
+                f"points is {points!r} and seed is {seed!r}; expected integers from 1 and from 0"
+            )
         from tactile_toolkit.read.torch import shared_zeros  # here: without torch its message is another
 
         self.dataset = dataset

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-__all__ = ["section_area_mm2", "signed_area_mm2", "thinnest_width_mm"]
 
 SPACING_MM = 0.4
 """Distance of outline points; the outlines of the digits have corners every 0.4 to 0.8 mm."""

@@ -12,7 +12,6 @@ if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
     from PIL.ImageFont import FreeTypeFont
 
-__all__ = ["ACCENTS", "INK", "MUTED", "PAPER", "Colour", "draw_text", "hex_of", "text_size"]
 
 Colour: TypeAlias = tuple[int, int, int]
 

@@ -18,8 +18,6 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.pictures.lettering import ACCENTS, INK, MUTED, hex_of
 
-__all__ = ["Bars", "Points", "Spread", "plot_bars", "plot_points", "plot_spreads", "require_plots"]
-
 _DPI = 144
 _MOST_BINS = 40
 _TITLE_PT, _LEAST_TITLE_PT = 13.0, 9.0

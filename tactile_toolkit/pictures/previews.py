@@ -24,8 +24,6 @@ from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.wording import counted
 
-__all__ = ["MeshPreviews", "PreviewSpec", "class_bars", "draw_by_class", "draw_two_views"]
-
 D = TypeVar("D", bound=RecordDataset[Any])
 
 
@@ -62,8 +60,9 @@ class MeshPreviews(Generic[D]):
             some = {split: rows.filter_labels(spec.labels) for split, rows in self.datasets.items()}
             self.datasets = {split: rows for split, rows in some.items() if len(rows)}
         if not self.datasets:
-            message = f"{name!r} has no {kind.nouns} of class {', '.join(spec.labels)}; next: name others"
-            raise InputError(message)
+            raise InputError(
+                f"{name!r} has no {kind.nouns} of class {', '.join(spec.labels)}", next="name others"
+            )
         require_kind(kind, "preview", name, self.datasets.values())
         self.records: list[tuple[str, Any]] = chosen_records(self.datasets, spec.ids, name, kind.noun)
 

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = ["relief", "relief_of", "relief_tile_html"]
 
 _PITCH_M = 0.0002
 _TILE_PX = 96

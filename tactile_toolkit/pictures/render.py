@@ -17,17 +17,6 @@ from tactile_toolkit.pictures.lettering import PAPER, Colour
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = [
-    "Body",
-    "OBLIQUE",
-    "Picture3d",
-    "TOP",
-    "View",
-    "averaged",
-    "draw_bodies",
-    "fitting_scale",
-    "shades",
-]
 
 # Where the light of reliefs comes from: right, up and out of the picture.
 _LIGHT = np.array([-0.45, 0.55, 0.70])

@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.pictures.lettering import INK, MUTED, PAPER, Colour, draw_text, text_size
 
-__all__ = ["ScaleBar", "Sheet", "Tile", "in_rows", "sheet", "with_scale_bar"]
-
 TITLE_PX, TEXT_PX, CAPTION_PX = 20, 14, 12
 
 _LINE_GAP_PX = 4

@@ -17,22 +17,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
 
-__all__ = [
-    "TILE_STYLE",
-    "PicturePlan",
-    "Pixels",
-    "PlannedPicture",
-    "WrittenPicture",
-    "chosen_kinds",
-    "figure_html",
-    "file_stem",
-    "parse_ids",
-    "plan_kinds",
-    "png_bytes",
-    "renamed",
-    "write_pictures",
-]
-
 Pixels: TypeAlias = NDArray[np.uint8]
 """Grey levels of shape (H, W) or colours of shape (H, W, 3); row 0 at the top."""
 
@@ -83,8 +67,7 @@ def chosen_kinds(asked: Sequence[str], known: Sequence[str], usual: Sequence[str
     """
     unknown = [kind for kind in asked if kind not in (*known, "all")]
     if unknown:
-        message = f"no pictures of kind {unknown[0]!r}; expected {', '.join(known)} or all"
-        raise InputError(message)
+        raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(known)} or all")
     wanted = known if "all" in asked else asked or usual
     return tuple(kind for kind in known if kind in wanted)
 
@@ -141,8 +124,7 @@ def renamed(pictures: Sequence[PlannedPicture], out: Path) -> tuple[Path, tuple[
     if out.suffix.lower() != PNG:
         return out, tuple(pictures)
     if len(pictures) != 1:
-        message = f"--out is the file {str(out)!r} for {len(pictures)} pictures; next: give a folder"
-        raise InputError(message)
+        raise InputError(f"--out is the file {str(out)!r} for {len(pictures)} pictures", next="give a folder")
     return out.parent, (replace(pictures[0], name=out.name),)
 
 
@@ -170,8 +152,7 @@ def parse_ids(option: str, text: str | None) -> tuple[int, ...]:
     parts = [] if text is None else [part.strip() for part in text.split(",")]
     for part in parts:
         if not (part.isascii() and part.isdigit() and len(part) <= _MOST_DIGITS):
-            message = f"{option} has {part!r}; expected integers, such as 12,408"
-            raise InputError(message)
+            raise InputError(f"{option} has {part!r}; expected integers, such as 12,408")
     return tuple(int(part) for part in parts)
 
 

@@ -23,10 +23,6 @@ from tactile_toolkit.store.folder import DataFolder
 if TYPE_CHECKING:
     from tactile_toolkit.mesh.mesh import Mesh
 
-__all__ = [
-    *("CHANGED", "OFF_PLATE", "UNREADABLE", "Failure", "Made", "Product", "Progress", "content_of", "export"),
-    *("local_folder", "require_free", "require_same_solid", "write_checked"),
-]
 
 UNREADABLE, CHANGED, OFF_PLATE = "unreadable", "changed", "off-plate"
 """What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
@@ -79,20 +75,20 @@ def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None
     """Raise ItemError where a mesh read back is not the solid that was written, ``verdict`` being on that."""
     back = require_solid(found)
     if (back.bodies, back.genus) != (verdict.bodies, verdict.genus):
-        message = (
+        raise ItemError(
+            CHANGED,
             f"it has {back.bodies} bodies and {back.genus} holes; "
-            f"{verdict.bodies} and {verdict.genus} were written"
+            f"{verdict.bodies} and {verdict.genus} were written",
         )
-        raise ItemError(CHANGED, message)
     moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * MM_PER_M
     if moved_mm > _BOUNDS_TOLERANCE_MM or not np.isclose(
         back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE
     ):
-        message = (
+        raise ItemError(
+            CHANGED,
             f"its volume is {back.volume_mm3:.3f} mm³ and its bounds moved by {moved_mm:.3g} mm; "
-            f"{verdict.volume_mm3:.3f} mm³ were written"
+            f"{verdict.volume_mm3:.3f} mm³ were written",
         )
-        raise ItemError(CHANGED, message)
 
 
 def write_checked(path: Path, content: bytes, check: Callable[[Path], None] = lambda _path: None) -> None:
@@ -108,8 +104,7 @@ def write_checked(path: Path, content: bytes, check: Callable[[Path], None] = la
             check(Path(stream.name))
         except InputError as error:
             reason = error.reason if isinstance(error, ItemError) else UNREADABLE
-            message = f"read back from disk, {error}; the file was removed"
-            raise ItemError(reason, message) from error
+            raise ItemError(reason, f"read back from disk, {error}; the file was removed") from error
 
 
 def content_of(path: Path) -> bytes | None:
@@ -119,23 +114,23 @@ def content_of(path: Path) -> bytes | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as error:
-        message = (
+        raise InputError(
             f"cannot read {str(path)!r}: {error.strerror or error}; expected a file of an earlier export, or "
-            "none; next: move it away, or another --out"
-        )
-        raise InputError(message) from error
+            "none",
+            next="move it away, or another --out",
+        ) from error
 
 
 def local_folder(out: str) -> Path:
     """Return the path of a folder, which need not be there; InputError where it is a file or not local."""
     folder = DataFolder(out)
     if not folder.is_local:
-        message = f"{out!r} is not a local folder; files to print are written to a disk; next: a local --out"
-        raise InputError(message)
+        raise InputError(
+            f"{out!r} is not a local folder; files to print are written to a disk", next="a local --out"
+        )
     path = Path(folder.address())
     if path.is_file():
-        message = f"{out!r} is a file, a folder was expected; next: another --out"
-        raise InputError(message)
+        raise InputError(f"{out!r} is a file, a folder was expected", next="another --out")
     return path
 
 
@@ -198,11 +193,10 @@ def require_free(products: Sequence[Product[R]], out: str, workers: int = 1) -> 
     looked = dict(runner_for(workers).run(look, there)) if there else {}
     others = sorted(each.patterns[0] for each in there if isinstance(looked[each.name], Failure))
     if others:
-        message = (
-            f"{out!r} holds {others[0]!r} with other content ({len(others)} such files); nothing was "
-            "written; next: --overwrite to replace them, or another --out"
+        raise InputError(
+            f"{out!r} holds {others[0]!r} with other content ({len(others)} such files); nothing was written",
+            next="--overwrite to replace them, or another --out",
         )
-        raise InputError(message)
     return {name: each for name, each in looked.items() if not (each is None or isinstance(each, Failure))}
 
 

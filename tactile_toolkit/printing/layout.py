@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from tactile_toolkit.printing.objects import PrintObject
     from tactile_toolkit.printing.simulator import Physics
 
-__all__ = ["Layout", "Placed", "arrange", "measure"]
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Placed:
@@ -98,12 +96,11 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
     # Outlines as wide as the plate fit, whatever their last bits.
     if width_mm > spec.inner_mm[0] + 1e-6 or depth_mm > spec.inner_mm[1] + 1e-6:
         margins = f" less {spec.margin_mm:g} mm at each edge" if spec.margin_mm else ""
-        message = (
+        raise InputError(
             f"{item.name} does not fit on the plate: it needs {width_mm:.1f} x {depth_mm:.1f} mm, the plate "
-            f"has {spec.width_mm:g} x {spec.depth_mm:g} mm{margins}; nothing was written; next: a larger "
-            f"--plate, a smaller {'--margin-mm or ' if margins else ''}--scale, or other --ids"
+            f"has {spec.width_mm:g} x {spec.depth_mm:g} mm{margins}; nothing was written",
+            next=f"a larger --plate, a smaller {'--margin-mm or ' if margins else ''}--scale, or other --ids",
         )
-        raise InputError(message)
     box = verdict.manifold.bounding_box()
     claimed = outline.claimed()
     area_mm2 = float(claimed.grown(spec.gap_mm / 2).area())

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from tactile_toolkit.mesh.records import SolidRecord
     from tactile_toolkit.read.dataset import RecordDataset
 
-__all__ = ["PrintObject", "choose", "require_scale", "standing"]
 
 _ID_DIGITS = 5  # file names sort as the ids do, up to 99,999
 _UNSAFE = re.compile(r"[^\w+-]+")
@@ -78,18 +77,17 @@ def choose(datasets: Iterable[tuple[str, RecordDataset[SolidRecord]]], **chosen:
     names = Counter(item.name for item in objects)
     twice = next((name for name, count in names.items() if count > 1), None)
     if twice is not None:
-        message = (
-            f"two objects would be called {twice!r}: an id stands twice in a split; next: verify the data set"
+        raise InputError(
+            f"two objects would be called {twice!r}: an id stands twice in a split",
+            next="verify the data set",
         )
-        raise InputError(message)
     return objects
 
 
 def require_scale(scale: float) -> None:
     """Refuse a factor that is not a positive number."""
     if not (math.isfinite(scale) and scale > 0):
-        message = f"--scale is {scale:g}; expected a positive number such as 1 or 0.5"
-        raise InputError(message)
+        raise InputError(f"--scale is {scale:g}; expected a positive number such as 1 or 0.5")
 
 
 def _safe(word: str) -> str:

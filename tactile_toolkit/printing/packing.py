@@ -27,17 +27,6 @@ from tactile_toolkit.wording import did_you_mean
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-__all__ = [
-    "BEDS_MM",
-    "MARGIN_MM",
-    "Outline",
-    "PlateSpec",
-    "Spot",
-    "Weights",
-    "cells_touched",
-    "outline_of",
-    "pack",
-]
 
 Rings = Sequence["NDArray[np.float64]"]
 
@@ -138,11 +127,10 @@ class PlateSpec:
         """Refuse plates that no printer has."""
         check_fields(self, "the plate")
         if min(self.inner_mm) < 1:
-            message = (
+            raise InputError(
                 f"margin_mm is {self.margin_mm:g}; expected 0 or more, and 1 mm left of the plate of "
                 f"{self.width_mm:g} x {self.depth_mm:g} mm"
             )
-            raise InputError(message)
 
     @classmethod
     def parse(cls, plate: str, gap_mm: float = 3.0, margin_mm: float = MARGIN_MM) -> PlateSpec:
@@ -150,11 +138,10 @@ class PlateSpec:
         text = plate.strip().lower()
         match = _PLATE_TEXT.fullmatch(text)
         if match is None and text not in BEDS_MM:
-            message = (
+            raise InputError(
                 f"--plate is {plate!r}; expected width x depth in mm, such as 256x256, or one of "
                 f"{', '.join(BEDS_MM)}{did_you_mean(plate, BEDS_MM)}"
             )
-            raise InputError(message)
         sides_mm = BEDS_MM[text] if match is None else (float(match[1]), float(match[2]))
         return cls(*sides_mm, gap_mm, margin_mm)
 

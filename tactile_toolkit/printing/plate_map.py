@@ -17,7 +17,6 @@ if TYPE_CHECKING:
     from tactile_toolkit.printing.layout import Placed
     from tactile_toolkit.printing.packing import Outline, PlateSpec
 
-__all__ = ["draw_map"]
 
 _PAPER, _PLATE, _GRID, _INK, _FIELD = "#ffffff", "#f4f2ec", "#e0dcd2", "#222222", "#ffffff"
 _MARGIN = "#b9b3a3"

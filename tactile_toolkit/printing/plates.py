@@ -40,8 +40,6 @@ from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf, read_mjcf
 from tactile_toolkit.wording import counted
 
-__all__ = ["PlateExport", "PlateFile", "TABLE_FILE", "forecast_plates", "write_plates"]
-
 TABLE_FILE = "plates.csv"
 # Objects that a forecast packs to tell the size of all.
 _SAMPLED = 4
@@ -195,25 +193,23 @@ def _check_plate(path: Path, items: Sequence[BuildItem], spec: PlateSpec) -> Non
     try:
         found = _unpacked(path.read_bytes())
     except BROKEN_FILE as error:
-        message = f"it is not a readable {path.suffix[1:].upper()} file ({error})"
-        raise ItemError(UNREADABLE, message) from error
+        raise ItemError(
+            UNREADABLE, f"it is not a readable {path.suffix[1:].upper()} file ({error})"
+        ) from error
     if [item.name for item in found] != [item.name for item in items]:
-        message = f"it names {len(found)} objects; {len(items)} others were written"
-        raise ItemError(CHANGED, message)
+        raise ItemError(CHANGED, f"it names {len(found)} objects; {len(items)} others were written")
     for back_item, item in zip(found, items, strict=True):
         meant = Mesh((item.vertices_mm + item.offset_mm) / MM_PER_M, item.faces)
         back = Mesh(back_item.vertices_mm / MM_PER_M, back_item.faces)
         try:
             require_same_solid(back, meant, require_solid(meant))
         except ItemError as error:
-            message = f"{item.name}: {error}"
-            raise ItemError(error.reason, message) from error
+            raise ItemError(error.reason, f"{item.name}: {error}") from error
         low, high = back.bounds_m * MM_PER_M
         edge_mm = spec.margin_mm - _EDGE_TOLERANCE_MM
         outside = (low[:2] < edge_mm).any() or (high[:2] > np.subtract(spec.sides_mm, edge_mm)).any()
         if outside or low[2] < -_EDGE_TOLERANCE_MM:
-            message = f"{item.name} reaches beyond the plate or its margin"
-            raise ItemError(OFF_PLATE, message)
+            raise ItemError(OFF_PLATE, f"{item.name} reaches beyond the plate or its margin")
 
 
 _COLUMNS = (

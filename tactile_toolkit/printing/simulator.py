@@ -23,8 +23,6 @@ from tactile_toolkit.mesh.convex import convex_parts
 from tactile_toolkit.mesh.files import BROKEN_FILE, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
-__all__ = ["MODELS", "Body", "Physics", "body_of", "model_files", "pack_mjcf", "read_mjcf", "read_model"]
-
 MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
 """Formats of bodies for simulators, and how their files end."""
 
@@ -92,8 +90,7 @@ def read_model(path: Path) -> Mesh:
         in_mm = read_mesh(file)  # OBJ names no unit, and is taken for millimetres elsewhere
         return Mesh(in_mm.vertices_m * MM_PER_M, in_mm.faces)
     except BROKEN_FILE as error:
-        message = f"{path}: not a readable model ({error})"
-        raise InputError(message) from error
+        raise InputError(f"{path}: not a readable model ({error})") from error
 
 
 def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, floor: bool = False) -> bytes:
@@ -251,8 +248,7 @@ def _pack_usd(body: Body) -> bytes:
 def _read_usd(text: str) -> Mesh:
     found = _USD_VISUAL.search(text)
     if found is None:
-        message = "no mesh 'visual'"
-        raise ValueError(message)
+        raise ValueError("no mesh 'visual'")
     faces, points = (re.sub(r"[(),]", " ", words) for words in found.groups())
     return _mesh(points, faces)
 

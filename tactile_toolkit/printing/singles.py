@@ -25,8 +25,6 @@ from tactile_toolkit.printing.checked import (
 from tactile_toolkit.printing.objects import PrintObject, require_scale, standing
 from tactile_toolkit.printing.simulator import MODELS, Physics, model_files, read_model
 
-__all__ = ["FileExport", "FileForecast", "WrittenFile", "export_files", "forecast_files"]
-
 # Objects that a forecast packs, from all over the list, to tell the size of all.
 _SAMPLED = 32
 
@@ -157,8 +155,7 @@ def _products(
     ending = MODELS.get(name, f".{name}")
     if ending not in FORMATS and name not in MODELS:
         names = ", ".join([*(known[1:] for known in FORMATS), *MODELS])
-        message = f"--format is {kind!r}; expected one of {names}"
-        raise InputError(message)
+        raise InputError(f"--format is {kind!r}; expected one of {names}")
     require_scale(scale)
     how = (ending, scale, physics or Physics())
     return [

@@ -12,8 +12,6 @@ from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.read.order import EpochOrder
 from tactile_toolkit.read.sequence import LazySequence
 
-__all__ = ["UnpackingAhead"]
-
 
 class UnpackingAhead:
     """Sees to it that the row groups of a window lie unpacked in the cache, and then those of the next.

@@ -20,8 +20,6 @@ from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.files import of_the_process
 
-__all__ = ["BLOCKS", "Key", "can_keep", "is_kept", "keep", "locked_file", "map_block", "mapped", "stat_key"]
-
 Key = tuple[str, int, int]
 """Digest of what identifies the file, row group, and number of the block in it."""
 
@@ -157,13 +155,11 @@ def map_block(path: Path) -> tuple[Any, int]:
     # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
     stored = pa.memory_map(str(path)).read_buffer() if mark == _MARK else None
     if stored is None or len(stored) != facts.st_size:
-        message = f"{facts.st_size:,} bytes that are not a block"
-        raise ValueError(message)
+        raise ValueError(f"{facts.st_size:,} bytes that are not a block")
     content = stored.slice(0, size)
     if _checked.get(str(path)) != stat_key(facts):
         if xxhash.xxh3_64_intdigest(content, seed=_seed(path.name)) != checksum:
-            message = "the block does not match its checksum"
-            raise ValueError(message)
+            raise ValueError("the block does not match its checksum")
         _checked.put(str(path), stat_key(facts))
     return pa.Table.from_batches([pa.ipc.open_stream(content).read_next_batch()]), size
 

@@ -12,25 +12,6 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import IntegrityError
 
-__all__ = [
-    "BytesColumn",
-    "NestedColumn",
-    "RaggedColumn",
-    "RowGroup",
-    "column_names",
-    "column_types",
-    "list_array",
-    "list_depth",
-    "null_fields",
-    "plain_schema",
-    "plain_table",
-    "ragged_array",
-    "ragged_column",
-    "same_values",
-    "vectors_type",
-]
-
-
 T = TypeVar("T")
 
 
@@ -65,15 +46,13 @@ def ragged_column(array: Any) -> RaggedColumn:
     flat = inner.flatten()
     nulls = array.null_count + inner.null_count + flat.null_count
     if nulls:
-        message = f"{nulls} null values where every row needs one"
-        raise ValueError(message)
+        raise ValueError(f"{nulls} null values where every row needs one")
     if pa.types.is_fixed_size_list(inner.type):
         width = inner.type.list_size
     else:
         widths = np.unique(np.diff(_numbers(inner.offsets)))
         if len(widths) > 1:
-            message = f"inner lists of {widths[0]} and {widths[1]} values in one column"
-            raise ValueError(message)
+            raise ValueError(f"inner lists of {widths[0]} and {widths[1]} values in one column")
         # Without a row the width is unknown; that of corners and triangles does no harm.
         width = int(widths[0]) if len(widths) else 3
     offsets = _numbers(array.offsets)

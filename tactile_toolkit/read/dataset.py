@@ -16,9 +16,6 @@ from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence
 from tactile_toolkit.wording import counted
 
-__all__ = ["Record", "RecordDataset", "Row", "with_origins"]
-
-
 _LARGEST = np.iinfo(np.int64).max
 _MADE_TOGETHER = 4096  # rows that lie in no shard, because each is made when it is asked for
 
@@ -124,8 +121,7 @@ class Record:
         object.__setattr__(self, "_loaded", {})
 
     def __setattr__(self, name: str, value: object) -> None:
-        message = f"{type(self).__name__} is frozen; {name!r} cannot be set"
-        raise AttributeError(message)
+        raise AttributeError(f"{type(self).__name__} is frozen; {name!r} cannot be set")
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (type(self), (self._row,))
@@ -303,8 +299,7 @@ class RecordDataset(LazySequence[T]):
         try:
             parts = [read(table) for table in self._tables]
         except (KeyError, IndexError) as error:
-            message = f"no column {name!r} in this data set"
-            raise InputError(message) from error
+            raise InputError(f"no column {name!r} in this data set") from error
         rows = self._rows
         if isinstance(rows, range):
             # One that runs down to row 0 stops at -1, which to a slice is the last row.

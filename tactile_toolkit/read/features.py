@@ -10,8 +10,6 @@ import msgspec
 
 from tactile_toolkit.errors import IntegrityError
 
-__all__ = ["dtype_name", "feature_metadata", "label_feature", "stored_class_names", "stored_features"]
-
 # Arrow's words for what numpy and `datasets` call otherwise.
 _DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
 
@@ -54,12 +52,11 @@ def stored_features(schema: Any, where: str) -> dict[str, Any]:
         msgspec.convert(found.get("label"), _Label | None)
     except (msgspec.MsgspecError, RecursionError) as error:
         beginning = text[:80].decode(errors="replace")
-        message = (
+        raise IntegrityError(
             f"{where!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
-            "features of the data set, class names among them, in JSON; next: download or convert the data "
-            "set again"
-        )
-        raise IntegrityError(message) from error
+            "features of the data set, class names among them, in JSON",
+            next="download or convert the data set again",
+        ) from error
     return found
 
 

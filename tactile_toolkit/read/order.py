@@ -15,8 +15,6 @@ from functools import cached_property, lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["EpochOrder", "GlobalOrder", "Share", "StoredParts"]
-
 _KEPT_WINDOWS = 2  # a batch may reach over the end of one
 
 

@@ -37,8 +37,6 @@ from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 from tactile_toolkit.store.small_columns import MADE_OF
 
-__all__ = ["Shard", "ShardedTable"]
-
 _BLOCK_BYTES = 64 << 20
 # Unpacked sizes of Parquet's physical types; all others take four bytes at least, a number or an offset.
 _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
@@ -299,11 +297,11 @@ class Shard:
         with self._named_damage():
             parquet, identity, size_bytes = self._opened(footer and footer.metadata)
         if identity != self.identity:
-            message = (
+            raise IntegrityError(
                 f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
-                "read, for old and new ones would mix; next: load the data set again"
+                "read, for old and new ones would mix",
+                next="load the data set again",
             )
-            raise IntegrityError(message)
         metadata = parquet.metadata
         found = {"rows": metadata.num_rows, "bytes": size_bytes}
         for unit, stated in (("rows", self.rows), ("bytes", self.size_bytes)):
@@ -324,8 +322,9 @@ class Shard:
         except GeneratorExit:  # a pass left in its middle, maybe at exit, when Arrow's names are gone
             raise
         except FileNotFoundError as error:
-            message = f"{self.path!r} is missing; next: generate or download the data set again"
-            raise IntegrityError(message) from error
+            raise IntegrityError(
+                f"{self.path!r} is missing", next="generate or download the data set again"
+            ) from error
         except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
             problem = f" is damaged, an intact Parquet file was expected ({error})"
             raise IntegrityError.in_file(self.path, problem) from error

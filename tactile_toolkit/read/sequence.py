@@ -24,15 +24,6 @@ from tactile_toolkit.wording import class_name, counted, is_whole, plain_number,
 if TYPE_CHECKING:
     from tactile_toolkit.read.parquet import Shard
 
-__all__ = [
-    "ColumnStatistics",
-    "LazySequence",
-    "Statistics",
-    "checked_index",
-    "flattened",
-    "nearest",
-    "positions",
-]
 
 T = TypeVar("T")
 
@@ -88,8 +79,7 @@ class Statistics:
 def checked_index(index: int, length: int, of: str, things: str) -> int:
     """Turn an index that may count from the end into one from 0; IndexError, in these words, out of range."""
     if not -length <= index < length:
-        message = f"{of} {index} is out of range for {length} {things}"
-        raise IndexError(message)
+        raise IndexError(f"{of} {index} is out of range for {length} {things}")
     return index + length if index < 0 else index
 
 
@@ -124,15 +114,14 @@ def positions(index: Any, length: int) -> NDArray[np.int64]:
     chosen = np.asarray(index)
     if chosen.dtype == bool:
         if chosen.shape != (length,):
-            message = f"a boolean mask of shape {chosen.shape} for {length} rows"
-            raise IndexError(message)
+            raise IndexError(f"a boolean mask of shape {chosen.shape} for {length} rows")
         return np.flatnonzero(chosen)
     if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
-        message = f"rows are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
-        raise TypeError(message)
+        raise TypeError(
+            f"rows are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
+        )
     if chosen.size and not -length <= chosen.min() <= chosen.max() < length:
-        message = f"index {chosen.min()} to {chosen.max()} is out of range for {length} rows"
-        raise IndexError(message)
+        raise IndexError(f"index {chosen.min()} to {chosen.max()} is out of range for {length} rows")
     return np.where(chosen < 0, chosen + length, chosen).astype(np.int64)
 
 
@@ -225,8 +214,7 @@ class LazySequence(Sequence[T], Generic[T]):
         length = len(self._rows)
         # Not `checked_index`, which would cost a tenth of all that `touches[i]` does.
         if not -length <= position < length:
-            message = f"index {position} is out of range for {counted(length, self.things)}"
-            raise IndexError(message)
+            raise IndexError(f"index {position} is out of range for {counted(length, self.things)}")
         return self._stored(int(self._rows[position]))
 
     def _select(self, chosen: slice | NDArray[np.int64]) -> Self:
@@ -281,10 +269,9 @@ class LazySequence(Sequence[T], Generic[T]):
         places = self._places_of_id(number)
         if not len(places):
             near = ", ".join(map(repr, self._near_ids(number))) or "(none, it is empty)"
-            message = (
-                f"{', '.join(self._description())}: there is no id {id!r}; next: give one such as {near}"
+            raise InputError(
+                f"{', '.join(self._description())}: there is no id {id!r}", next=f"give one such as {near}"
             )
-            raise InputError(message)
         return self._item(int(places[0]))
 
     def select(self, indices: Iterable[int]) -> Self:
@@ -458,16 +445,14 @@ class LazySequence(Sequence[T], Generic[T]):
         """
         parts = list(datasets)
         if not parts:
-            message = "nothing to concatenate; expected at least one data set"
-            raise InputError(message)
+            raise InputError("nothing to concatenate; expected at least one data set")
         return reduce(operator.add, parts)
 
     def __add__(self, other: Self) -> Self:
         if type(other) is not type(self):
             return NotImplemented
         if other.label_names != self.label_names:
-            message = f"cannot join data sets with classes {self.label_names} and {other.label_names}"
-            raise InputError(message)
+            raise InputError(f"cannot join data sets with classes {self.label_names} and {other.label_names}")
         return self._joined(other)
 
     def __iter__(self) -> Iterator[T]:
@@ -490,8 +475,7 @@ class LazySequence(Sequence[T], Generic[T]):
         for position in self._places(value):
             if first <= position < last:
                 return position
-        message = f"{value!r} is not in {self!r}"
-        raise ValueError(message)
+        raise ValueError(f"{value!r} is not in {self!r}")
 
     def count(self, value: Any) -> int:
         """Return how many items equal one."""
@@ -552,8 +536,7 @@ class LazySequence(Sequence[T], Generic[T]):
         if is_whole(number) and 0 <= number < len(known):
             return int(number)
         listed = ", ".join(known)
-        message = f"no class {label!r}; expected an integer below {len(known)} or one of {listed}"
-        raise InputError(message)
+        raise InputError(f"no class {label!r}; expected an integer below {len(known)} or one of {listed}")
 
     def _class_counts(self) -> dict[str, int]:
         if "label" not in self._plain_columns:
@@ -586,11 +569,10 @@ def _part_ends(parts: Sequence[Any], length: int) -> list[int]:
     whole = whole if numbers else 1
     if not parts or not (numbers or shares) or total > whole + _ROUNDING or min(parts) < 0:
         asked = ", ".join(map(repr, parts)) or "nothing"
-        message = (
+        raise InputError(
             f"a split into {asked} was asked for; expected shares such as 0.8, 0.2 that add up to at most 1, "
             f"or integers that add up to at most {counted(length, 'rows')}"
         )
-        raise InputError(message)
     if numbers:
         ends = np.cumsum(parts).tolist()
     else:

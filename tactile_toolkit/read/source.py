@@ -15,8 +15,6 @@ from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.parquet import file_sha256
 from tactile_toolkit.store.shards import DATA_FOLDER
 
-__all__ = ["content_fingerprint", "file_fingerprint", "manifest_beside", "refuse_source"]
-
 
 def file_fingerprint(shard: Shard) -> dict[str, Any]:
     """Return JSON values that identify the rows of a file; its footer holds the size of every column."""
@@ -67,8 +65,8 @@ def refuse_source(folder: DataFolder, name: str, shards: Iterable[Shard]) -> Non
         ours = home.is_dir() and place.is_relative_to(home)
         lies_in = ours and any(file.is_relative_to(home) for file in [*real, *named])
     if holds or lies_in:
-        message = (
+        raise InputError(
             f"{out!r}, the folder to write, {'holds' if holds else 'lies in'} the source {name!r}; "
-            "nothing was changed; next: choose a folder outside it"
+            "nothing was changed",
+            next="choose a folder outside it",
         )
-        raise InputError(message)

@@ -23,7 +23,6 @@ else:
     with needs_extra("training on a data set", "torch", "torch"):
         import torch
 
-__all__ = ["TrainingBatches", "shared_zeros"]
 
 _FORMAT = "tactile_toolkit_training"
 _VERSION = 1
@@ -135,11 +134,10 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
     ) -> None:
         sequence = getattr(data, "sequence", data)
         if not isinstance(sequence, LazySequence):
-            message = (
+            raise InputError(
                 f"{type(data).__name__} was given; expected a data set of the toolkit, or tensors of one "
                 "such as realtouch.torch.TouchTensors"
             )
-            raise InputError(message)
         self.data = data
         self.batch_size = whole_number(batch_size, "batch_size", 1)
         self.drop_last = drop_last
@@ -188,15 +186,13 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             self._current = _Pass(epoch, start)
             return self._batches(self._current, 0, 1)
         if worker.num_workers > _MOST_WORKERS:
-            message = f"{worker.num_workers} workers; expected at most {_MOST_WORKERS}"
-            raise InputError(message)
+            raise InputError(f"{worker.num_workers} workers; expected at most {_MOST_WORKERS}")
         began = self._next[1:, 3]
         if ((began != 0) & (began != worker.num_workers + 1)).any():
-            message = (
-                f"{worker.num_workers} workers continue after {int(began.max()) - 1}; next: call set_epoch() "
-                "in between, so that all begin the same epoch"
+            raise InputError(
+                f"{worker.num_workers} workers continue after {int(began.max()) - 1}",
+                next="call set_epoch() in between, so that all begin the same epoch",
             )
-            raise InputError(message)
         mine = self._next[1 + worker.id]
         self._current = _Pass(*mine[:3].tolist())
         mine[:] = torch.tensor([self._current.epoch + 1, 0, 0, worker.num_workers + 1])
@@ -246,11 +242,10 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         """
         worker = torch.utils.data.get_worker_info()
         if worker is None and self._workers_began():
-            message = (
-                "workers make the batches, ahead of what the job was given; next: save the state_dict() of a "
-                "torchdata.stateful_dataloader.StatefulDataLoader"
+            raise InputError(
+                "workers make the batches, ahead of what the job was given",
+                next="save the state_dict() of a torchdata.stateful_dataloader.StatefulDataLoader",
             )
-            raise InputError(message)
         current = self._current or _Pass(*self._next[0, :3].tolist())
         return {
             _FORMAT: _VERSION,
@@ -277,10 +272,9 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         """
         states = list(_holding(_FORMAT, state_dict))
         if not states:
-            message = (
+            raise InputError(
                 "no state of TrainingBatches was given; expected state_dict() of the loader that gave them"
             )
-            raise InputError(message)
         worker = torch.utils.data.get_worker_info()
         expected = {_FORMAT: _VERSION, "order": self._order.fingerprint}
         if worker is not None:
@@ -289,8 +283,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             for name, value in expected.items():
                 if state[name] != value:
                     advice = _OTHER_ORDER if name == "order" else _OTHER_DIVISION
-                    message = f"a state of {name} {state[name]!r}; expected {value!r}{advice}"
-                    raise InputError(message)
+                    raise InputError(f"a state of {name} {state[name]!r}; expected {value!r}{advice}")
         if worker is not None:
             self._current = None
             self._next[1 + worker.id] = torch.tensor([*map(states[0].get, ("epoch", "start", "batches")), 0])
@@ -318,11 +311,11 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         # times.
         in_turn = [batches // workers + (index < batches % workers) for index in range(workers)]
         if counts != in_turn or any(state["epoch"] != first["epoch"] for state in states):
-            message = (
+            raise InputError(
                 f"states of {len(states)} workers that gave {', '.join(map(str, counts))} batches; expected "
-                f"{workers} that took turns; next: save the state of one loader, with in_order=True"
+                f"{workers} that took turns",
+                next="save the state of one loader, with in_order=True",
             )
-            raise InputError(message)
         items = (batches + further_batches) * first["batch_size"] * first["world_size"]
         return first["epoch"], min(first["start"] + items, len(self._order))
 
@@ -357,6 +350,7 @@ def _rank_of(rank: int | None, world_size: int | None) -> tuple[int, int]:
     else:
         numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
     if not (is_whole(*numbers) and 0 <= numbers[0] < numbers[1]):
-        message = f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
-        raise InputError(message)
+        raise InputError(
+            f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
+        )
     return numbers

@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from importlib.abc import MetaPathFinder
 from types import ModuleType
 
-__all__ = ["limit_threads", "prepare_batch_process", "skip_pandas"]
-
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
@@ -66,5 +64,4 @@ def skip_pandas() -> None:
 class _NoPandas(MetaPathFinder):
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
         if name == "pandas":
-            message = "pandas is left out of this process"
-            raise ModuleNotFoundError(message, name=name)
+            raise ModuleNotFoundError("pandas is left out of this process", name=name)

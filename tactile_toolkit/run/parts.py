@@ -15,8 +15,6 @@ from typing import TypeVar
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import Runner, runner_for
 
-__all__ = ["Check", "Finish", "Part", "part_of"]
-
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -52,11 +50,11 @@ class Part:
     def __post_init__(self) -> None:
         if not self.count or not 0 <= self.index <= self.count:
             expected = f"0 to {self.count - 1} (or 1 to {self.count})" if self.count else "at least 1 part"
-            message = (
+            raise InputError(
                 f"--part {self.index}/{self.count}: there is no part {self.index} of {self.count}; expected "
-                f"{expected}; nothing was made; next: number the jobs of the array so"
+                f"{expected}; nothing was made",
+                next="number the jobs of the array so",
             )
-            raise InputError(message)
 
     def of(self, tasks: Sequence[T]) -> Sequence[T]:
         """Return those of all tasks that are of this part."""
@@ -104,16 +102,16 @@ def part_of(text: str, workers: int | Runner = 1, environment: Mapping[str, str]
     """
     match = _PART.fullmatch(text.strip())
     if match is None or (match["index"] and not match["count"]):
-        message = f"--part is {text!r}; expected K/N, such as 17/500, with K from 0, or auto, or auto/N"
-        raise InputError(message)
+        raise InputError(
+            f"--part is {text!r}; expected K/N, such as 17/500, with K from 0, or auto, or auto/N"
+        )
     index, count = (None if match[name] is None else int(match[name]) for name in ("index", "count"))
     if index is None:
         index, length = _place_in_array(environment)
         count = length if count is None else count
     if count is None:
         found = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
-        message = f"--part auto: the number of parts is unknown, {found}; next: give --part auto/N"
-        raise InputError(message)
+        raise InputError(f"--part auto: the number of parts is unknown, {found}", next="give --part auto/N")
     return Part(index, count, workers)
 
 
@@ -126,11 +124,11 @@ def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
         return index, count if is_whole else None
     index = _number(environment, "JOB_COMPLETION_INDEX")
     if index is None:
-        message = (
+        raise InputError(
             "--part auto: neither SLURM_ARRAY_TASK_ID nor JOB_COMPLETION_INDEX is a number in the "
-            "environment; next: run it in an array of Slurm or an indexed job of Kubernetes, or give K/N"
+            "environment",
+            next="run it in an array of Slurm or an indexed job of Kubernetes, or give K/N",
         )
-        raise InputError(message)
     return index, _number(environment, "JOB_COMPLETION_COUNT")
 
 

@@ -27,8 +27,6 @@ from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.run.limits import prepare_batch_process
 from tactile_toolkit.run.system import ignore_interrupts
 
-__all__ = ["InlineRunner", "ProcessRunner", "Runner", "carry_out", "died", "outcome", "runner_for"]
-
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -83,8 +81,7 @@ class ProcessRunner:
 
     def __post_init__(self) -> None:
         if self.workers < 1:
-            message = f"the number of workers is {self.workers}; expected at least 1"
-            raise InputError(message)
+            raise InputError(f"the number of workers is {self.workers}; expected at least 1")
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield results as they finish; ToolkitError when one task's worker died ``attempts`` times."""

@@ -21,8 +21,6 @@ from typing import Any, TypeVar
 from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError
 from tactile_toolkit.run.processes import died, outcome
 
-__all__ = ["RayRunner"]
-
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -111,8 +109,7 @@ class RayRunner:
                         try:
                             node, differing, answer = ray.get(reference)
                         except ray.exceptions.RayTaskError as error:
-                            message = f"Ray could not run {task}: {error}"
-                            raise ToolkitError(message) from None
+                            raise ToolkitError(f"Ray could not run {task}: {error}") from None
                         except ray.exceptions.RayError as error:
                             if attempt >= self.attempts:
                                 again = "on nodes with more memory or with fewer --workers"
@@ -193,12 +190,12 @@ def _connected(address: str | None) -> Iterator[Any]:
             socket.create_connection(place, _ANSWER_S).close()
         ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
     except Exception as error:  # of many types, RuntimeError for other versions of Ray or Python among them
-        message = (
+        raise InputError(
             f"no Ray cluster can be joined {f'at {address}' if place else 'here'}: {error}; "
-            "nothing was written; next: start one (ray start --head), run the command on a machine of it "
-            "with the HOST:PORT that this printed (--runner ray=HOST:PORT), or use --runner processes"
-        )
-        raise InputError(message) from error
+            "nothing was written",
+            next="start one (ray start --head), run the command on a machine of it "
+            "with the HOST:PORT that this printed (--runner ray=HOST:PORT), or use --runner processes",
+        ) from error
     try:
         yield ray
     finally:
@@ -208,9 +205,9 @@ def _connected(address: str | None) -> Iterator[Any]:
 def _host_and_port(address: str) -> tuple[str, int]:
     match = _ADDRESS.fullmatch(address)
     if match is None:
-        message = (
+        raise InputError(
             f"{address!r} is not the address of a Ray cluster; expected HOST:PORT, which `ray start --head` "
-            "prints, such as 10.0.0.5:6379; next: run the command on a machine of the cluster with that"
+            "prints, such as 10.0.0.5:6379",
+            next="run the command on a machine of the cluster with that",
         )
-        raise InputError(message)
     return match["host"], int(match["port"])

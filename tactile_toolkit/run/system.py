@@ -16,8 +16,6 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-__all__ = ["LOCK_FILE", "held", "ignore_interrupts", "locked", "sync_folder"]
-
 LOCK_FILE = ".lock"
 """Is in a folder while a process holds it where the system or the file system knows no locks of folders."""
 _LOOK_AGAIN_S = 0.02

@@ -10,8 +10,6 @@ import re
 
 from tactile_toolkit.errors import InputError
 
-__all__ = ["is_remote", "place_of_data", "scheme_of", "shown"]
-
 _SCHEME = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]*)://(?P<rest>.*)", re.DOTALL)
 _FOLDED = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
 _LOCAL_SCHEMES = ("file", "local")
@@ -75,8 +73,7 @@ def place_of_data(place: str) -> str:
     elif {".", ".."} & {bucket, *parts}:
         problem = "has '.' or '..' in it, which lead nowhere in a store; next: write the folder in full"
     if problem:
-        message = f"{shown(place)!r} {problem}"
-        raise InputError(message)
+        raise InputError(f"{shown(place)!r} {problem}")
     if match is None:
         return place
     return f"{scheme}://{rest}" if scheme else rest or "/"

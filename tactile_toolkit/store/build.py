@@ -36,8 +36,6 @@ from tactile_toolkit.store.reports import merge_reports
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord
 from tactile_toolkit.store.small_columns import write_small_columns
 
-__all__ = ["MissingPartsError", "Progress", "array_text", "build", "look_for"]
-
 _CAUSES_SHOWN = 3
 _PATIENCE_S = 60.0
 """How long a run waits to begin where others write; one that was stopped (Ctrl-Z) holds its lock for good."""
@@ -63,14 +61,15 @@ class MissingPartsError(IntegrityError):
     """
 
     def __init__(self, where: str, shards: int, parts: int, array: str) -> None:
-        super().__init__(where, shards, parts, array)
-        self.shards, self.parts, self.array = shards, parts, array
         which = "part" if array.isdigit() else "parts"
-        self.message = (
+        super().__init__(
             f"{shards:,} of {parts:,} shards of {where!r} are not finished; they are those of {which} "
-            f"{array} of {parts:,}; next: give these (--part auto/{parts}; Slurm: --array={array}), then "
-            "--finish, or run the same command without --finish"
+            f"{array} of {parts:,}",
+            next=f"give these (--part auto/{parts}; Slurm: --array={array}), then --finish, or run the same "
+            "command without --finish",
         )
+        self.shards, self.parts, self.array = shards, parts, array
+        self.args = (where, shards, parts, array)  # by which it crosses process borders
 
 
 @dataclass(frozen=True)
@@ -229,8 +228,9 @@ class _Run:
         """Put together what all parts have made. Raises MissingPartsError where something is missing."""
         folder = self.folder
         if not folder.names():
-            message = f"{folder.lacks('data set')}; nothing can be finished; next: make its parts with --part"
-            raise InputError(message)
+            raise InputError(
+                f"{folder.lacks('data set')}; nothing can be finished", next="make its parts with --part"
+            )
         folder.require_folder()
         settle(folder, _PATIENCE_S)
         self.on_progress(Progress(0, 0))
@@ -277,11 +277,10 @@ class _Run:
         if there != finished:
             write_manifest(folder, finished)
             if read_manifest(folder) != finished:
-                message = (
-                    f"{folder.address(MANIFEST_FILE)!r} is not what was written there a moment ago; next: "
-                    "run the same command again, and check the disk"
+                raise StorageError(
+                    f"{folder.address(MANIFEST_FILE)!r} is not what was written there a moment ago",
+                    next="run the same command again, and check the disk",
                 )
-                raise StorageError(message)
         tidy(folder, finished)
         return finished
 
@@ -319,13 +318,13 @@ def _require_records(folder: DataFolder, tasks: Sequence[ShardTask], records: Se
     lacking = [str(task.shard) for task in tasks if task.shard not in found]
     if lacking:
         names = ", ".join(lacking[:_CAUSES_SHOWN]) + (", ..." if len(lacking) > _CAUSES_SHOWN else "")
-        message = (
+        raise IntegrityError(
             f"{len(lacking):,} of {len(tasks):,} shards that were to be made are not in "
             f"{folder.address()!r}, or have other sizes: {names}; the runner did not make them, a user "
             "removed them, or a node writes to a folder that this machine does not see; finished shards "
-            "stay; next: run the same command again, on a folder that all nodes share, or s3://BUCKET/PATH"
+            "stay",
+            next="run the same command again, on a folder that all nodes share, or s3://BUCKET/PATH",
         )
-        raise IntegrityError(message)
 
 
 def _require_parts(folder: DataFolder, plan: BuildPlan, check: bool) -> State:
@@ -344,22 +343,20 @@ def _require_rows(records: Sequence[ShardRecord]) -> None:
     if skipped and not any(record.rows for record in records):
         first = {item.reason: item.message for item in reversed(skipped)}
         causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
-        message = (
+        raise (IntegrityError if set(first) == {DAMAGED} else InputError)(
             f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each "
             f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}; next: correct the source, or choose another one"
         )
-        raise (IntegrityError if set(first) == {DAMAGED} else InputError)(message)
 
 
 def _refuse_overwriting(folder: DataFolder, runner: Runner | int) -> None:
     """Raise InputError for what makes or ends parts: one must not remove what the others made."""
     if isinstance(runner, (Part, Finish)):
-        message = (
+        raise InputError(
             "--overwrite was given with --part or --finish: each part would remove what the others made; "
-            f"nothing was changed; next: remove {folder.address()!r} first, or choose another folder "
-            "(--out or OUT)"
+            "nothing was changed",
+            next=f"remove {folder.address()!r} first, or choose another folder (--out or OUT)",
         )
-        raise InputError(message)
 
 
 def look_for(

@@ -21,21 +21,6 @@ from typing import IO
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.run.system import held, sync_folder
 
-__all__ = [
-    "TEMPORARY_PREFIX",
-    "atomic_file",
-    "expanded",
-    "is_there",
-    "named_failures",
-    "new_file",
-    "of_the_process",
-    "open_regular",
-    "readable",
-    "remove_abandoned",
-    "scratch_folder",
-    "temporary",
-]
-
 TEMPORARY_PREFIX = ".writing-"
 """How the name of every unfinished file begins."""
 
@@ -69,8 +54,9 @@ def named_failures(address: str) -> Iterator[None]:
         yield
     except OSError as error:
         hint = _HINTS.get(error.errno or 0, error.strerror or str(error))
-        message = f"cannot write {address!r}: {hint}; nothing half-written was left, finished files stay"
-        raise StorageError(message) from error
+        raise StorageError(
+            f"cannot write {address!r}: {hint}; nothing half-written was left, finished files stay"
+        ) from error
 
 
 def of_the_process(error: Exception) -> str | None:
@@ -91,8 +77,7 @@ def readable(address: str) -> Iterator[None]:
             lack = "by this user (permission denied); next: change its permissions, or ask its owner to"
         elif of_the_process(error) is None:
             raise
-        message = f"{address!r} cannot be read {lack}"
-        raise InputError(message) from error
+        raise InputError(f"{address!r} cannot be read {lack}") from error
 
 
 def is_there(path: Path) -> bool:
@@ -123,8 +108,9 @@ def expanded(place: str | Path, what: str = "path") -> Path:
     try:
         return path.expanduser()
     except RuntimeError as error:
-        message = f"{what} {str(place)!r}: no home folder is known ({error}); next: write the path in full"
-        raise InputError(message) from error
+        raise InputError(
+            f"{what} {str(place)!r}: no home folder is known ({error})", next="write the path in full"
+        ) from error
 
 
 def open_regular(path: Path) -> IO[bytes]:
@@ -136,8 +122,9 @@ def open_regular(path: Path) -> IO[bytes]:
     stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | unwaiting))  # noqa: SIM115
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
-        message = f"{str(path)!r} is not a file (it is a pipe or a device); nothing was read from it"
-        raise IntegrityError(message)
+        raise IntegrityError(
+            f"{str(path)!r} is not a file (it is a pipe or a device); nothing was read from it"
+        )
     return stream
 
 

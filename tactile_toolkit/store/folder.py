@@ -38,15 +38,6 @@ from tactile_toolkit.store.files import (
 )
 from tactile_toolkit.store.remote import Store
 
-__all__ = [
-    "NEXT_FOLDER",
-    "PENDING_FOLDER",
-    "TEMPORARY",
-    "VERSION_KEYS",
-    "DataFolder",
-    "file_at",
-]
-
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
 
@@ -103,8 +94,7 @@ class DataFolder:
             return self.root
         # Most paths have no such dots: their parts are not looked at, which takes a while for 50,000 of them.
         if path.startswith("/") or "\0" in path or (".." in path and ".." in PurePosixPath(path).parts):
-            message = f"{path!r} leads out of {self.root!r} or is not a path; nothing was done"
-            raise StorageError(message)
+            raise StorageError(f"{path!r} leads out of {self.root!r} or is not a path; nothing was done")
         return f"{self.root}/{path}"
 
     def place(self, path: str) -> Path:
@@ -118,11 +108,10 @@ class DataFolder:
             if step == root:
                 break
             if step.is_symlink():
-                message = (
+                raise InputError(
                     f"{str(step)!r} is a symbolic link; nothing is written, moved or removed through a link; "
                     "next: put what it leads to in its place, or choose another folder (--out or OUT)"
                 )
-                raise InputError(message)
         return place
 
     def problem(self) -> str:
@@ -205,8 +194,7 @@ class DataFolder:
         try:
             return self._read(path)
         except OSError as error:
-            message = f"cannot read {self.address(path)!r}: {error.strerror or error}"
-            raise IntegrityError(message) from error
+            raise IntegrityError(f"cannot read {self.address(path)!r}: {error.strerror or error}") from error
 
     def _read(self, path: str) -> bytes:
         with self.open(path) as stream:
@@ -356,8 +344,7 @@ class DataFolder:
         """
         with named_failures(self.root):
             if Path(self.root).exists() and self.problem():
-                message = f"{self.problem()}; choose another path (--out or OUT)"
-                raise InputError(message)
+                raise InputError(f"{self.problem()}; choose another path (--out or OUT)")
             Path(self.root).mkdir(parents=True, exist_ok=True)
             with self._temporary(""):
                 pass
@@ -388,12 +375,11 @@ class DataFolder:
                         home.mkdir(parents=True, exist_ok=True)
                 except BlockingIOError as error:
                     left = f", or remove {error.filename!r} if none is at work" if error.filename else ""
-                    message = (
+                    raise InputError(
                         f"another run writes to {str(home)!r}, and has done so for {patience_s:.0f} s; "
-                        f"nothing was changed; next: wait until it has ended, or end it{left}, and run the "
-                        "same command again"
-                    )
-                    raise InputError(message) from error
+                        f"nothing was changed",
+                        next=f"wait until it has ended, or end it{left}, and run the same command again",
+                    ) from error
             yield
 
 
@@ -523,8 +509,9 @@ class _StoreFolder(DataFolder):
         self._require_writable("")
         found = self._info("")
         if found is not None and found["type"] == "file":
-            message = f"{self.root!r} is a file, a folder was expected; choose another path (--out or OUT)"
-            raise InputError(message)
+            raise InputError(
+                f"{self.root!r} is a file, a folder was expected; choose another path (--out or OUT)"
+            )
         if found is None and self.problem():
             raise self._no_bucket()
 
@@ -554,11 +541,10 @@ class _StoreFolder(DataFolder):
 
     def _require_writable(self, path: str) -> None:
         if scheme_of(self.root) == "hf":
-            message = (
-                f"{self.address(path)!r} cannot be written to: the Hub takes whole commits; next: write to a "
-                "folder or to s3://BUCKET/FOLDER, then send it with the command `upload`"
+            raise InputError(
+                f"{self.address(path)!r} cannot be written to: the Hub takes whole commits",
+                next="write to a folder or to s3://BUCKET/FOLDER, then send it with the command `upload`",
             )
-            raise InputError(message)
 
 
 def file_at(place: str) -> tuple[DataFolder, str]:

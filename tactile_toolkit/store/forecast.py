@@ -14,8 +14,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.plan import BuildPlan
 
-__all__ = ["Forecast", "Sample", "SplitForecast", "forecast_build"]
-
 _START_S = 1.5
 """What workers need to start and import their libraries."""
 

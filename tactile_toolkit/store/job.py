@@ -24,21 +24,6 @@ from tactile_toolkit.store.reports import report_shards
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardEntry, ShardName, ShardRecord
 from tactile_toolkit.store.typed_json import Count, decode
 
-__all__ = [
-    "CARDS",
-    "Job",
-    "State",
-    "begin",
-    "differences",
-    "look",
-    "manifest_so_far",
-    "pending_records",
-    "refuse_links",
-    "refuse_unknown_files",
-    "tidy",
-    "write_record",
-]
-
 CARDS = ("README.md", "croissant.json")
 _FOLDERS = (DATA_FOLDER, PENDING_FOLDER, NEXT_FOLDER, "reports", "previews")
 _LONGEST_SHOWN = 200
@@ -70,20 +55,20 @@ class Job:
                 self.folder.refresh("")  # a network file system may have shown what was there a while ago
             manifest = read_manifest(self.folder)
         if manifest is None:
-            message = (
+            raise InputError(
                 f"node {socket.gethostname()} writes to a folder that this machine does not see, or the data "
                 f"set was removed or replaced while this run was at work: {self.folder.address()!r} holds no "
-                f"{MANIFEST_FILE} there; nothing was written; next: give a folder that all nodes share, or "
-                "s3://BUCKET/PATH, and run the same command again"
+                f"{MANIFEST_FILE} there; nothing was written",
+                next="give a folder that all nodes share, or "
+                "s3://BUCKET/PATH, and run the same command again",
             )
-            raise InputError(message)
         if manifest.identity != self.of:
-            message = (
+            raise InputError(
                 f"the data set in {self.folder.address()!r} was replaced while this run was at work; it has "
-                "stopped and changed nothing of what is there now; next: look there with the command `info`, "
-                "then run the same command again, or choose another folder (--out or OUT)"
+                "stopped and changed nothing of what is there now",
+                next="look there with the command `info`, "
+                "then run the same command again, or choose another folder (--out or OUT)",
             )
-            raise InputError(message)
         _seen.clear()
         _seen[self] = version, {record.shard: record for record in manifest.shards}
         return _seen[self][1]
@@ -309,21 +294,21 @@ def refuse_unknown_files(folder: DataFolder) -> None:
     """Refuse a folder without a data set that holds a user's files: a run must never mix with them."""
     unknown = [name for name in folder.names() if not name.startswith(".")]
     if unknown:
-        message = (
+        raise InputError(
             f"{folder.address()!r} is not empty and holds no {MANIFEST_FILE} (found {unknown[0]!r}); nothing "
-            "was changed; next: choose an empty or new folder (--out or OUT)"
+            "was changed",
+            next="choose an empty or new folder (--out or OUT)",
         )
-        raise InputError(message)
 
 
 def _refuse_difference(folder: DataFolder, what: str, there: object, wanted: object, cure: str) -> None:
     differing = "; ".join(differences(there, wanted))
     if differing:
-        message = (
-            f"{folder.address()!r} {what}: {differing}; nothing was changed; next: {cure}, or start again "
-            "there with --overwrite (without --part and in no object store; there, remove it first)"
+        raise SpecMismatchError(
+            f"{folder.address()!r} {what}: {differing}; nothing was changed",
+            next=f"{cure}, or start again "
+            "there with --overwrite (without --part and in no object store; there, remove it first)",
         )
-        raise SpecMismatchError(message)
 
 
 def differences(there: Any, wanted: Any, path: str = "") -> list[str]:
@@ -368,8 +353,8 @@ def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:
     for name in folder.names(DATA_FOLDER):
         shard = ShardName.parse(name)
         if not name.startswith(".") and shard not in planned and (shard is None or shard.split not in others):
-            message = (
+            raise InputError(
                 f"{folder.address(f'{DATA_FOLDER}/{name}')!r} is not a file of this data set; nothing was "
-                "changed; next: remove it, or move it away"
+                "changed",
+                next="remove it, or move it away",
             )
-            raise InputError(message)

@@ -25,15 +25,6 @@ from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.shards import ShardEntry, ShardName, ShardRecord, add_up
 from tactile_toolkit.store.typed_json import Sha256, damaged, decode
 
-__all__ = [
-    "MANIFEST_FILE",
-    "SCHEMA_VERSION",
-    "Manifest",
-    "read_manifest",
-    "without_collecting",
-    "write_manifest",
-]
-
 MANIFEST_FILE = "manifest.json"
 SCHEMA_VERSION = 1
 """Version of the folder's layout and of the manifest; raised when a reader must change."""
@@ -136,11 +127,11 @@ class Manifest:
         """Parse ``manifest.json``; IntegrityError when it is not one, or one of a later layout."""
         document = decode(content, _Document, where)
         if document.schema_version > SCHEMA_VERSION:
-            message = (
+            raise IntegrityError(
                 f"{where!r} has schema version {document.schema_version}, this toolkit reads up to "
-                f"{SCHEMA_VERSION}; next: install a newer tactile-toolkit"
+                f"{SCHEMA_VERSION}",
+                next="install a newer tactile-toolkit",
             )
-            raise IntegrityError(message)
         try:
             records = tuple([entry.record() for entry in document.shards])
         except ValueError as error:

@@ -12,8 +12,6 @@ from collections.abc import Iterable
 
 from tactile_toolkit.errors import IntegrityError
 
-__all__ = ["names_inside", "problem_of_name"]
-
 _LONGEST_BYTES = 1024
 # File systems take 255 bytes; while a file is written, host, process and time stand before its name.
 _LONGEST_PART_BYTES = 150
@@ -60,9 +58,9 @@ def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
         if problem:
             shown = ascii(name)
             shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
-            message = (
+            raise IntegrityError(
                 f"{where} names the file {shown}, which {problem}; expected plain relative paths; nothing "
-                "was done with it; next: do not use this data set, or ask who made it"
+                "was done with it",
+                next="do not use this data set, or ask who made it",
             )
-            raise IntegrityError(message)
     return tuple(seen.values())

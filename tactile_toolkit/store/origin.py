@@ -21,8 +21,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.typed_json import Count, damaged, decode
 
-__all__ = ["RECORD_FILE", "Digest", "DownloadRecord", "HubFile", "read_record", "write_record"]
-
 RECORD_FILE = ".download.json"
 
 _DIGEST_PATTERNS = {"sha256": "[0-9a-f]{64}", "git-sha1": "[0-9a-f]{40}"}
@@ -40,8 +38,9 @@ class Digest:
 
     def __post_init__(self) -> None:
         if not re.fullmatch(_DIGEST_PATTERNS.get(self.kind, ""), str(self.value)):
-            message = f"{self.value!r} is not a digest of the kind {self.kind!r} in hexadecimal digits"
-            raise ValueError(message)
+            raise ValueError(
+                f"{self.value!r} is not a digest of the kind {self.kind!r} in hexadecimal digits"
+            )
 
     def __str__(self) -> str:
         return f"{self.kind} {self.value}"

@@ -23,8 +23,6 @@ from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 from tactile_toolkit.store.typed_json import decode
 
-__all__ = ["make_room", "promote", "require_replaceable", "settle"]
-
 _PROMOTION = f"{NEXT_FOLDER}/promotion.json"
 _PATIENCE_S = 60.0
 _OURS = ("reports/*.parquet", "previews/*.png", *CARDS, RECORD_FILE, MANIFEST_FILE)
@@ -49,12 +47,11 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list
         refuse_unknown_files(folder)
         return []
     if not folder.is_local:
-        message = (
+        raise InputError(
             f"{folder.address()!r} holds a data set, and --overwrite replaces none in an object store, where "
-            "it could not be put back if the new run fails; nothing was changed; next: choose another folder "
-            "(--out or OUT), or remove that one with the store's own tools"
+            "it could not be put back if the new run fails; nothing was changed",
+            next="choose another folder (--out or OUT), or remove that one with the store's own tools",
         )
-        raise InputError(message)
     manifest = _manifest(folder)
     # A manifest may be any user's, of a data set from the Hub: what it names counts where kinds know it.
     named = () if manifest is None else manifest.extra_dirs
@@ -67,21 +64,20 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list
         for path in folder.walk(name) if folder.place(name).is_dir() else [name]:
             folder.place(path)  # refuses a link
             if not _is_ours(path, further):
-                message = (
+                raise InputError(
                     f"{folder.address()!r} holds more than a data set (found {path!r}); nothing was changed; "
                     "next: move that file away, or choose an empty or new folder (--out or OUT)"
                 )
-                raise InputError(message)
             found.append(path)
     # A damaged manifest of ours has shards next to it; other programs have files of that name, too.
     if manifest is None and not any(
         path.startswith((f"{DATA_FOLDER}/", f"{PENDING_FOLDER}/")) for path in found
     ):
-        message = (
+        raise InputError(
             f"{folder.address(MANIFEST_FILE)!r} may be any user's: it is not a manifest of this toolkit, and "
-            "no data lies next to it; nothing was changed; next: choose an empty or new folder (--out or OUT)"
+            "no data lies next to it; nothing was changed",
+            next="choose an empty or new folder (--out or OUT)",
         )
-        raise InputError(message)
     return found
 
 
@@ -164,11 +160,11 @@ def _carry_on(folder: DataFolder) -> None:
         missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
         if missing:
             _clear(folder)  # the same run makes them again where they are to be
-            message = (
+            raise IntegrityError(
                 f"{folder.address(missing[0])!r} is missing or of another size, though it was made to take "
-                "the place of a former file; next: run the same command again without --overwrite"
+                "the place of a former file",
+                next="run the same command again without --overwrite",
             )
-            raise IntegrityError(message)
         folder.move(f"{NEXT_FOLDER}/{MANIFEST_FILE}", MANIFEST_FILE)
     for path in promotion.leave:
         while path := path.rpartition("/")[0]:

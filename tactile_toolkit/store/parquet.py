@@ -18,22 +18,6 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.files import readable
 from tactile_toolkit.store.folder import DataFolder
 
-__all__ = [
-    "REPORT_STYLE",
-    "ParquetStyle",
-    "encode_parquet",
-    "file_sha256",
-    "has_page_checksums",
-    "is_unchanged",
-    "named_damage",
-    "open_checked",
-    "open_parquet",
-    "sha256_hex",
-    "stream_parquet",
-    "unpacked_bytes",
-    "write_parquet",
-]
-
 _OFFSET_BYTES = 4
 
 _TAIL = struct.Struct("<I4s")  # length of the footer and Parquet's mark: how a file ends
@@ -172,8 +156,7 @@ def named_damage(address: str) -> Iterator[None]:
         with readable(address):
             yield
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        message = f"{address!r} is not a whole Parquet file: {error}"
-        raise IntegrityError(message) from error
+        raise IntegrityError(f"{address!r} is not a whole Parquet file: {error}") from error
 
 
 def open_parquet(folder: DataFolder, path: str) -> Any:
@@ -221,8 +204,7 @@ def _require_checked_footer(source: str | IO[bytes]) -> None:
             mark, checksum = _FOOTER_CHECKSUM.unpack_from(tail, len(tail) - wanted)
             footer = memoryview(tail)[len(tail) - _TAIL.size - length : -_TAIL.size]
             if mark == _FOOTER_MARK and zlib.crc32(footer) != checksum:
-                message = "the footer does not match its checksum"
-                raise pa.ArrowInvalid(message)
+                raise pa.ArrowInvalid("the footer does not match its checksum")
 
 
 def has_page_checksums(folder: DataFolder, path: str) -> bool:

@@ -14,8 +14,6 @@ from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
 from tactile_toolkit.versions import library_versions, toolkit_version
 
-__all__ = ["BuildPlan", "ShardContent", "ShardTask", "require_known_splits"]
-
 
 @dataclass(frozen=True)
 class ShardContent:
@@ -103,23 +101,24 @@ class BuildPlan:
             text.encode()
         except UnicodeEncodeError as error:
             found = text[max(0, error.start - 20) : error.end + 20]
-            message = f"the specification holds {found!r}, which is not Unicode text; next: give another name"
-            raise InputError(message) from error
+            raise InputError(
+                f"the specification holds {found!r}, which is not Unicode text", next="give another name"
+            ) from error
         splits: dict[str, str] = {}
         for shard in (task.shard for task in self.tasks):
             first = splits.setdefault(shard.split.casefold(), shard.split)
             if first != shard.split:
-                message = (
+                raise InputError(
                     f"the splits {first!r} and {shard.split!r} differ in case alone, and their files would "
-                    "be the same on many file systems; nothing was changed; next: rename one"
+                    "be the same on many file systems; nothing was changed",
+                    next="rename one",
                 )
-                raise InputError(message)
             if not shard.can_be_read_back:
-                message = (
+                raise InputError(
                     f"shard {shard} cannot be named so that it is found again; expected a split of letters, "
-                    "digits and underscores, and an index below the count; next: rename it"
+                    "digits and underscores, and an index below the count",
+                    next="rename it",
                 )
-                raise InputError(message)
 
     def new_manifest(self) -> Manifest:
         """Return the manifest of a folder in which nothing is finished."""
@@ -137,5 +136,4 @@ def require_known_splits(splits: Sequence[str], known: Sequence[str]) -> None:
     """Raise InputError where a split is asked for that this kind of data set does not have."""
     for split in splits:
         if split not in known:
-            message = f"unknown split {split!r}; expected one of {', '.join(known)}, or all"
-            raise InputError(message)
+            raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")

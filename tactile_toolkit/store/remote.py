@@ -22,8 +22,6 @@ from typing import IO, Any, TypeVar, cast
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
 from tactile_toolkit.store.address import scheme_of, shown
 
-__all__ = ["Store"]
-
 _READ_AHEAD_BYTES = 1 << 20
 _PATIENCE_S = 20.0
 """For so long what fails in passing is tried again."""
@@ -59,11 +57,12 @@ class Store:
                 raise MissingExtraError(repr(self.address), "s3fs", "s3") from error
             package = _PACKAGES.get(scheme, "of this kind of store")
             missing = f"{self.address!r} needs the package {package!r}, which is not installed"
-            message = f"{missing}; next: pip install {package}"
-            raise InputError(message) from error
+            raise InputError(missing, next=f"pip install {package}") from error
         except ValueError as error:
-            message = f"{self.address!r}: no store is known by {scheme + '://'!r}; next: give a folder or s3://BUCKET/FOLDER"
-            raise InputError(message) from error
+            raise InputError(
+                f"{self.address!r}: no store is known by {scheme + '://'!r}",
+                next="give a folder or s3://BUCKET/FOLDER",
+            ) from error
         if scheme == "s3":
             system.retries = 1  # see _LIMITS
         # What goes wrong is said here; where nobody listens to its log, gcsfs prints it with tracebacks.

@@ -22,8 +22,6 @@ from tactile_toolkit.store.parquet import (
 )
 from tactile_toolkit.store.shards import ShardName, ShardRecord
 
-__all__ = ["merge_reports", "read_report", "report_columns", "report_pieces", "report_shards"]
-
 _READ_AHEAD = 16
 """Pending reports that are held at a time; a store is asked for all of them at once."""
 
@@ -91,8 +89,9 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
         with folder.writing(path) as stream, contextlib.closing(_stored_rows(folder, path)) as stored:
             return stream_parquet(stream, _tables(folder, records, pending, stored), REPORT_STYLE)
     except IntegrityError as error:
-        message = f"{error}; nothing was changed; next: run the same command again with --check"
-        raise IntegrityError(message) from error
+        raise IntegrityError(
+            f"{error}; nothing was changed", next="run the same command again with --check"
+        ) from error
 
 
 def _tables(
@@ -113,10 +112,9 @@ def _tables(
                 table = next((rows for name, rows in stored if name == str(record.shard)), None)
                 found = 0 if table is None else len(table)
                 if found != record.rows:
-                    message = (
+                    raise IntegrityError(
                         f"the report holds {found:,} rows of shard {record.shard}, expected {record.rows:,}"
                     )
-                    raise IntegrityError(message)
             if table is not None:
                 yield table
 

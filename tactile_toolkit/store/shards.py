@@ -17,24 +17,6 @@ from tactile_toolkit.store.folder import PENDING_FOLDER
 from tactile_toolkit.store.typed_json import LARGEST, Count, Sha256
 from tactile_toolkit.wording import did_you_mean
 
-__all__ = [
-    "DAMAGED",
-    "DATA_FOLDER",
-    "VIEWER_FOLDER",
-    "Finding",
-    "ShardEntry",
-    "ShardFile",
-    "ShardName",
-    "ShardRecord",
-    "Skipped",
-    "add_up",
-    "files_of_split",
-    "no_split",
-    "rows_per_shard",
-    "shard_files",
-    "shard_ranges",
-]
-
 DAMAGED = "damaged"
 """Reason to leave an item out whose stored data is damaged."""
 
@@ -179,8 +161,7 @@ class ShardEntry(msgspec.Struct, frozen=True):
         folder, _, name = file.rpartition("/")
         shard = ShardName.parse(name)
         if shard is None or folder != DATA_FOLDER or shard.index >= shard.count or shard.split != split:
-            message = f"found {file[:80]!r}, expected a shard's name and split"
-            raise ValueError(message)
+            raise ValueError(f"found {file[:80]!r}, expected a shard's name and split")
         return ShardRecord(shard, *values)
 
 
@@ -262,11 +243,10 @@ def files_of_split(files: list[ShardFile], split: str, where: str) -> list[Shard
     names = [ShardName.parse(PurePosixPath(file.path).name) for file in chosen]
     counts = {name.count for name in names if name is not None}
     if len(counts) == 1 and None not in names and len(chosen) < max(counts):
-        message = (
-            f"{len(chosen)} of {max(counts)} shards of split {split!r} are in {where!r}, all were "
-            "expected; next: download or generate the data set again (with a network, if it is on the Hub)"
+        raise IntegrityError(
+            f"{len(chosen)} of {max(counts)} shards of split {split!r} are in {where!r}, all were expected",
+            next="download or generate the data set again (with a network, if it is on the Hub)",
         )
-        raise IntegrityError(message)
     return chosen
 
 

@@ -24,8 +24,6 @@ from tactile_toolkit.store.parquet import (
 )
 from tactile_toolkit.store.shards import ShardRecord
 
-__all__ = ["MADE_OF", "SmallFile", "small_files", "write_small_columns"]
-
 MADE_OF = b"made_of"
 """Key of the schema's metadata: the checksum of the checksums of the shards."""
 

@@ -9,8 +9,6 @@ import msgspec
 
 from tactile_toolkit.errors import IntegrityError
 
-__all__ = ["LARGEST", "Count", "Sha256", "damaged", "decode", "typed"]
-
 T = TypeVar("T")
 
 LARGEST = (1 << 63) - 1
@@ -32,8 +30,9 @@ def decode(content: str | bytes, kind: type[T], where: str) -> T:
     except msgspec.ValidationError as error:
         raise _wrong(error, where) from error
     except (msgspec.DecodeError, UnicodeError, RecursionError) as error:
-        message = f"{where!r} is damaged, a JSON object was expected ({type(error).__name__}: {error})"
-        raise IntegrityError(message) from error
+        raise IntegrityError(
+            f"{where!r} is damaged, a JSON object was expected ({type(error).__name__}: {error})"
+        ) from error
     return decoded
 
 

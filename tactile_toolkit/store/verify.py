@@ -20,8 +20,6 @@ from tactile_toolkit.store.origin import RECORD_FILE, Digest, DownloadRecord, Hu
 from tactile_toolkit.store.parquet import named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
 
-__all__ = ["Finding", "Verification", "problem_of_place", "verify"]
-
 
 @dataclass(frozen=True, slots=True)
 class Verification:
@@ -79,11 +77,11 @@ def verify(
     if manifest is None:
         record = read_record(folder)
         if record is None:
-            message = (
-                f"{folder.lacks(f'{MANIFEST_FILE} and no record of a download')}; next: give the folder of a "
-                "generated or downloaded data set, whose files can be compared with those"
+            raise InputError(
+                f"{folder.lacks(f'{MANIFEST_FILE} and no record of a download')}",
+                next="give the folder of a "
+                "generated or downloaded data set, whose files can be compared with those",
             )
-            raise InputError(message)
         return _verify_copy(folder, record, on_file, workers)
     findings = _incomplete(folder, manifest)
 

@@ -14,8 +14,6 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["MAX_CLIP_BYTES", "MAX_CLIP_FRAMES", "Avi", "AviIndex", "NoIndexError", "read_index", "write_avi"]
-
 MAX_CLIP_FRAMES = 10_000
 """Longest clip that is read; a touch has 58 to 90 frames."""
 
@@ -62,21 +60,21 @@ class Avi:
 
     def __init__(self, data: memoryview) -> None:
         if len(data) > MAX_CLIP_BYTES:
-            message = f"a clip of {len(data):,} bytes; the limit is {MAX_CLIP_BYTES:,}"
-            raise ValueError(message)
+            raise ValueError(f"a clip of {len(data):,} bytes; the limit is {MAX_CLIP_BYTES:,}")
         name, size, kind = _RIFF.unpack_from(data) if len(data) >= _RIFF.size else (b"", 0, b"")
         if name != b"RIFF" or kind != b"AVI ":
-            message = f"{len(data):,} bytes that begin with {bytes(data[:12]).hex(' ')}; expected an AVI"
-            raise NoIndexError(message)
+            raise NoIndexError(
+                f"{len(data):,} bytes that begin with {bytes(data[:12]).hex(' ')}; expected an AVI"
+            )
         end = size + _CHUNK.size
         if end > len(data):
-            message = f"an AVI cut short: {len(data):,} bytes are there; expected {end:,} by its header"
-            raise ValueError(message)
+            raise ValueError(
+                f"an AVI cut short: {len(data):,} bytes are there; expected {end:,} by its header"
+            )
         parts = {name: (start, size) for name, start, size in _chunks(data, _RIFF.size, end)}
         missing = [name for name in (b"hdrl", b"movi", b"idx1") if name not in parts]
         if missing:
-            message = f"an AVI without {missing[0].decode()!r}; expected an index of MJPEG frames"
-            raise NoIndexError(message)
+            raise NoIndexError(f"an AVI without {missing[0].decode()!r}; expected an index of MJPEG frames")
         self.data = data
         stream, self.fps = _mjpeg_stream(data, *parts[b"hdrl"])
         self._names = (b"%02ddc" % stream, b"%02ddb" % stream)  # compressed and plain frames of the stream
@@ -127,16 +125,14 @@ class Avi:
         names = [int.from_bytes(name, "little") for name in self._names]
         entries = entries[np.isin(entries[:, 0], names)].astype(np.int64)
         if len(entries) > MAX_CLIP_FRAMES:
-            message = f"a clip of {len(entries):,} frames; the limit is {MAX_CLIP_FRAMES:,}"
-            raise ValueError(message)
+            raise ValueError(f"a clip of {len(entries):,} frames; the limit is {MAX_CLIP_FRAMES:,}")
         slots = np.flatnonzero(entries[:, 3])
         is_repeating = len(slots) < len(entries)
         entries = entries[slots]
         first = int(entries[0, 2]) if len(entries) else 0
         start = self._start(int(entries[0, 0]).to_bytes(4, "little"), first) if len(entries) else None
         if start is None:
-            message = "an AVI whose index does not point at frames"
-            raise NoIndexError(message)
+            raise NoIndexError("an AVI whose index does not point at frames")
         starts, sizes = entries[:, 2] + (start - first), entries[:, 3]
         ends = starts + sizes
         # A small file whose frames overlap would decode to any amount of pixels.
@@ -156,8 +152,7 @@ class Avi:
     def _require(holds: NDArray[np.bool_], problem: str) -> None:
         if not holds.all():
             found = problem.format(number=int(holds.argmin()), count=len(holds))
-            message = f"an AVI whose {found}"
-            raise ValueError(message)
+            raise ValueError(f"an AVI whose {found}")
 
 
 def read_index(data: memoryview) -> AviIndex:
@@ -172,8 +167,7 @@ def _chunks(data: memoryview, position: int, end: int) -> Iterator[tuple[bytes, 
         start = position + _CHUNK.size
         position = start + size + size % 2
         if start + size > end:
-            message = f"an AVI whose part {name!r} ends {start + size - end:,} bytes behind its end"
-            raise ValueError(message)
+            raise ValueError(f"an AVI whose part {name!r} ends {start + size - end:,} bytes behind its end")
         if name == b"LIST" and size >= 4:
             yield bytes(data[start : start + 4]), start + 4, size - 4
         else:
@@ -194,11 +188,9 @@ def _mjpeg_stream(data: memoryview, start: int, size: int) -> tuple[int, float]:
             if kind != b"vids" or codec.upper() != b"MJPG" or not scale or not rate:
                 break
             if frames > MAX_CLIP_FRAMES:
-                message = f"a clip that declares {frames:,} frames; the limit is {MAX_CLIP_FRAMES:,}"
-                raise ValueError(message)
+                raise ValueError(f"a clip that declares {frames:,} frames; the limit is {MAX_CLIP_FRAMES:,}")
             return number, rate / scale
-    message = "an AVI without an MJPEG stream; expected one"
-    raise NoIndexError(message)
+    raise NoIndexError("an AVI without an MJPEG stream; expected one")
 
 
 def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> bytes:

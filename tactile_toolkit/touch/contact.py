@@ -6,16 +6,6 @@ from collections.abc import Container
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = [
-    "MIN_CONTACT_HEIGHT_M",
-    "PLATE_COLUMN",
-    "PRESS_DEPTH_M",
-    "RENDERED_CONTACT_M",
-    "ContactHeight",
-    "height_text",
-    "missed_text",
-]
-
 MIN_CONTACT_HEIGHT_M = 0.006
 """A gel that stops so far above the plate touched an object: the publisher's own threshold, metres."""
 

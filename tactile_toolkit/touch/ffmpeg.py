@@ -13,8 +13,6 @@ from tactile_toolkit.errors import needs_extra
 from tactile_toolkit.touch.avi import MAX_CLIP_FRAMES
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS, Pixels, decode_image, room_for
 
-__all__ = ["ffmpeg_count", "ffmpeg_fps", "ffmpeg_frames", "ffmpeg_size", "require_video"]
-
 
 def require_video(data: memoryview) -> str:
     """Return the container of a clip as FFmpeg calls it; ValueError unless it is an AVI or Matroska.
@@ -26,11 +24,10 @@ def require_video(data: memoryview) -> str:
         return "avi"
     if start[:4] == b"\x1aE\xdf\xa3":
         return "matroska"
-    message = (
+    raise ValueError(
         f"{len(data):,} bytes that begin with {start[:8].hex(' ')}; expected an AVI with MJPEG frames, or "
         "Matroska"
     )
-    raise ValueError(message)
 
 
 def _av() -> Any:
@@ -50,11 +47,11 @@ def _open_video(data: memoryview) -> Any:
         stream = container.streams.video[0]
         pixels = stream.width * stream.height
     except (av.FFmpegError, IndexError, AttributeError) as error:  # no video; a codec that is not known
-        message = f"{len(data):,} bytes in which FFmpeg finds no clip to decode; expected one in {name}"
-        raise ValueError(message) from error
+        raise ValueError(
+            f"{len(data):,} bytes in which FFmpeg finds no clip to decode; expected one in {name}"
+        ) from error
     if pixels > MAX_IMAGE_PIXELS:
-        message = f"a clip of {pixels:,} pixels a frame; the limit is {MAX_IMAGE_PIXELS:,} pixels"
-        raise ValueError(message)
+        raise ValueError(f"a clip of {pixels:,} pixels a frame; the limit is {MAX_IMAGE_PIXELS:,} pixels")
     return container
 
 
@@ -72,13 +69,11 @@ def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels
         frames = _frames(container, set(chosen))
         for number, frame in islice(frames, len(chosen)):
             if frame.shape != pixels.shape[1:]:
-                message = f"frame {number} of another size than the clip states"
-                raise ValueError(message)
+                raise ValueError(f"frame {number} of another size than the clip states")
             pixels[found] = frame
             found += 1
     if found < len(chosen):
-        message = f"a clip that ends before frame {chosen[found]}; expected {count} frames"
-        raise ValueError(message)
+        raise ValueError(f"a clip that ends before frame {chosen[found]}; expected {count} frames")
     return pixels[np.searchsorted(chosen, wanted)]
 
 
@@ -98,14 +93,12 @@ def _frames(container: Any, chosen: set[int]) -> Iterator[tuple[int, Pixels]]:
             # the order in which they are shown, which is that in which they come out.
             for frame in () if is_jpeg else packet.decode():
                 if frame.is_corrupt:
-                    message = f"frame {shown} is damaged"
-                    raise ValueError(message)
+                    raise ValueError(f"frame {shown} is damaged")
                 if shown in chosen:
                     yield shown, frame.to_ndarray(format="rgb24")
                 shown += 1
     except _av().FFmpegError as error:
-        message = f"frame {max(coded, 0)} cannot be decoded ({error})"
-        raise ValueError(message) from error
+        raise ValueError(f"frame {max(coded, 0)} cannot be decoded ({error})") from error
 
 
 def ffmpeg_size(data: memoryview) -> tuple[int, int]:
@@ -120,8 +113,7 @@ def ffmpeg_fps(data: memoryview) -> float:
     with _open_video(data) as container:
         rate = container.streams.video[0].average_rate
         if not rate:
-            message = "a clip without a frame rate"
-            raise ValueError(message)
+            raise ValueError("a clip without a frame rate")
         return float(rate)
 
 
@@ -132,6 +124,5 @@ def ffmpeg_count(data: memoryview) -> int:
         for packet in container.demux(video=0):
             count += packet.size > 0
             if count > MAX_CLIP_FRAMES:
-                message = f"a clip of more than {MAX_CLIP_FRAMES:,} frames, which is the limit"
-                raise ValueError(message)
+                raise ValueError(f"a clip of more than {MAX_CLIP_FRAMES:,} frames, which is the limit")
         return count

@@ -16,23 +16,6 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
 
-__all__ = [
-    "IMAGE_SUFFIX",
-    "MAX_BATCH_PIXELS",
-    "MAX_HEADER_BYTES",
-    "MAX_IMAGE_BYTES",
-    "MAX_IMAGE_PIXELS",
-    "MAX_SCANS",
-    "ImageFormat",
-    "Pixels",
-    "decode_image",
-    "encode_image",
-    "image_size",
-    "require_bounded_jpeg",
-    "resized",
-    "room_for",
-]
-
 MAX_IMAGE_PIXELS = 1 << 24
 """Largest image that is decoded (4096 x 4096); a sensor's has 76,800 pixels."""
 
@@ -70,8 +53,7 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     Raises ValueError when the data is not such an image, or exceeds the limits above.
     """
     if len(data) > MAX_IMAGE_BYTES:
-        message = f"an image of {len(data):,} bytes; the limit is {MAX_IMAGE_BYTES:,}"
-        raise ValueError(message)
+        raise ValueError(f"an image of {len(data):,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
     if data[:3] == _JPEG_START:
         require_bounded_jpeg(data)
         try:
@@ -82,11 +64,11 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
         with _open_other(data) as image:
             height, width = image.height, image.width
             if image.mode in _DEEP:
-                message = f"an image of 16 bits ({image.mode}), most of which 8 would lose; expected 8"
-                raise ValueError(message)
+                raise ValueError(
+                    f"an image of 16 bits ({image.mode}), most of which 8 would lose; expected 8"
+                )
     if height * width > MAX_IMAGE_PIXELS:
-        message = f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
-        raise ValueError(message)
+        raise ValueError(f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels")
     return height, width
 
 
@@ -98,11 +80,9 @@ def require_bounded_jpeg(data: memoryview | bytes) -> None:
     stored = bytes(data)
     scans, header = stored.count(b"\xff\xda"), stored.find(b"\xff\xda")
     if scans > MAX_SCANS:
-        message = f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}"
-        raise ValueError(message)
+        raise ValueError(f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}")
     if header > MAX_HEADER_BYTES:
-        message = f"a JPEG whose header takes {header:,} bytes; the limit is {MAX_HEADER_BYTES:,}"
-        raise ValueError(message)
+        raise ValueError(f"a JPEG whose header takes {header:,} bytes; the limit is {MAX_HEADER_BYTES:,}")
 
 
 def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
@@ -119,10 +99,9 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
                 return out
     height, width = image_size(data)
     if out is not None and out.shape != (height, width, 3):
-        message = (
+        raise ValueError(
             f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
         )
-        raise ValueError(message)
     try:
         if data[:3] == _JPEG_START:
             pixels: Pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
@@ -144,12 +123,14 @@ def _open_other(data: memoryview | bytes) -> Any:
         # Pillow would try its 43 decoders on whatever these bytes are.
         return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
     except Image.DecompressionBombError as error:
-        message = f"an image of far more than {MAX_IMAGE_PIXELS:,} pixels, which is the limit"
-        raise ValueError(message) from error
+        raise ValueError(
+            f"an image of far more than {MAX_IMAGE_PIXELS:,} pixels, which is the limit"
+        ) from error
     except Exception as error:  # as in decode_image
         start = bytes(data[:8]).hex(" ")
-        message = f"{len(data):,} bytes that begin with {start or 'nothing'}; expected a JPEG, PNG or WebP"
-        raise ValueError(message) from error
+        raise ValueError(
+            f"{len(data):,} bytes that begin with {start or 'nothing'}; expected a JPEG, PNG or WebP"
+        ) from error
 
 
 def _undecodable(data: memoryview | bytes, error: Exception) -> ValueError:
@@ -167,11 +148,10 @@ def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pi
     height, width = size
     if out is None:
         if count * height * width > MAX_BATCH_PIXELS:
-            message = (
+            raise ValueError(
                 f"{count:,} images of {width} x {height} pixels at once; the limit is "
                 f"{MAX_BATCH_PIXELS:,} pixels"
             )
-            raise ValueError(message)
         return np.empty((count, height, width, 3), np.uint8)
     if not count:
         return out
@@ -181,11 +161,10 @@ def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pi
         return out
     shape = (count, height, width, 3)
     found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
-    message = (
+    raise InputError(
         f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images; "
         f"next: make one with numpy.empty({shape}, numpy.uint8), or leave `out` out"
     )
-    raise InputError(message)
 
 
 def encode_image(pixels: Pixels, kind: ImageFormat = "jpeg", quality: int = 95) -> bytes:

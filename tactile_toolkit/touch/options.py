@@ -8,8 +8,6 @@ from tactile_toolkit.checked_fields import real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_count
 
-__all__ = ["contact_height", "image_size"]
-
 
 def image_size(default: Any, shown: str = "") -> Any:
     """Declare the size of pictures, width and height in pixels; ``shown`` is the default in words."""
@@ -26,8 +24,7 @@ def image_size(default: Any, shown: str = "") -> Any:
 def _size(words: str) -> tuple[int, int]:
     width, _, height = words.strip().lower().partition("x")
     if not (is_count(width) and is_count(height)):
-        message = f"--size is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64"
-        raise InputError(message)
+        raise InputError(f"--size is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64")
     return int(width), int(height)
 
 

@@ -13,8 +13,6 @@ from tactile_toolkit.read.columns import list_depth
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.schema import MEDIA_TYPE, is_per_touch
 
-__all__ = ["bytes_lists", "flat_row", "number_lists", "take_touches"]
-
 
 def flat_row(row: Row) -> pa.Table:
     """Return a stored row as a table with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""

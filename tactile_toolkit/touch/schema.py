@@ -13,25 +13,6 @@ from tactile_toolkit.read.features import dtype_name, feature_metadata, label_fe
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.touch.contact import PLATE_COLUMN
 
-__all__ = [
-    "CLASS_NAMES",
-    "KNOWN_COLUMNS",
-    "MEDIA_COLUMN",
-    "MEDIA_TYPE",
-    "PER_TOUCH_COLUMNS",
-    "PLATE_COLUMN",
-    "POSE_COLUMN",
-    "Kind",
-    "class_names",
-    "column_type",
-    "flat_schema",
-    "is_per_touch",
-    "is_rendered",
-    "kind_of",
-    "require_types",
-    "with_features",
-]
-
 Kind = Literal["seq", "single"]
 MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
 """The column that makes a data set one of clips or one of images."""
@@ -83,11 +64,11 @@ def kind_of(schema: pa.Schema | None, where: str) -> Kind:
     names = column_names(schema) if schema is not None else ()
     kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]
     if len(kinds) != 1:
-        message = (
+        raise InputError(
             f"{where!r} is not a data set of touches: expected a column 'sensor_video' or 'sensor_image', "
-            f"found {', '.join(names) or 'no columns'}; next: name one, such as real-single-64x64"
+            f"found {', '.join(names) or 'no columns'}",
+            next="name one, such as real-single-64x64",
         )
-        raise InputError(message)
     return kinds[0]
 
 
@@ -114,11 +95,10 @@ def require_types(shard: Shard) -> None:
         if pa.types.is_struct(leaf) and leaf.get_field_index("bytes") >= 0:
             leaf = leaf.field("bytes").type
         if found_depth != depth or not any(test(leaf) for test in tests):
-            message = (
+            raise IntegrityError(
                 f"{shard.path!r}, field {name!r}: the column has the type {data_type}; expected {expected}; "
                 "next: download or convert the data set again"
             )
-            raise IntegrityError(message)
 
 
 def column_type(schema: pa.Schema, name: str) -> Any:

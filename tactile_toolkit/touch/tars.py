@@ -6,8 +6,6 @@ import tarfile
 from collections.abc import Iterator
 from typing import IO, Self
 
-__all__ = ["files_of_tar"]
-
 _MOST_HEADER_BYTES = 1 << 16
 _EXTENDED = (b"x", b"g", b"X", tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK)
 """Headers about the next one; `tarfile` reads all of their content."""

@@ -16,8 +16,6 @@ from mnist3d.sources.handwriting.strokes import (
     lean,
 )
 
-__all__ = ["ALLOGRAPHS"]
-
 ALLOGRAPHS: tuple[list[tuple[Shape, float]], ...] = tuple([] for _ in range(10))
 """For each digit the shapes and the share of writers who prefer them.
 

@@ -11,17 +11,6 @@ from numpy.typing import NDArray
 from mnist3d.sources.handwriting.digits import ALLOGRAPHS
 from mnist3d.sources.handwriting.strokes import Vary
 
-__all__ = [
-    "POSTURES",
-    "Hand",
-    "KeyedRng",
-    "Variation",
-    "choose_allograph",
-    "hand_of",
-    "index_at",
-    "posed",
-]
-
 _BLOCK = 64
 _UNIT = 2.0**-53
 _ROOT_3 = 1.7320508075688772

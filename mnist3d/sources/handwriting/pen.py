@@ -10,8 +10,6 @@ from numpy.typing import NDArray
 from mnist3d.sources.handwriting.hand import Hand, KeyedRng
 from mnist3d.sources.handwriting.strokes import Stroke, Vary, resample, smooth, through
 
-__all__ = ["PAGE_PX", "draw", "on_page"]
-
 PAGE_PX = 500
 """Side of the square page."""
 SPACING_PX = 7.0

@@ -14,21 +14,6 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "CLEAR",
-    "Point",
-    "Ring",
-    "Run",
-    "Shape",
-    "Stroke",
-    "Vary",
-    "arc",
-    "lean",
-    "resample",
-    "smooth",
-    "through",
-]
-
 Point = tuple[float, float]
 """x to the right, y down."""
 

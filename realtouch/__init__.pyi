@@ -1,0 +1,37 @@
+"""The public names: type checkers read this list, and the package imports each on first use."""
+
+from realtouch.convert.api import frames as frames, resize as resize, select as select, to_single as to_single
+from realtouch.dataset import (
+    TouchDataset as TouchDataset,
+    TouchSeqDataset as TouchSeqDataset,
+    TouchSingleDataset as TouchSingleDataset,
+    TouchStream as TouchStream,
+)
+from realtouch.exchange.api import export as export
+from realtouch.exchange.importing import import_images as import_images
+from realtouch.exchange.items import ImportColumns as ImportColumns
+from realtouch.integrity.verify import verify as verify
+from realtouch.media.clips import TouchClip as TouchClip
+from realtouch.names import SHORT_NAMES as SHORT_NAMES
+from realtouch.opening import load as load
+from realtouch.poses import Poses as Poses, PoseSequences as PoseSequences
+from realtouch.preprocess import (
+    Contacts as Contacts,
+    background as background,
+    best_frame as best_frame,
+    find_contacts as find_contacts,
+)
+from realtouch.changes import difference as difference
+from realtouch.changes import contact_score as contact_score
+from realtouch.changes import ContactScore as ContactScore
+from realtouch.changes import ContactRule as ContactRule
+from realtouch.rounds import (
+    TouchRound as TouchRound,
+    TouchSeqRound as TouchSeqRound,
+    TouchSingleRound as TouchSingleRound,
+)
+from realtouch.summary import Summary as Summary, summarise as summarise
+from realtouch.touch import Touch as Touch
+from realtouch.touches import Touches as Touches
+
+__version__: str
