@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.options import DryRun, OneSplit, Revision, Split, TouchSet, local_place
+from cli.options import DryRun, OneSplit, Revision, Split, TouchSet, local_place, parse_ids
 from cli.output import Sink, bytes_text
 from tactile_toolkit.checked_fields import choice, integer, text
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import listed
 
 if TYPE_CHECKING:
@@ -21,9 +22,10 @@ _FOLDER = Path("previews")
 
 
 def _ids(words: str) -> tuple[int, ...]:
-    from tactile_toolkit.pictures.writing import parse_ids
-
-    return tuple(parse_ids("--ids", words))
+    numbers = parse_ids(words)
+    if not all(isinstance(number, int) for number in numbers):
+        raise InputError(f"--ids has the range {words!r}; expected single numbers such as 12,408")
+    return tuple(numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +58,10 @@ class Pictures:
             return
         with sink.progress("drawing", "pictures") as update:
             written = write_pictures(DataFolder(str(folder.absolute())), pictures, update)
-        sink.document({"folder": str(folder), "pictures": [made.to_dict() for made in written], **left_out})
+        sink.document({"folder": str(folder), "pictures": [asdict(made) for made in written], **left_out})
         for made in written:
             size = f"{made.width:,} x {made.height:,} pixels, {bytes_text(made.bytes)}"
-            sink.line(f"{folder / made.name}: {made.what} ({size})")
+            sink.line(f"{folder / made.file}: {made.what} ({size})")
 
 
 @dataclass(frozen=True, slots=True)

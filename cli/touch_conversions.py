@@ -19,7 +19,7 @@ from realtouch.kind import KIND
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.touch.options import contact_height, image_size
+from tactile_toolkit.touch.contact import contact_height_option, size_option
 from tactile_toolkit.wording import is_count, listed
 
 if TYPE_CHECKING:
@@ -84,7 +84,7 @@ class Resize(_Conversion):
     Example: realtouch resize real-single-320x240 --size 64x64 --out small
     """
 
-    size: tuple[int, int] = image_size(MISSING)
+    size: tuple[int, int] = size_option(MISSING)
     quality: int = integer(95, 1, 100, help="JPEG quality of what is encoded again, 1 to 100.")
 
     def arguments(self) -> dict[str, Any]:
@@ -124,7 +124,7 @@ class Select(_Conversion):
     """
 
     contact: bool = switch(False, help="Only touches that met an object.")
-    min_height_mm: float | None = contact_height()
+    min_height_mm: float | None = contact_height_option()
     recalibrate_z: bool = switch(
         True,
         name="--recalibrate/--as-recorded",

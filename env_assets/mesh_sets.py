@@ -71,13 +71,13 @@ class WrenchRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the wrench from above in a notebook."""
-        from tactile_toolkit.pictures.relief import relief
+        from tactile_toolkit.pictures.render import relief
         from tactile_toolkit.pictures.writing import figure_html
 
         return figure_html(relief(self.vertices_m, self.faces), repr(self))
 
     def _tile_html(self) -> str:
-        from tactile_toolkit.pictures.relief import relief_tile_html
+        from tactile_toolkit.pictures.render import relief_tile_html
 
         return relief_tile_html(self.vertices_m, self.faces, f"{self.opening_mm:g} mm, id {self.id}")
 

@@ -17,7 +17,7 @@ from tactile_toolkit.cards.table_card import Terms, write_table_card
 from tactile_toolkit.catalog.choose import short_name
 from tactile_toolkit.kind import is_export
 from tactile_toolkit.mesh.columns import FACES, VERTICES
-from tactile_toolkit.pictures.relief import relief
+from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.printable import printable

@@ -42,7 +42,7 @@ class MeshRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the digit from above in a notebook."""
-        from tactile_toolkit.pictures.relief import relief
+        from tactile_toolkit.pictures.render import relief
         from tactile_toolkit.pictures.writing import figure_html
 
         size_mm = np.ptp(self.vertices_m, axis=0) * MM_PER_M
@@ -54,7 +54,7 @@ class MeshRecord(SolidRecord):
         return figure_html(relief(self.vertices_m, self.faces), caption)
 
     def _tile_html(self) -> str:
-        from tactile_toolkit.pictures.relief import relief_tile_html
+        from tactile_toolkit.pictures.render import relief_tile_html
 
         return relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
 

@@ -17,7 +17,7 @@ from tactile_toolkit.gallery.items import NONE, Facet, Gallery, Item, Measure, g
 from tactile_toolkit.gallery.packing import THUMBNAIL_PX, packed_mesh, require_mesh, size_text, thumbnail
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
-from tactile_toolkit.pictures.relief import relief
+from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.reports import report_columns, report_pieces

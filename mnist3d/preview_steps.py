@@ -16,7 +16,7 @@ from mnist3d.surface import Surface, scale
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.pictures.render import OBLIQUE, Body, Picture3d, averaged, draw_bodies
+from tactile_toolkit.pictures.render import OBLIQUE, Body, Picture3d, box_downsample, draw_bodies
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
 from tactile_toolkit.pictures.writing import Pixels
 
@@ -180,7 +180,7 @@ def _stack_view(
             data = _back_to_layer(layer.shape, side, px, _SPREAD * z, drop_px)
             seen = mask.transform((side, side), Image.Transform.AFFINE, data, Image.Resampling.BILINEAR)
             picture.paste(colour, mask=seen)
-    return averaged(np.asarray(picture), _SAMPLING)
+    return box_downsample(np.asarray(picture), _SAMPLING)
 
 
 def _back_to_layer(

@@ -28,10 +28,16 @@ from tactile_toolkit.pictures.previews import (
     draw_by_class,
     draw_two_views,
 )
-from tactile_toolkit.pictures.relief import relief_of
-from tactile_toolkit.pictures.render import TOP, Body, Picture3d, fitting_scale
+from tactile_toolkit.pictures.render import TOP, Body, Picture3d, fitting_scale, relief_of
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
-from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, chosen_kinds, file_stem
+from tactile_toolkit.pictures.writing import (
+    PicturePlan,
+    Pixels,
+    PlannedPicture,
+    chosen_kinds,
+    file_stem,
+    plan_kinds,
+)
 from tactile_toolkit.store.address import is_remote
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
@@ -130,7 +136,8 @@ def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
         ),
         "distributions": lambda: [_plan_distributions(opened)],
     }
-    return opened.plan(plans, ("sheet", "histogram", "distributions"), "object")
+    usual = ("object",) if spec.ids else ("sheet", "histogram", "distributions")
+    return plan_kinds(spec.kinds, plans, usual)
 
 
 def _plan_steps(opened: MeshPreviews[MeshDataset]) -> list[PlannedPicture]:
@@ -241,7 +248,7 @@ def draw_distributions(tables: dict[str, Any], least_wall_mm: float | None, titl
         groups = [
             (split, np.asarray(table[column].to_numpy())) for split, table in tables.items() if len(table)
         ]
-        return Spread(heading, unit, tuple(groups), "digits", together="all splits", **more)
+        return Spread(heading, unit, tuple(groups), "digits", **more)
 
     limit = None if least_wall_mm is None else (least_wall_mm, f"warned of below {least_wall_mm:g} mm")
     panels = (

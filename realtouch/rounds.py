@@ -26,7 +26,7 @@ from tactile_toolkit.read.dataset import Record, Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.jpeg import Pixels
-from tactile_toolkit.touch.rows import flat_row, take_touches
+from tactile_toolkit.touch.schema import flat_row, take_touches
 
 _MOST_THREADS = 4
 

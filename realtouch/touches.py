@@ -27,8 +27,7 @@ from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, nearest, positions
 from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.jpeg import Pixels, room_for
-from tactile_toolkit.touch.rows import flat_row
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, POSE_COLUMN, Kind, is_per_touch
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, POSE_COLUMN, Kind, flat_row, is_per_touch
 from tactile_toolkit.wording import counted, is_whole, plain_number, whole_number
 
 _INDEX = "touch_index"

@@ -74,7 +74,7 @@ class SceneRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the scene from above in a notebook."""
-        from tactile_toolkit.pictures.relief import relief
+        from tactile_toolkit.pictures.render import relief
         from tactile_toolkit.pictures.writing import figure_html
 
         if not self.has_placements:
@@ -83,7 +83,7 @@ class SceneRecord(SolidRecord):
         return figure_html(self._drawn(2.0), caption)
 
     def _tile_html(self) -> str:
-        from tactile_toolkit.pictures.relief import relief_tile_html
+        from tactile_toolkit.pictures.render import relief_tile_html
         from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
 
         caption = f"{counted(self.star_count, 'stars')}, id {self.id}"

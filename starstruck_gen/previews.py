@@ -41,7 +41,7 @@ from tactile_toolkit.pictures.previews import (
 )
 from tactile_toolkit.pictures.render import TOP, Body, Picture3d, draw_bodies, fitting_scale
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
-from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture
+from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, plan_kinds
 from tactile_toolkit.store.address import is_remote
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.wording import counted
@@ -107,7 +107,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
             " and number of others" if known else "",
         ),
     }
-    return opened.plan(plans, ("sheet", "histogram"), "scene")
+    return plan_kinds(spec.kinds, plans, ("scene",) if spec.ids else ("sheet", "histogram"))
 
 
 def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> Pixels:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Literal
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit.checked_fields import choice, integer, real, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch.options import contact_height, image_size
+from tactile_toolkit.touch.contact import contact_height_option, size_option
 
 if TYPE_CHECKING:
     from tactile_sim.generation import GenerateSpec
@@ -30,7 +30,7 @@ def _path(words: str) -> Path:
 class PictureOptions:
     """What a touch looks like."""
 
-    size: tuple[int, int] = image_size((64, 64), shown="64x64")
+    size: tuple[int, int] = size_option((64, 64), shown="64x64")
     optics: str = choice("taxim", ("depth", "taxim", "cyclegan"), help="How depth becomes a picture.")
     like: str = choice(
         "environment",
@@ -88,12 +88,12 @@ class PictureOptions:
 class PairsOptions:
     """What a training set is made of."""
 
-    size: tuple[int, int] = image_size((256, 256), shown="256x256")
+    size: tuple[int, int] = size_option((256, 256), shown="256x256")
     count: int = integer(20_000, 1, help="Depth images, and as many touches.")
     without_contact: float = real(
         0.05, 0, 1, metavar="SHARE", help="Share of touches that meet no object, 0 to 1."
     )
-    min_height_mm: float | None = contact_height()
+    min_height_mm: float | None = contact_height_option()
     like: Literal["published", "environment"] = choice(
         "published",
         ("published", "environment"),

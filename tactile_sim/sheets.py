@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.pictures.lettering import PAPER, draw_text
+from tactile_toolkit.pictures.sheets import PAPER, draw_text
 from tactile_toolkit.pictures.writing import png_bytes
 
 TILE_PX = 96

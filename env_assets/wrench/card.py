@@ -58,7 +58,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     from tactile_toolkit.cards.facts import folder_facts
     from tactile_toolkit.cards.table_card import Terms, write_table_card
     from tactile_toolkit.kind import is_export
-    from tactile_toolkit.pictures.relief import relief
+    from tactile_toolkit.pictures.render import relief
     from tactile_toolkit.pictures.writing import png_bytes
     from tactile_toolkit.rows import meanings
 

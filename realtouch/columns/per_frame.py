@@ -16,8 +16,7 @@ from realtouch.columns.per_touch import entries_of, per_touch
 from realtouch.damage import damaged, missing_column
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.touch.avi import MAX_CLIP_FRAMES, NoIndexError, read_index
-from tactile_toolkit.touch.ffmpeg import ffmpeg_count
+from tactile_toolkit.touch.video import MAX_CLIP_FRAMES, Avi, NoIndexError, ffmpeg_count
 
 _SECOND = np.timedelta64(1, "s")
 _TOUCH_TIMES = ("touch_start_time_rel", "touch_end_time_rel")
@@ -198,7 +197,7 @@ def _length_by_clip(row: Row, touch: int) -> int:
     data = stored_clip(row, touch)
     try:
         try:
-            return len(read_index(data))
+            return len(Avi(data).index())
         except NoIndexError:
             return ffmpeg_count(data)
     except ValueError as error:

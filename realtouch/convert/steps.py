@@ -20,18 +20,21 @@ from realtouch.media.images import SensorImages
 from realtouch.media.round_clips import SensorClips
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.touch.avi import write_avi
 from tactile_toolkit.touch.contact import PLATE_COLUMN
 from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
-from tactile_toolkit.touch.rows import bytes_lists, flat_row, number_lists, take_touches
 from tactile_toolkit.touch.schema import (
     MEDIA_COLUMN,
     MEDIA_TYPE,
     POSE_COLUMN,
     Kind,
+    bytes_lists,
     column_type,
+    flat_row,
     is_per_touch,
+    number_lists,
+    take_touches,
 )
+from tactile_toolkit.touch.video import write_avi
 
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}

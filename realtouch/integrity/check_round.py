@@ -22,9 +22,9 @@ from realtouch.media.clips import TouchClip
 from realtouch.media.images import SensorImages
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.touch.ffmpeg import ffmpeg_count
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, PER_TOUCH_COLUMNS, POSE_COLUMN, Kind
+from tactile_toolkit.touch.video import ffmpeg_count
 
 Size = tuple[int, int]  # height and width, pixels
 

@@ -31,15 +31,16 @@ from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError, MissingExtraError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
-from tactile_toolkit.touch.avi import Avi, AviIndex, NoIndexError
-from tactile_toolkit.touch.ffmpeg import (
+from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
+from tactile_toolkit.touch.video import (
+    Avi,
+    AviIndex,
+    NoIndexError,
     ffmpeg_count,
-    ffmpeg_fps,
+    ffmpeg_facts,
     ffmpeg_frames,
-    ffmpeg_size,
     require_video,
 )
-from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
@@ -181,13 +182,13 @@ class TouchClip(Sequence[Pixels]):
     def size(self) -> tuple[int, int]:
         """Height and width of a frame, pixels."""
         if self._avi is None:
-            return self._named(lambda: ffmpeg_size(self.data))
+            return self._named(lambda: ffmpeg_facts(self.data))[0]
         return self._named(lambda: image_size(self.encoded(0)))
 
     @property
     def fps(self) -> float:
         """Frames per second that the file states; 25 in the published sets."""
-        return self._avi.fps if self._avi is not None else self._named(lambda: ffmpeg_fps(self.data))
+        return self._avi.fps if self._avi is not None else self._named(lambda: ffmpeg_facts(self.data))[1]
 
     @property
     def media_times_s(self) -> NDArray[np.float64]:

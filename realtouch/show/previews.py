@@ -17,8 +17,17 @@ from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.show.overlay import cell_map, overlay, placed_touches
 from realtouch.touch import Touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.pictures.lettering import ACCENTS, INK, MUTED, PAPER, draw_text
-from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
+from tactile_toolkit.pictures.sheets import (
+    ACCENTS,
+    INK,
+    MUTED,
+    PAPER,
+    Sheet,
+    Tile,
+    draw_text,
+    sheet,
+    with_scale_bar,
+)
 from tactile_toolkit.pictures.writing import (
     PicturePlan,
     Pixels,

@@ -14,9 +14,9 @@ from xml.etree import ElementTree
 import numpy as np
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, as_mesh
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, as_mesh, joined
 from tactile_toolkit.mesh.stated import require_bounded
-from tactile_toolkit.mesh.threemf import BuildItem, joined, read_build, write_build
+from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.store.files import atomic_file, named_failures
 
 if TYPE_CHECKING:

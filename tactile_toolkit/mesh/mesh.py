@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 
 
 MM_PER_M = 1000.0
+
+Surface: TypeAlias = tuple["NDArray[np.float64]", "NDArray[np.int32]"]
+"""Vertices and triangles, in whatever unit."""
 
 MeshLike: TypeAlias = "Mesh | Record | trimesh.Trimesh"
 """Whatever :func:`as_mesh` takes."""
@@ -135,4 +139,14 @@ def as_mesh(thing: MeshLike) -> Mesh:
     raise InputError(
         f"a {type(thing).__name__} holds no triangles; expected a Mesh, a record of a data set or a "
         "trimesh.Trimesh, in metres"
+    )
+
+
+def joined(surfaces: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Surface:
+    """Make one surface of several."""
+    starts = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
+    faces = [corners + np.int32(start) for (_, corners), start in zip(surfaces, starts, strict=False)]
+    return (
+        np.concatenate([np.zeros((0, 3)), *(vertices for vertices, _ in surfaces)]),
+        np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32),
     )

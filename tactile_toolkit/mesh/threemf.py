@@ -19,6 +19,7 @@ import numpy as np
 
 from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
+from tactile_toolkit.mesh.mesh import Surface, joined
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -63,9 +64,6 @@ class BuildItem:
     vertices_mm: NDArray[np.float64]
     faces: NDArray[np.int32]
     offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
-
-
-Surface = tuple["NDArray[np.float64]", "NDArray[np.int32]"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,16 +204,6 @@ def _parsed(
             # Attributes take 30 times as much memory, and are looked through again with each piece.
             raise ValueError(f"XML of {_PIECE_BYTES:,} bytes in which no element ends")
     return parser.close(), builder.surfaces
-
-
-def joined(surfaces: Sequence[Surface]) -> Surface:
-    """Make one surface of several."""
-    starts = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
-    faces = [corners + np.int32(start) for (_, corners), start in zip(surfaces, starts, strict=False)]
-    return (
-        np.concatenate([np.zeros((0, 3)), *(vertices for vertices, _ in surfaces)]),
-        np.concatenate([np.zeros((0, 3), np.int32), *faces]).astype(np.int32),
-    )
 
 
 def read_build(data: bytes) -> list[BuildItem]:

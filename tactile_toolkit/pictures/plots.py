@@ -8,21 +8,20 @@ from __future__ import annotations
 import math
 import textwrap
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.errors import MissingExtraError
-from tactile_toolkit.pictures.lettering import ACCENTS, INK, MUTED, hex_of
+from tactile_toolkit.errors import needs_extra
+from tactile_toolkit.pictures.sheets import ACCENTS, INK, MUTED, hex_of
 
 _DPI = 144
 _MOST_BINS = 40
 _TITLE_PT, _LEAST_TITLE_PT = 13.0, 9.0
 _TITLE_LEFT = 0.012
-_GROUPS_IN_COLUMN, _COLUMN_IN = 18, 1.1
 _STYLE = {
     "axes.edgecolor": hex_of(MUTED),
     "axes.labelcolor": hex_of(INK),
@@ -61,87 +60,34 @@ class Spread:
     groups: tuple[tuple[str, NDArray[Any]], ...]
     things: str  # what has the values, such as "digits"
     limit: tuple[float, str] | None = None  # a line at a value, and its name
-    together: str = "all"  # what all groups are together, such as "all splits"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Points:
-    """Values in a row: names and units of the axes, points, shapes (n,), and the group of each."""
-
-    title: str
-    x_label: str
-    y_label: str
-    x: NDArray[Any]
-    y: NDArray[Any]
-    groups: tuple[str, ...]
 
 
 def require_plots(what: str) -> None:
     """Refuse to plot where matplotlib is missing, with a MissingExtraError about ``what``."""
-    try:
+    with needs_extra(what, "matplotlib", "pictures"):
         import matplotlib.figure  # noqa: F401
-    except ImportError as error:
-        raise MissingExtraError(what, "matplotlib", "pictures") from error
 
 
 def plot_bars(panels: Sequence[Bars], title: str) -> NDArray[np.uint8]:
     """Draw counts as bars with their numbers above them, one panel each; colours of shape (H, W, 3)."""
-
-    def fill(figure: Any) -> None:
-        for axes, panel in zip(_axes(figure, len(panels)), panels, strict=True):
-            bars = axes.bar(panel.names, panel.counts, color=hex_of(ACCENTS[0]), width=0.72)
-            axes.bar_label(bars, [f"{count:,}" for count in panel.counts], fontsize=8, padding=2)
-            axes.set_title(panel.title)
-            axes.set_xlabel(panel.label)
-            axes.set_ylabel(panel.unit)
-            axes.set_ylim(0, 1.12 * max([*panel.counts, 1]))
-            axes.yaxis.get_major_locator().set_params(integer=True)
-            axes.tick_params(axis="x", length=0)
-
-    rows, columns = _grid(len(panels))
-    return _drawn(fill, (4.4 * columns, 2.9 * rows + 0.4), title)
+    return _plotted(panels, _fill_bars, (4.4, 2.9, 0.4), title)
 
 
 def plot_spreads(panels: Sequence[Spread], title: str) -> NDArray[np.uint8]:
     """Draw how values spread, one panel each: the share of each group per bin, and its median; (H, W, 3)."""
-
-    def fill(figure: Any) -> None:
-        for axes, panel in zip(_axes(figure, len(panels)), panels, strict=True):
-            _fill_spread(axes, panel)
-        names = [name for name, _ in panels[0].groups]
-        if len(names) > 1:
-            handles = figure.axes[0].get_legend_handles_labels()[0][: len(names)]
-            figure.legend(handles, names, loc="outside lower center", ncols=len(names), frameon=False)
-
-    rows, columns = _grid(len(panels))
-    return _drawn(fill, (4.6 * columns, 3.0 * rows + 0.6), title)
+    names = [name for name, _ in panels[0].groups]
+    return _plotted(panels, _fill_spread, (4.6, 3.0, 0.6), title, names if len(names) > 1 else ())
 
 
-def plot_points(panel: Points, subtitle: str = "") -> NDArray[np.uint8]:
-    """Draw values in a row, each group in a colour of its own; colours of shape (H, W, 3)."""
-
-    def fill(figure: Any) -> None:
-        axes = figure.subplots()
-        names = list(dict.fromkeys(panel.groups))
-        groups = np.array(panel.groups)
-        axes.plot(panel.x, panel.y, color=hex_of(MUTED), linewidth=0.6, alpha=0.5, zorder=1)
-        for number, name in enumerate(names):
-            chosen = groups == name
-            colour, marker = hex_of(ACCENTS[number % len(ACCENTS)]), "osD^v"[number // len(ACCENTS) % 5]
-            axes.scatter(
-                panel.x[chosen], panel.y[chosen], s=16, c=colour, marker=marker, label=name, zorder=2
-            )
-        axes.set_xlabel(panel.x_label)
-        axes.set_ylabel(panel.y_label)
-        axes.set_title(subtitle, fontsize=9, color=hex_of(MUTED))
-        axes.grid(axis="y", color="#e4e7ea", linewidth=0.8)
-        axes.set_axisbelow(True)
-        axes.xaxis.get_major_locator().set_params(integer=True)
-        if any(names):
-            figure.legend(loc="outside right upper", frameon=False, ncols=columns)
-
-    columns = max(1, -(-len(set(panel.groups)) // _GROUPS_IN_COLUMN))
-    return _drawn(fill, (8.6 + _COLUMN_IN * (columns - 1), 4.2), panel.title)
+def _fill_bars(axes: Any, panel: Bars) -> None:
+    bars = axes.bar(panel.names, panel.counts, color=hex_of(ACCENTS[0]), width=0.72)
+    axes.bar_label(bars, [f"{count:,}" for count in panel.counts], fontsize=8, padding=2)
+    axes.set_title(panel.title)
+    axes.set_xlabel(panel.label)
+    axes.set_ylabel(panel.unit)
+    axes.set_ylim(0, 1.12 * max([*panel.counts, 1]))
+    axes.yaxis.get_major_locator().set_params(integer=True)
+    axes.tick_params(axis="x", length=0)
 
 
 def _fill_spread(axes: Any, panel: Spread) -> None:
@@ -164,7 +110,7 @@ def _fill_spread(axes: Any, panel: Spread) -> None:
                 solid_capstyle="butt",
             )
     median = np.median(values) if len(values) else math.nan
-    whose = f" of {panel.together}" if len(panel.groups) > 1 else ""
+    whose = " of all" if len(panel.groups) > 1 else ""
     unit = f" {panel.unit}" if panel.unit else ""
     axes.set_title(f"{panel.title}: median {median:,.4g}{unit}{whose}")
     axes.set_xlabel(f"{panel.title}, {panel.unit}" if panel.unit else panel.title)
@@ -194,36 +140,39 @@ def _bin_edges(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.linspace(low, high, min(_MOST_BINS, max(6, round(2 * len(values) ** (1 / 2)))) + 1)
 
 
-def _grid(panels: int) -> tuple[int, int]:
-    columns = 1 if panels == 1 else 2 if panels in (2, 4) else 3
-    return -(-panels // columns), columns
+def _plotted(
+    panels: Sequence[Any],
+    fill: Callable[[Any, Any], None],
+    size_in: tuple[float, float, float],
+    title: str,
+    legend: Sequence[str] = (),
+) -> NDArray[np.uint8]:
+    """Draw panels side by side, with the names of the first curves of each below all of them.
 
-
-def _axes(figure: Any, panels: int) -> Iterator[Any]:
-    for number, axes in enumerate(figure.subplots(*_grid(panels), squeeze=False).flat):
-        if number < panels:
-            yield axes
-        else:
-            axes.remove()
-
-
-def _drawn(fill: Callable[[Any], None], size_in: tuple[float, float], title: str) -> NDArray[np.uint8]:
+    ``size_in`` is width and height of a panel, and the height of what is written around them, inches.
+    """
     require_plots("a plot")
     import matplotlib.style
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    columns = {1: 1, 2: 2, 4: 2}.get(len(panels), 3)
+    rows = -(-len(panels) // columns)
     # Our own style, whatever a matplotlibrc of this machine says.
     with matplotlib.style.context(["default", _STYLE]), warnings.catch_warnings():
-        figure = Figure(figsize=size_in, dpi=_DPI, layout="constrained")
+        size = (size_in[0] * columns, size_in[1] * rows + size_in[2])
+        figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
         canvas = FigureCanvasAgg(figure)
         # Of letters that the font lacks it draws boxes, and would say so on stderr.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         _write_title(figure, title)
-        fill(figure)
+        for number, panel in enumerate(panels, start=1):
+            fill(figure.add_subplot(rows, columns, number), panel)
+        if legend:
+            curves = figure.axes[0].get_legend_handles_labels()[0][: len(legend)]
+            figure.legend(curves, legend, loc="outside lower center", ncols=len(legend), frameon=False)
         canvas.draw()
-        pixels: NDArray[np.uint8] = np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
-    return pixels
+        return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
 
 
 def _write_title(figure: Any, title: str) -> None:

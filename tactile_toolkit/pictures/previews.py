@@ -18,8 +18,8 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.pictures.plots import Bars, plot_bars, require_plots
 from tactile_toolkit.pictures.render import Picture3d, draw_bodies
-from tactile_toolkit.pictures.sheets import ScaleBar, Sheet, Tile, in_rows, sheet, with_scale_bar
-from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, file_stem, plan_kinds
+from tactile_toolkit.pictures.sheets import Sheet, Tile, bar_length_mm, in_rows, sheet, with_scale_bar
+from tactile_toolkit.pictures.writing import Pixels, PlannedPicture, file_stem
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.wording import counted
@@ -72,12 +72,6 @@ class MeshPreviews(Generic[D]):
         manifest = None if (folder := folder_named(self.name)) is None else read_manifest(folder)
         return {} if manifest is None else manifest.spec
 
-    def plan(
-        self, plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]], usual: Sequence[str], alone: str
-    ) -> PicturePlan:
-        """Plan the kinds asked for; by default the usual ones, or that of a row alone where ids are given."""
-        return plan_kinds(self.spec.kinds, plans, (alone,) if self.spec.ids else usual)
-
     def plan_sheets(self, draw: Callable[[D, str], Pixels]) -> list[PlannedPicture]:
         """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""
 
@@ -118,7 +112,7 @@ def draw_by_class(
     # The empty line at the foot is the room of the scale bar.
     drawn = sheet(cells, Sheet(columns, title, (words,), ("",), row_labels, gap_px=12))
     widest = max(tile.pixels.shape[1] for _, group in groups.items() for tile in group)
-    return with_scale_bar(drawn, px_per_mm, ScaleBar.fitting(4 * widest, px_per_mm))
+    return with_scale_bar(drawn, px_per_mm, bar_length_mm(4 * widest, px_per_mm))
 
 
 def draw_two_views(above: Tile, oblique: Picture3d, title: str, facts: tuple[str, ...]) -> Pixels:

@@ -1,22 +1,24 @@
-"""Oblique views of solids, drawn by the rasteriser: without a screen, and with the same pixels everywhere."""
+"""Meshes in relief and solids in oblique views, drawn by the rasteriser: the same pixels everywhere."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import cosine_sine, moved
+from tactile_toolkit.mesh.mesh import Mesh, joined
 from tactile_toolkit.mesh.raster import highest_faces
-from tactile_toolkit.pictures.lettering import PAPER, Colour
+from tactile_toolkit.pictures.sheets import PAPER, Colour
+from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
 
-if TYPE_CHECKING:
-    from tactile_toolkit.mesh.mesh import Mesh
-
+_PITCH_M = 0.0002
+_TILE_PX = 96
+_MOST_PX = 4096  # of the longer side of a relief
 
 # Where the light of reliefs comes from: right, up and out of the picture.
 _LIGHT = np.array([-0.45, 0.55, 0.70])
@@ -52,28 +54,57 @@ OBLIQUE = View(-25.0, 42.0)
 """From the front, somewhat left and well above: digits stay readable and show their height."""
 
 
-def averaged(pixels: NDArray[np.uint8], factor: int, paper: int = 255) -> NDArray[np.uint8]:
+def box_downsample(pixels: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
     """Return a picture, (H, W) or (H, W, 3), so many times smaller, each pixel the mean of those it covers.
 
-    Sides that are not a multiple of ``factor`` are filled up with the level ``paper`` first.
+    Sides that are not a multiple of ``factor`` are filled up with white first.
     """
     height, width = (-(-side // factor) for side in pixels.shape[:2])
-    spread = [(0, height * factor - pixels.shape[0]), (0, width * factor - pixels.shape[1])]
-    whole = np.pad(pixels, [*spread, *[(0, 0)] * (pixels.ndim - 2)], constant_values=paper)
-    blocks = whole.reshape(height, factor, width, factor, *pixels.shape[2:])
+    padding = [(0, height * factor - pixels.shape[0]), (0, width * factor - pixels.shape[1])]
+    padded = np.pad(pixels, [*padding, *[(0, 0)] * (pixels.ndim - 2)], constant_values=255)
+    blocks = padded.reshape(height, factor, width, factor, *pixels.shape[2:])
     sums = blocks.sum(axis=(1, 3), dtype=np.uint32)
     return np.asarray((sums + factor * factor // 2) // (factor * factor), np.uint8)
 
 
-def shades(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.uint8]:
-    """Return how bright each triangle is, (F,), 60 to 240; points, (V, 3), are right, up and to the viewer.
+def relief(
+    vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], pitch_m: float = _PITCH_M
+) -> NDArray[np.uint8]:
+    """Draw a mesh from above in shaded relief, one pixel every ``pitch_m``; coarser where that is too many.
 
-    One that faces away is lit as if it did not, so that damaged meshes show something, too.
+    Returns levels of uint8, shape (H, W): 255 is empty paper; row 0 is the largest y.
     """
-    normals = _across(points, np.asarray(faces))
+    vertices, faces = np.asarray(vertices_m, np.float64), np.asarray(faces)
+    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
+    # A mesh in millimetres, taken for metres, would have 10^10 pixels.
+    pitch_m = max(pitch_m, float((high - low).max()) / _MOST_PX)
+    # Four pixels of paper on every side, and one for the pixel that the last corner lies in.
+    width, height = (np.ceil((high - low) / pitch_m).astype(int) + 9).tolist()
+    columns, rows = ((vertices[:, :2] - low) / pitch_m + 4).T
+    # Rows grow with y here, so that triangles keep their orientation; the picture is turned over at the end.
+    seen = highest_faces(np.stack([columns, rows, vertices[:, 2]]), faces, (height, width))
+    normals = _across(vertices, faces)
+    # What faces away is lit as if it did not, so that damaged meshes show something, too.
     normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
     light = moved(_unit(normals), _LIGHT[:, None])[:, 0]
-    return np.asarray(_DARKEST + _RANGE * np.clip(light, 0, 1)).astype(np.uint8)
+    shades = np.asarray(_DARKEST + _RANGE * np.clip(light, 0, 1)).astype(np.uint8)
+    return np.append(shades, np.uint8(255))[seen[::-1]]
+
+
+def relief_tile_html(
+    vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], caption: str
+) -> str:
+    """Return what a notebook shows of a mesh among others: a small relief and its caption, plain text."""
+    pitch_m = max(float(np.ptp(vertices_m[:, :2], axis=0).max()) / _TILE_PX, 1e-6)
+    return figure_html(relief(vertices_m, faces, pitch_m), caption, TILE_STYLE)
+
+
+def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.uint8]:
+    """Draw a mesh as :func:`relief` with smooth edges: so many times larger first, then averaged.
+
+    The margin is one to two pixels.
+    """
+    return box_downsample(relief(mesh.vertices_m, mesh.faces, 1e-3 / (px_per_mm * smoothing)), smoothing)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,11 +147,8 @@ _COS_SHARP = math.cos(math.radians(40.0))
 def draw_bodies(picture: Picture3d) -> NDArray[np.uint8]:
     """Draw bodies, in the middle of the paper, shape (H, W, 3): the surface smooth, sharp edges sharp."""
     counts = [len(body.mesh.faces) for body in picture.bodies]
-    starts = np.cumsum([0, *(len(body.mesh.vertices_m) for body in picture.bodies)])
-    seen = np.concatenate([picture.view.project(body.mesh.vertices_m) for body in picture.bodies])
-    faces = np.concatenate(
-        [body.mesh.faces + start for body, start in zip(picture.bodies, starts, strict=False)]
-    ).astype(np.int64)
+    vertices_m, faces = joined([(body.mesh.vertices_m, body.mesh.faces) for body in picture.bodies])
+    seen = picture.view.project(vertices_m)
     width, height = (side * _SAMPLING for side in picture.size_px)
     scale = picture.px_per_m * _SAMPLING
     middle = (seen[:, :2].min(axis=0) + seen[:, :2].max(axis=0)) / 2
@@ -136,7 +164,7 @@ def draw_bodies(picture: Picture3d) -> NDArray[np.uint8]:
     levels[lit] = _lit(levels[lit], _normals_at(column[lit], row[lit], corners, normals))
     pixels = np.full((height, width, 3), picture.paper, np.uint8)
     pixels[row, column] = np.clip(np.round(levels), 0, 255)
-    return averaged(pixels, _SAMPLING)
+    return box_downsample(pixels, _SAMPLING)
 
 
 def _across(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
@@ -150,7 +178,7 @@ def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
 
-def _corner_normals(points: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.float64]:
+def _corner_normals(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
     """Return normals at the corners of each triangle, (F, 3, 3): sums over those that meet there smoothly."""
     across = _across(points, faces)
     own, corners = _unit(across), faces.ravel()

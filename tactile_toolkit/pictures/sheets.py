@@ -1,14 +1,37 @@
-"""Sheets: pictures side by side with words about them, in one style for all kinds of data."""
+"""Sheets: pictures side by side with words about them, in one font and one palette for all kinds of data."""
 
 from __future__ import annotations
 
+import io
+import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.pictures.lettering import INK, MUTED, PAPER, Colour, draw_text, text_size
+if TYPE_CHECKING:
+    from PIL.ImageDraw import ImageDraw
+    from PIL.ImageFont import FreeTypeFont
+
+
+Colour: TypeAlias = tuple[int, int, int]
+
+INK: Colour = (32, 36, 42)
+MUTED: Colour = (98, 106, 116)
+PAPER: Colour = (255, 255, 255)
+ACCENTS: tuple[Colour, ...] = (
+    (0, 114, 178),
+    (230, 159, 0),
+    (0, 158, 115),
+    (213, 94, 0),
+    (204, 121, 167),
+    (86, 180, 233),
+)
+"""Colours that people with any kind of colour vision tell apart (Okabe and Ito 2008)."""
 
 TITLE_PX, TEXT_PX, CAPTION_PX = 20, 14, 12
 
@@ -17,6 +40,55 @@ _FRAME_PX = 3
 _BAR_PX = 5
 _HALO_PX = 2
 _NICE_LENGTHS_MM = tuple(base * 10.0**power for power in range(-3, 4) for base in (1, 2, 5))
+# Shipped with its licence, and the font of matplotlib too: every machine writes the same letters, plots the
+# same as sheets. It has Latin, Greek, Cyrillic, Arabic and signs; anything else becomes its box for "no such
+# letter".
+_FONT_FILE = "DejaVuSans.ttf"
+
+
+def draw_text(
+    pen: ImageDraw,
+    at_px: tuple[float, float],
+    text: str,
+    size_px: int,
+    colour: Colour = INK,
+    anchor: str = "la",
+    halo_px: int = 0,
+) -> None:
+    """Write a line at a column and row, which ``anchor`` ties to the text as Pillow's anchors do.
+
+    ``halo_px`` is the width of a rim of paper around the letters.
+    """
+    text, font = _one_line(text), _font(size_px)
+    if halo_px:
+        pen.text(at_px, text, PAPER, font, anchor, stroke_width=halo_px, stroke_fill=PAPER)
+    pen.text(at_px, text, colour, font, anchor)
+
+
+def text_size(text: str, size_px: int) -> tuple[float, int]:
+    """Return the width and height of a line, pixels."""
+    return _font(size_px).getlength(_one_line(text)), round(size_px * 1.3)
+
+
+def hex_of(colour: Colour) -> str:
+    """Write a colour as ``#rrggbb``."""
+    return "#{:02x}{:02x}{:02x}".format(*colour)
+
+
+def _one_line(text: str) -> str:
+    # Pillow places letter after letter, so accents must be joined to theirs; it breaks lines at control
+    # characters, and fails on the lone surrogates of file names that are not UTF-8.
+    joined = unicodedata.normalize("NFC", text)
+    return "".join(letter if letter.isprintable() else "?" for letter in joined)
+
+
+@cache
+def _font(size_px: int) -> FreeTypeFont:
+    from PIL import ImageFont
+
+    content = resources.files("tactile_toolkit.pictures").joinpath(_FONT_FILE).read_bytes()
+    # Basic layout, because the other one is only there where libraqm is, and spaces letters differently.
+    return ImageFont.truetype(io.BytesIO(content), size_px, layout_engine=ImageFont.Layout.BASIC)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,34 +190,25 @@ def in_rows(
     return columns, cells, tuple(labels)
 
 
-@dataclass(frozen=True, slots=True)
-class ScaleBar:
-    """A bar: the length that it stands for, and how long it is drawn."""
-
-    length_mm: float
-    length_px: int
-
-    @classmethod
-    def fitting(cls, width_px: int, px_per_mm: float) -> ScaleBar:
-        """Take the longest round length that fills at most a quarter of a picture's width."""
-        fitting = [mm for mm in _NICE_LENGTHS_MM if mm * px_per_mm <= width_px / 4]
-        length_mm = fitting[-1] if fitting else _NICE_LENGTHS_MM[0]
-        return cls(length_mm, max(1, round(length_mm * px_per_mm)))
+def bar_length_mm(width_px: int, px_per_mm: float) -> float:
+    """Return the longest round length that fills at most a quarter of a picture's width."""
+    fitting = [mm for mm in _NICE_LENGTHS_MM if mm * px_per_mm <= width_px / 4]
+    return fitting[-1] if fitting else _NICE_LENGTHS_MM[0]
 
 
 def with_scale_bar(
-    pixels: NDArray[np.uint8], px_per_mm: float, bar: ScaleBar | None = None
+    pixels: NDArray[np.uint8], px_per_mm: float, length_mm: float | None = None
 ) -> NDArray[np.uint8]:
     """Return a picture, (H, W, 3), with a scale bar in its lower left corner; one that fits by default."""
     from PIL import Image, ImageDraw
 
     picture = Image.fromarray(pixels).convert("RGB")
-    bar = bar or ScaleBar.fitting(picture.width, px_per_mm)
+    length_mm = length_mm or bar_length_mm(picture.width, px_per_mm)
     pen = ImageDraw.Draw(picture)
     left, top = 10, picture.height - 10 - _BAR_PX
-    right, bottom = left + bar.length_px - 1, top + _BAR_PX - 1
+    right, bottom = left + max(1, round(length_mm * px_per_mm)) - 1, top + _BAR_PX - 1
     # A halo keeps the bar readable on whatever lies below it.
     pen.rectangle((left - _HALO_PX, top - _HALO_PX, right + _HALO_PX, bottom + _HALO_PX), fill=PAPER)
     pen.rectangle((left, top, right, bottom), fill=INK)
-    draw_text(pen, (left, top - 6), f"{bar.length_mm:g} mm", CAPTION_PX, anchor="ls", halo_px=_HALO_PX)
+    draw_text(pen, (left, top - 6), f"{length_mm:g} mm", CAPTION_PX, anchor="ls", halo_px=_HALO_PX)
     return np.asarray(picture)

@@ -8,7 +8,7 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,6 @@ Pixels: TypeAlias = NDArray[np.uint8]
 """Grey levels of shape (H, W) or colours of shape (H, W, 3); row 0 at the top."""
 
 PNG = ".png"
-_MOST_DIGITS = 20  # more than any id of 64 bits; Python refuses to read thousands
 
 TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
 """Style of a small picture among others in a notebook."""
@@ -48,16 +47,11 @@ class PicturePlan:
 class WrittenPicture:
     """A picture on disk: name and words as planned, size in pixels and bytes."""
 
-    name: str
+    file: str
     what: str
     width: int
     height: int
     bytes: int
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        size = {"width": self.width, "height": self.height, "bytes": self.bytes}
-        return {"file": self.name, "what": self.what, **size}
 
 
 def chosen_kinds(asked: Sequence[str], known: Sequence[str], usual: Sequence[str]) -> tuple[str, ...]:
@@ -145,15 +139,6 @@ def figure_html(pixels: Pixels, caption: str, style: str = "") -> str:
         f'<figure{styled}><img src="data:image/png;base64,{source}">'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
     )
-
-
-def parse_ids(option: str, text: str | None) -> tuple[int, ...]:
-    """Read ``3,17`` as numbers; InputError where a part is not an integer."""
-    parts = [] if text is None else [part.strip() for part in text.split(",")]
-    for part in parts:
-        if not (part.isascii() and part.isdigit() and len(part) <= _MOST_DIGITS):
-            raise InputError(f"{option} has {part!r}; expected integers, such as 12,408")
-    return tuple(int(part) for part in parts)
 
 
 def file_stem(name: str) -> str:

@@ -1,10 +1,14 @@
-"""From which height above the plate on a touch counts as one of an object."""
+"""From which height above the plate on a touch counts as one of an object; options that commands share."""
 
 from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
+
+from tactile_toolkit.checked_fields import real, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import is_count
 
 MIN_CONTACT_HEIGHT_M = 0.006
 """A gel that stops so far above the plate touched an object: the publisher's own threshold, metres."""
@@ -79,3 +83,32 @@ def missed_text(missed: int | None, touches: int, *, is_estimated: bool = False)
             "leaves them out). In rounds that never met the bare plate, touches of objects are among them."
         ]
     return [f"{missed:,} of {touches:,} touches met no object; `realtouch select --contact` leaves them out."]
+
+
+def size_option(default: Any, shown: str = "") -> Any:
+    """Declare the size of pictures, width and height in pixels; ``shown`` is the default in words."""
+    return text(
+        default,
+        name="--size",
+        metavar="WxH",
+        read=_size,
+        shown=shown,
+        help="Size of the pictures, pixels.",
+    )
+
+
+def _size(words: str) -> tuple[int, int]:
+    width, _, height = words.strip().lower().partition("x")
+    if not (is_count(width) and is_count(height)):
+        raise InputError(f"--size is {words!r}; expected WIDTHxHEIGHT in pixels, such as 64x64")
+    return int(width), int(height)
+
+
+def contact_height_option() -> Any:
+    """Declare the height from which a touch counts as contact."""
+    return real(
+        None,
+        optional=True,
+        help="Height above the plate from which a touch counts as contact; 6 by default, and any height for "
+        "touches of `tactile-sim generate`.",
+    )

@@ -7,7 +7,8 @@ interpreter lock is released meanwhile.
 from __future__ import annotations
 
 import io
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from typing import Any, Literal
 
 import numpy as np
@@ -25,9 +26,6 @@ MAX_IMAGE_BYTES = 1 << 26
 MAX_SCANS = 100
 """Most scans of a JPEG that is decoded: each goes over the picture again, and a few bytes make one; cameras
 write 1, progressive files about 10."""
-
-_SMALL_BYTES = 1 << 12
-"""So much holds a few hundred scans at most, of which the largest image takes less than a second."""
 
 MAX_HEADER_BYTES = 1 << 22
 """Most bytes of a JPEG before its first scan: four make a segment, and Pillow keeps an object for each."""
@@ -52,21 +50,17 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
 
     Raises ValueError when the data is not such an image, or exceeds the limits above.
     """
-    if len(data) > MAX_IMAGE_BYTES:
-        raise ValueError(f"an image of {len(data):,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
-    if data[:3] == _JPEG_START:
+    mode, is_jpeg = "", data[:3] == _JPEG_START
+    if is_jpeg:
         require_bounded_jpeg(data)
-        try:
+    with _named_problem(data):
+        if is_jpeg:
             height, width, *_ = simplejpeg.decode_jpeg_header(data)
-        except ValueError as error:
-            raise _undecodable(data, error) from error
-    else:
-        with _open_other(data) as image:
-            height, width = image.height, image.width
-            if image.mode in _DEEP:
-                raise ValueError(
-                    f"an image of 16 bits ({image.mode}), most of which 8 would lose; expected 8"
-                )
+        else:
+            image = _opened(data)
+            height, width, mode = image.height, image.width, image.mode
+    if mode in _DEEP:
+        raise ValueError(f"an image of 16 bits ({mode}), most of which 8 would lose; expected 8")
     if height * width > MAX_IMAGE_PIXELS:
         raise ValueError(f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels")
     return height, width
@@ -74,8 +68,6 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
 
 def require_bounded_jpeg(data: memoryview | bytes) -> None:
     """Raise ValueError where a JPEG has too many scans or too long a header, before it is decoded."""
-    if len(data) <= _SMALL_BYTES:  # a touch of 64 x 64 pixels takes 1 kB, and the look a tenth of its time
-        return
     # In coded pixels this pair of bytes does not occur (ITU-T T.81, B.1.1.5).
     stored = bytes(data)
     scans, header = stored.count(b"\xff\xda"), stored.find(b"\xff\xda")
@@ -91,7 +83,7 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
     Raises ValueError as :func:`image_size`, and when the data is cut short or corrupt, or has another size
     than ``out``. Nothing half-decoded is ever returned.
     """
-    if out is not None and data[:3] == _JPEG_START and len(data) <= MAX_IMAGE_BYTES:
+    if out is not None and data[:3] == _JPEG_START:
         require_bounded_jpeg(data)
         # What is wrong is named below: to look into the header of each image first takes a while.
         with suppress(ValueError):
@@ -102,41 +94,35 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
         raise ValueError(
             f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
         )
-    try:
+    pixels: Pixels
+    with _named_problem(data):
         if data[:3] == _JPEG_START:
-            pixels: Pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
-            return pixels
-        with _open_other(data) as image:
-            pixels = np.asarray(image.convert("RGB"))
-    except Exception as error:  # Pillow raises OSError, SyntaxError, struct.error and more on bad files
-        raise _undecodable(data, error) from error
-    if out is None:
+            pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
+        else:
+            pixels = np.asarray(_opened(data).convert("RGB"))
+    if out is None or pixels is out:
         return pixels
     out[...] = pixels
     return out
 
 
-def _open_other(data: memoryview | bytes) -> Any:
+def _opened(data: memoryview | bytes) -> Any:
     from PIL import Image
 
+    # Pillow would try its 43 decoders on whatever these bytes are.
+    return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
+
+
+@contextmanager
+def _named_problem(data: memoryview | bytes) -> Iterator[None]:
     try:
-        # Pillow would try its 43 decoders on whatever these bytes are.
-        return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
-    except Image.DecompressionBombError as error:
+        yield
+    except Exception as error:  # Pillow raises OSError, SyntaxError, struct.error and more on bad files
+        start = bytes(data[:8]).hex(" ") or "nothing"
         raise ValueError(
-            f"an image of far more than {MAX_IMAGE_PIXELS:,} pixels, which is the limit"
+            f"an image of {len(data):,} bytes that begin with {start} cannot be decoded ({error}); "
+            "expected a JPEG, PNG or WebP"
         ) from error
-    except Exception as error:  # as in decode_image
-        start = bytes(data[:8]).hex(" ")
-        raise ValueError(
-            f"{len(data):,} bytes that begin with {start or 'nothing'}; expected a JPEG, PNG or WebP"
-        ) from error
-
-
-def _undecodable(data: memoryview | bytes, error: Exception) -> ValueError:
-    return ValueError(
-        f"an image of {len(data):,} bytes that cannot be decoded ({error}); expected a whole JPEG"
-    )
 
 
 def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pixels:

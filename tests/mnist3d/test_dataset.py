@@ -133,7 +133,7 @@ def test_notebook_picture(digits):
 
 
 def test_relief_shows_the_outline(digits):
-    from tactile_toolkit.pictures.relief import relief
+    from tactile_toolkit.pictures.render import relief
 
     picture = relief(digits[0].vertices_m, digits[0].faces)
     inked_mm2 = (picture < 255).sum() * 0.04

@@ -23,11 +23,9 @@ from mnist3d.splits import SplitSpec
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.pictures.lettering import INK
 from tactile_toolkit.pictures.previews import class_bars
-from tactile_toolkit.pictures.relief import relief, relief_of
-from tactile_toolkit.pictures.render import OBLIQUE, Picture3d, draw_bodies
-from tactile_toolkit.pictures.sheets import ScaleBar
+from tactile_toolkit.pictures.render import OBLIQUE, Picture3d, draw_bodies, relief, relief_of
+from tactile_toolkit.pictures.sheets import INK, bar_length_mm
 from tactile_toolkit.store.folder import DataFolder
 from tests.mnist3d import mnist_files
 
@@ -137,8 +135,8 @@ def test_a_box_of_known_size_is_as_wide_as_the_bar_says(ending, tmp_path):
     block = (left[:-60] < 250).any(axis=2)
     width_px = int(block.sum(axis=1).max())
     scale = width_px / 30.0
-    bar = ScaleBar.fitting(560, scale)
-    assert bar_px == pytest.approx(bar.length_mm * scale, abs=1.5)
+    length_mm = bar_length_mm(560, scale)
+    assert bar_px == pytest.approx(length_mm * scale, abs=1.5)
     assert block.sum(axis=0).max() == pytest.approx(20 * scale, abs=2)
 
 

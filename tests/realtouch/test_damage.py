@@ -13,7 +13,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch.avi import read_index
+from tactile_toolkit.touch.video import Avi
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -98,7 +98,7 @@ def no_avi(row: dict[str, Any]) -> None:
 
 def bad_frame(row: dict[str, Any]) -> None:
     data = bytearray(row["sensor_video"][1]["bytes"])
-    index = read_index(memoryview(bytes(data)))
+    index = Avi(memoryview(bytes(data))).index()
     start = int(index.starts[6])
     data[start : start + int(index.sizes[6])] = bytes(int(index.sizes[6]))
     row["sensor_video"][1]["bytes"] = bytes(data)

@@ -12,7 +12,7 @@ import realtouch
 from realtouch.contact import contact_window, contact_windows
 from realtouch.media.images import in_parallel
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.touch.avi import Avi, read_index, write_avi
+from tactile_toolkit.touch.video import Avi, write_avi
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 
@@ -24,7 +24,7 @@ AVIS = {"FFmpeg": factories.encode_avi(FRAMES), "ours": write_avi(JPEGS, 24, 16,
 @pytest.mark.parametrize("writer", AVIS)
 def test_a_frame_is_found_where_the_index_has_it(writer: str) -> None:
     data = memoryview(AVIS[writer])
-    index = read_index(data)
+    index = Avi(data).index()
     for frame in range(10):
         assert Avi(data).frame(frame) == index.frame(data, frame)
     assert Avi(data).entry_count == 10
@@ -146,7 +146,7 @@ def test_windows_of_many_clips_are_those_of_each(data: st.DataObject) -> None:
 def _broken(row: dict, place: int) -> None:
     blob = bytearray(row["sensor_video"][2]["bytes"])
     if place == 0:
-        found = read_index(memoryview(bytes(blob)))
+        found = Avi(memoryview(bytes(blob))).index()
         row["sensor_video"][2]["bytes"] = bytes(blob[: int(found.starts[0])]) + bytes(
             len(blob) - int(found.starts[0])
         )

@@ -13,7 +13,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch.avi import write_avi
+from tactile_toolkit.touch.video import write_avi
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth

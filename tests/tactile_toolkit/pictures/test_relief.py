@@ -11,18 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.pictures.lettering import ACCENTS
-from tactile_toolkit.pictures.relief import relief
 from tactile_toolkit.pictures.render import (
     OBLIQUE,
     TOP,
     Body,
     Picture3d,
     View,
-    averaged,
+    box_downsample,
     draw_bodies,
     fitting_scale,
+    relief,
 )
+from tactile_toolkit.pictures.sheets import ACCENTS
 from tests.processes import printed_by
 
 CLAY = (200, 120, 40)
@@ -89,8 +89,8 @@ def test_a_fitting_scale_fills_one_side():
 @given(st.integers(1, 4), st.integers(1, 6), st.integers(1, 6), st.integers(0, 255))
 def test_averaging_keeps_levels(factor, height, width, level):
     large = np.full((height * factor, width * factor, 3), level, np.uint8)
-    assert np.array_equal(averaged(large, factor), np.full((height, width, 3), level, np.uint8))
-    assert averaged(np.zeros((factor + 1, 1), np.uint8), factor).shape == (2, 1)
+    assert np.array_equal(box_downsample(large, factor), np.full((height, width, 3), level, np.uint8))
+    assert box_downsample(np.zeros((factor + 1, 1), np.uint8), factor).shape == (2, 1)
 
 
 def colours_of(pixels: np.ndarray) -> np.ndarray:
@@ -143,7 +143,7 @@ def test_bodies_far_from_the_origin_are_drawn_the_same():
 
 DRAW = """
 import hashlib, numpy as np
-from tactile_toolkit.pictures.lettering import ACCENTS
+from tactile_toolkit.pictures.sheets import ACCENTS
 from tactile_toolkit.pictures.render import Body, Picture3d, draw_bodies
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.mesh.mesh import Mesh
@@ -202,10 +202,10 @@ def test_a_limit_is_a_line_at_its_value(matplotlib):
 
 PLOT = """
 import hashlib, sys, numpy as np
-from tactile_toolkit.pictures.plots import Points, Spread, plot_points, plot_spreads
+from tactile_toolkit.pictures.plots import Bars, Spread, plot_bars, plot_spreads
 x = np.linspace(0, 1, 50) ** 2
 one = plot_spreads([Spread("t", "mm", (("a", x), ("b", 1 - x)), "rows", (0.3, "limit"))] * 2, "title")
-two = plot_points(Points("t", "x", "y", np.arange(50), x, ("g",) * 25 + ("h",) * 25), "sub")
+two = plot_bars([Bars("t", ("a", "b"), (1, 2), "x", "rows")], "title")
 assert "matplotlib.pyplot" not in sys.modules
 print(hashlib.sha256(one.tobytes() + two.tobytes()).hexdigest())
 """
@@ -229,20 +229,6 @@ def test_titles_of_plots_are_seen_whole(matplotlib, words):
     drawn = plot_bars([Bars("panel", ("a",), (1,), "class", "rows")], words)
     assert (drawn[:, -3:] == 255).all()
     assert (drawn[:12, :300] != 255).any()
-
-
-@pytest.mark.pictures
-def test_a_legend_of_many_groups_is_seen_whole(matplotlib):
-    from tactile_toolkit.pictures.plots import Points, plot_points
-
-    groups = tuple(f"gel {number}" for number in range(60))
-    few, many = (
-        plot_points(Points("t", "x", "y", np.arange(count), np.arange(count), groups[:count]))
-        for count in (10, 60)
-    )
-    for drawn in (few, many):
-        assert all((edge == 255).all() for edge in (drawn[-3:], drawn[:, -3:]))
-    assert many.shape[1] > few.shape[1]
 
 
 @pytest.mark.pictures

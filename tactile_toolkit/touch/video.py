@@ -1,29 +1,34 @@
-"""AVIs of JPEG frames: found through the index, so that one frame costs one JPEG; and written.
+"""Clips: AVIs of JPEG frames, found through the index, so that one frame costs one JPEG; others by FFmpeg.
 
-Only what the clips of touches use is read: RIFF with a video stream of MJPEG frames and an ``idx1`` index.
-Each frame stands alone. The layout is that of Microsoft's AVI RIFF file reference.
+Of AVIs only what the clips of touches use is read: RIFF with a video stream of MJPEG frames and an ``idx1``
+index. Each frame stands alone. The layout is that of Microsoft's AVI RIFF file reference. FFmpeg (PyAV) is
+needed only for files of another kind.
 """
 
 from __future__ import annotations
 
+import io
 import struct
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import islice
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.errors import needs_extra
+from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS, Pixels, decode_image, room_for
+
 MAX_CLIP_FRAMES = 10_000
 """Longest clip that is read; a touch has 58 to 90 frames."""
 
-MAX_CLIP_BYTES = 1 << 30
-"""Largest encoded clip that is looked at; a touch has about 200 kB."""
-
 _RIFF = struct.Struct("<4sI4s")
 _CHUNK = struct.Struct("<4sI")
-# Kind, codec, scale and rate (whose quotient are the frames per second), and length in frames.
-_STREAM_HEADER = struct.Struct("<4s4s12xII4xI")
+# Kind, codec, scale and rate, whose quotient are the frames per second.
+_STREAM_HEADER = struct.Struct("<4s4s12xII")
 _ENTRY = struct.Struct("<4s4xII")  # name of the chunk, flags, offset, size
 
 
@@ -55,12 +60,10 @@ class Avi:
     """An AVI of MJPEG frames, opened by its headers; ``frame`` reads one entry of its index, ``index`` all.
 
     Opening raises NoIndexError for another container or codec, or when there is no index; ValueError when the
-    file is cut short or exceeds :data:`MAX_CLIP_FRAMES` or :data:`MAX_CLIP_BYTES`.
+    file is cut short.
     """
 
     def __init__(self, data: memoryview) -> None:
-        if len(data) > MAX_CLIP_BYTES:
-            raise ValueError(f"a clip of {len(data):,} bytes; the limit is {MAX_CLIP_BYTES:,}")
         name, size, kind = _RIFF.unpack_from(data) if len(data) >= _RIFF.size else (b"", 0, b"")
         if name != b"RIFF" or kind != b"AVI ":
             raise NoIndexError(
@@ -155,11 +158,6 @@ class Avi:
             raise ValueError(f"an AVI whose {found}")
 
 
-def read_index(data: memoryview) -> AviIndex:
-    """Read the whole index of an AVI; raises as :class:`Avi` and :meth:`Avi.index`."""
-    return Avi(data).index()
-
-
 def _chunks(data: memoryview, position: int, end: int) -> Iterator[tuple[bytes, int, int]]:
     """Yield name, start and size of each chunk; a list goes by the name of its kind, its start after that."""
     while position + _CHUNK.size <= end:
@@ -184,11 +182,9 @@ def _mjpeg_stream(data: memoryview, start: int, size: int) -> tuple[int, float]:
         for name, header_start, length in _chunks(data, stream_start, stream_start + stream_size):
             if name != b"strh" or length < _STREAM_HEADER.size:
                 continue
-            kind, codec, scale, rate, frames = _STREAM_HEADER.unpack_from(data, header_start)
+            kind, codec, scale, rate = _STREAM_HEADER.unpack_from(data, header_start)
             if kind != b"vids" or codec.upper() != b"MJPG" or not scale or not rate:
                 break
-            if frames > MAX_CLIP_FRAMES:
-                raise ValueError(f"a clip that declares {frames:,} frames; the limit is {MAX_CLIP_FRAMES:,}")
             return number, rate / scale
     raise NoIndexError("an AVI without an MJPEG stream; expected one")
 
@@ -225,3 +221,102 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
 def _chunk(name: bytes, content: bytes) -> bytes:
     # RIFF fills chunks up to an even length, which their size does not count.
     return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
+
+
+def require_video(data: memoryview) -> str:
+    """Return the container of a clip as FFmpeg calls it; ValueError unless it is an AVI or Matroska.
+
+    Left to itself FFmpeg takes text for a play list, and opens the files and addresses that it names.
+    """
+    start = bytes(data[:12])
+    if start[:4] == b"RIFF" and start[8:] == b"AVI ":
+        return "avi"
+    if start[:4] == b"\x1aE\xdf\xa3":
+        return "matroska"
+    raise ValueError(
+        f"{len(data):,} bytes that begin with {start[:8].hex(' ')}; expected an AVI with MJPEG frames, or "
+        "Matroska"
+    )
+
+
+@contextmanager
+def _ffmpeg_stream(data: memoryview) -> Iterator[Any]:
+    """Open a clip; raises ValueError when it cannot be read or its frames exceed the limit."""
+    name = require_video(data)
+    with needs_extra("a clip that is not an indexed AVI of JPEG frames", "av", "video"):
+        import av
+    # Nothing but these bytes: no other format inside, and no protocol to open anything by.
+    options = {"format_whitelist": name, "protocol_whitelist": "none"}
+    try:
+        container = av.open(io.BytesIO(data), format=name, options=options)
+        stream = container.streams.video[0]
+        pixels = stream.width * stream.height
+    except (av.FFmpegError, IndexError, AttributeError) as error:  # no video; a codec that is not known
+        raise ValueError(
+            f"{len(data):,} bytes in which FFmpeg finds no clip to decode; expected one in {name}"
+        ) from error
+    with container:
+        if pixels > MAX_IMAGE_PIXELS:
+            raise ValueError(f"a clip of {pixels:,} pixels a frame; the limit is {MAX_IMAGE_PIXELS:,} pixels")
+        try:
+            yield stream
+        except av.FFmpegError as error:
+            raise ValueError(f"a clip with a frame that cannot be decoded ({error})") from error
+
+
+def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels:
+    """Decode frames of a clip, reading it up to the last one wanted; shape (n, H, W, 3), uint8.
+
+    ``count`` is how many frames it should have, for messages. Raises ValueError when a frame is missing or
+    damaged, or the clip cannot be read or exceeds the limits.
+    """
+    chosen = sorted(set(wanted))
+    found = 0
+    with _ffmpeg_stream(data) as stream:
+        pixels = room_for(len(chosen), (stream.height, stream.width))
+        for number, frame in islice(_decoded(stream, set(chosen)), len(chosen)):
+            if frame.shape != pixels.shape[1:]:
+                raise ValueError(f"frame {number} of another size than the clip states")
+            pixels[found] = frame
+            found += 1
+    if found < len(chosen):
+        raise ValueError(f"a clip that ends before frame {chosen[found]}; expected {count} frames")
+    return pixels[np.searchsorted(chosen, wanted)]
+
+
+def _decoded(stream: Any, chosen: set[int]) -> Iterator[tuple[int, Pixels]]:
+    """Yield the chosen frames with their numbers, refusing what FFmpeg would patch up and pass on."""
+    stream.codec_context.options = {"err_detect": "explode", "max_pixels": str(MAX_IMAGE_PIXELS)}
+    # FFmpeg conceals damage inside a JPEG; libjpeg tells of it. Each stands alone: others need no decoding.
+    is_jpeg = stream.codec_context.name == "mjpeg"
+    coded, shown = -1, 0
+    for packet in stream.container.demux(stream):
+        coded += packet.size > 0
+        if is_jpeg and packet.size and coded in chosen:
+            yield coded, decode_image(bytes(packet))
+        # Frames come out later than they go in, and once more at the end of the file; they are counted in
+        # the order in which they are shown, which is that in which they come out.
+        for frame in () if is_jpeg else packet.decode():
+            if frame.is_corrupt:
+                raise ValueError(f"frame {shown} is damaged")
+            if shown in chosen:
+                yield shown, frame.to_ndarray(format="rgb24")
+            shown += 1
+
+
+def ffmpeg_facts(data: memoryview) -> tuple[tuple[int, int], float]:
+    """Return height and width of a clip's frames, pixels, and the frames per second that it states."""
+    with _ffmpeg_stream(data) as stream:
+        if not stream.average_rate:
+            raise ValueError("a clip without a frame rate")
+        return (int(stream.height), int(stream.width)), float(stream.average_rate)
+
+
+def ffmpeg_count(data: memoryview) -> int:
+    """Count the coded frames without decoding them."""
+    with _ffmpeg_stream(data) as stream:
+        coded = (packet for packet in stream.container.demux(stream) if packet.size)
+        count = sum(1 for _ in islice(coded, MAX_CLIP_FRAMES + 1))
+    if count > MAX_CLIP_FRAMES:
+        raise ValueError(f"a clip of more than {MAX_CLIP_FRAMES:,} frames, which is the limit")
+    return count
