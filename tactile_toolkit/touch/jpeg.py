@@ -7,8 +7,7 @@ interpreter lock is released meanwhile.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from typing import Any, Literal
 
 import numpy as np
@@ -53,12 +52,14 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     mode, is_jpeg = "", data[:3] == _JPEG_START
     if is_jpeg:
         require_bounded_jpeg(data)
-    with _named_problem(data):
+    try:
         if is_jpeg:
             height, width, *_ = simplejpeg.decode_jpeg_header(data)
         else:
             image = _opened(data)
             height, width, mode = image.height, image.width, image.mode
+    except Exception as error:
+        raise _undecodable(data, error) from error
     if mode in _DEEP:
         raise ValueError(f"an image of 16 bits ({mode}), most of which 8 would lose; expected 8")
     if height * width > MAX_IMAGE_PIXELS:
@@ -95,11 +96,13 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
             f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
         )
     pixels: Pixels
-    with _named_problem(data):
+    try:
         if data[:3] == _JPEG_START:
             pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
         else:
             pixels = np.asarray(_opened(data).convert("RGB"))
+    except Exception as error:
+        raise _undecodable(data, error) from error
     if out is None or pixels is out:
         return pixels
     out[...] = pixels
@@ -113,16 +116,13 @@ def _opened(data: memoryview | bytes) -> Any:
     return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
 
 
-@contextmanager
-def _named_problem(data: memoryview | bytes) -> Iterator[None]:
-    try:
-        yield
-    except Exception as error:  # Pillow raises OSError, SyntaxError, struct.error and more on bad files
-        start = bytes(data[:8]).hex(" ") or "nothing"
-        raise ValueError(
-            f"an image of {len(data):,} bytes that begin with {start} cannot be decoded ({error}); "
-            "expected a JPEG, PNG or WebP"
-        ) from error
+def _undecodable(data: memoryview | bytes, error: Exception) -> ValueError:
+    # Pillow raises OSError, SyntaxError, struct.error and more on bad files.
+    start = bytes(data[:8]).hex(" ") or "nothing"
+    return ValueError(
+        f"an image of {len(data):,} bytes that begin with {start} cannot be decoded ({error}); "
+        "expected a JPEG, PNG or WebP"
+    )
 
 
 def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pixels:
