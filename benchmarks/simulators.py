@@ -16,7 +16,8 @@ from figures import tell
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh.convex import convex_parts
-from tactile_toolkit.printing.simulator import Physics, model_files
+from tactile_toolkit.printing.simulator import model_files
+from tactile_toolkit.printing.spec import Physics
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 _LOOKED_AT = 25  # for the distance: every corner and face is compared with every part

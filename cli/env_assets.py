@@ -10,11 +10,10 @@ from typing import Annotated, Any
 import typer
 
 from cli.application import OptionsOf, command, new_app, run
-from cli.export_commands import add_export
-from cli.folders import add_verify
+from cli.export import add_export
+from cli.folders import add_verify, cache, show
 from cli.options import DryRun, Json, LocalOut, Overwrite, local_place
 from cli.output import Sink
-from cli.shared_commands import add_cache, add_show
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit.checked_fields import switch, text
@@ -153,8 +152,8 @@ def list_environments(
 
 add_export(app, KIND)
 add_verify(app, KIND)
-add_show(app, KIND)
-add_cache(app)
+command(app)(show)
+command(app)(cache)
 
 
 def main() -> None:

@@ -1,25 +1,33 @@
-"""Commands about a data set folder that all kinds share: what it holds, whether it is intact, its card."""
+"""Commands that all command lines share, registered for a kind of data set at once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from cli.application import EXIT_FAILED, command
-from cli.making import PrintMade
-from cli.options import Folder, Folders, Json, Limit, Split, Workers, process_count
+from cli.export import add_export
+from cli.hub_commands import add_hub_commands, print_sets
+from cli.making import PrintMade, print_converted
+from cli.options import AnySet, Folder, Folders, Json, Limit, Split, Workers, local_place, process_count
 from cli.output import Sink, bytes_text, flat_lines
-from tactile_toolkit.checked_fields import switch
+from cli.pictures import add_mesh_gallery, gallery_of_touches
+from tactile_toolkit.checked_fields import integer, real, switch
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind, is_export
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import Manifest
+
+
+_SHOWN = 6
+"""Values of a longer list that are named."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,89 +45,32 @@ class Geometry:
     print_results: Callable[[Sink, Sequence[Any]], None]
 
 
-def print_made(
-    sink: Sink,
+def add_shared(
+    app: typer.Typer,
     kind: DatasetKind,
-    manifest: Manifest,
-    out: str,
-    splits: Any,
-    elapsed_s: float | None,
-    table: tuple[Sequence[str], Sequence[Sequence[object]]],
-    **further: Any,
+    preview: Callable[..., None],
+    *,
+    print_folder: PrintMade | None = None,
+    geometry: Geometry | None = None,
 ) -> None:
-    """Print what a folder holds: ``table`` where its run is finished, and how it continues where not.
-
-    ``splits`` and ``further`` are JSON values for the document.
-    """
-    sink.document(
-        {
-            "folder": out,
-            "complete": manifest.complete,
-            "toolkit_version": manifest.toolkit_version,
-            "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
-            "shards_planned": _shards_planned(manifest),
-            "splits": splits,
-            **further,
-            "spec": manifest.spec,
-        }
-    )
-    if manifest.complete:
-        sink.table(*table)
+    """Add all that data sets of a kind share; ``info`` and ``verify`` only with what prints a folder."""
+    if print_folder is not None:
+        _add_info(app, kind, print_folder)
+        add_verify(app, kind, geometry)
+    command(app)(show)
+    command(app, "preview")(preview)
+    _add_card(app, kind)
+    add_hub_commands(app, kind)
+    _add_list(app, kind)
+    command(app)(cache)
+    if geometry is not None:
+        add_mesh_gallery(app, kind)
+        add_export(app, kind)
     else:
-        print_unfinished(sink, manifest, out, kind.nouns, kind.made_by)
+        command(app, "gallery")(gallery_of_touches)
 
 
-def least_to_most(counts: Sequence[int]) -> str:
-    """Write how many rows classes have: ``"10"`` where all have as many, else ``"8-10"``."""
-    least, most = min(counts), max(counts)
-    return str(most) if least == most else f"{least}-{most}"
-
-
-def print_unfinished(sink: Sink, manifest: Manifest, out: str, unit: str, command: str) -> None:
-    """Print that a folder is unfinished, what it holds so far, and which command continues."""
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.origin import read_record
-
-    table = manifest.split_table()
-    record = read_record(DataFolder(out))
-    found = "the run is under way or was interrupted" if table else "no shard is finished yet"
-    next_step = f"the same `{command}` continues where it stopped, --finish names what is missing"
-    if record is not None:
-        found = "the download is under way or was interrupted"
-        next_step = f"download {record.repo_id} there again, it continues where it stopped"
-    sink.line(f"{out}: unfinished, {found}; {next_step}")
-    rows = [
-        (split, f"{held['shards']:,} of {planned:,}", held["rows"], bytes_text(held["bytes"]))
-        for (split, held), planned in zip(table.items(), _shards_planned(manifest).values(), strict=True)
-    ]
-    sink.table(("split", "shards finished", unit, "Parquet"), rows)
-
-
-def _shards_planned(manifest: Manifest) -> dict[str, int]:
-    """Return how many shards each split is to have, as far as a finished one shows."""
-    # The name of a shard states of how many it is one, so any of them will do.
-    return {split: manifest.shards_of(split)[0].shard.count for split in manifest.splits}
-
-
-def print_converted(sink: Sink, manifest: Manifest, out: str, nouns: str = "rounds") -> None:
-    """Print what a conversion wrote."""
-    table = manifest.split_table()
-    sink.document({"folder": out, "splits": table, "spec": manifest.spec})
-    rows = [
-        (split, e["rows"], e["shards"], bytes_text(e["bytes"]), e["skipped"]) for split, e in table.items()
-    ]
-    sink.table(("split", "rows", "shards", "Parquet", "left out"), rows)
-    print_skipped(sink, manifest, out, nouns, "left out")
-    sink.line(f"the data set is in {out}")
-
-
-def print_skipped(sink: Sink, manifest: Manifest, out: str, nouns: str, verb: str) -> None:
-    """Print how many items gave no row, by reason."""
-    for reason, count in manifest.skipped_reasons().items():
-        sink.line(f"{verb} {counted(count, nouns)}: {reason} (each is named in {out}/manifest.json)")
-
-
-def add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade) -> None:
+def _add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade) -> None:
     """Add ``info``; ``print_folder`` prints what a finished or unfinished folder of the kind holds."""
 
     @command(app)
@@ -128,6 +79,7 @@ def add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade) -> No
 
         Example: info FOLDER --json
         """
+        from tactile_toolkit.catalog.kinds import require_manifest
         from tactile_toolkit.store.folder import DataFolder
         from tactile_toolkit.store.job import manifest_so_far
 
@@ -136,10 +88,7 @@ def add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade) -> No
         if manifest is None and kind.published:
             _print_copy(sink, place, folder, kind)
             return
-        if manifest is None:
-            from tactile_toolkit.catalog.kinds import require_manifest
-
-            manifest = require_manifest(kind, place)
+        manifest = manifest or require_manifest(kind, place)
         kind.refuse_other(manifest, folder)
         if is_export(manifest):
             print_converted(sink, manifest, folder, kind.nouns)
@@ -154,7 +103,6 @@ def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -
     """Print what the splits of a folder without a manifest hold, and where they were downloaded from."""
     from tactile_toolkit.catalog.choose import open_splits
     from tactile_toolkit.catalog.locate import find_shards
-    from tactile_toolkit.errors import InputError
     from tactile_toolkit.store.folder import file_at
     from tactile_toolkit.store.origin import read_record
 
@@ -167,9 +115,9 @@ def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -
     for split, dataset in open_splits(folder, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in find_shards(folder, split)]
         size = sum(store.size_bytes(name) for store, name in map(file_at, paths))
-        labels = dataset.labels
         # Not by `bincount`, which fails on labels below 0 as other people's data have them.
-        per_class = {name: int((labels == index).sum()) for index, name in enumerate(dataset.label_names)}
+        labels = enumerate(dataset.label_names)
+        per_class = {name: int((dataset.labels == index).sum()) for index, name in labels}
         counts = {"rows": len(dataset), "shards": len(paths), "bytes": size}
         entries.append({"split": split, **counts, "per_class": per_class})
         classes = ", ".join(f"{name}: {count:,}" for name, count in per_class.items())
@@ -181,58 +129,56 @@ def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -
     sink.line(f"{origin}: no provenance recorded")
 
 
+@dataclass(frozen=True, slots=True)
+class Objects:
+    """Options of ``verify`` for kinds whose objects can be checked."""
+
+    geometry: bool = switch(
+        False, help="Check the objects too, as `validate` does; exit code 1 when one is invalid."
+    )
+    split: Split = None
+    limit: Limit = None
+
+
+@dataclass(frozen=True, slots=True)
+class _NoObjects:
+    geometry: bool = False
+
+
 def add_verify(app: typer.Typer, kind: DatasetKind, geometry: Geometry | None = None) -> None:
     """Add ``verify``, and ``validate`` where the objects of a kind can be checked."""
 
-    def verify(*, folder: Folder, workers: Workers = 0, sink: Sink) -> None:
+    def verify(*, folder: Folder, objects: Any, workers: Workers = 0, sink: Sink) -> None:
         """Check every checksum, row count, schema and id of a data set folder.
 
         Example: verify FOLDER
 
         Exit code 3 when something is damaged; each damaged file is named.
         """
-        sink.document(_verified(sink, kind, folder, workers))
-
-    def verify_all(
-        *,
-        folder: Folder,
-        geometry: bool = switch(False, help="Check the objects too, as `validate` does."),
-        split: Split = None,
-        limit: Limit = None,
-        workers: Workers = 0,
-        sink: Sink,
-    ) -> None:
-        """Check every checksum, row count, schema and id of a data set folder; with --geometry its objects.
-
-        Examples: verify FOLDER;  verify FOLDER --geometry --split test
-
-        Exit code 3 when something is damaged, each damaged file is named; 1 when an object is invalid.
-        """
         document = _verified(sink, kind, folder, workers)
-        if geometry:
-            _validate(sink, objects, [folder], split, limit, workers, document)
+        if objects.geometry and geometry is not None:
+            _validate(sink, geometry, [folder], objects.split, objects.limit, workers, document)
         else:
             sink.document(document)
+
+    verify.__annotations__["objects"] = _NoObjects if geometry is None else Objects
+    command(app)(verify)
+    if geometry is None:
+        return
 
     def validate(
         *, paths: Folders, split: Split = None, limit: Limit = None, workers: Workers = 0, sink: Sink
     ) -> None:
-        _validate(sink, objects, paths, split, limit, workers, None)
+        _validate(sink, geometry, paths, split, limit, workers, None)
 
-    if geometry is None:
-        command(app)(verify)
-        return
-    objects = geometry
     # Typer takes the help from here, and a docstring cannot be an f-string.
     validate.__doc__ = geometry.help
-    command(app, "verify")(verify_all)
     command(app)(validate)
 
 
 def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[str, Any]:
     """Verify the files of a folder, and return the JSON document; IntegrityError where one is damaged."""
     from tactile_toolkit.cards.checks import check_card
-    from tactile_toolkit.errors import IntegrityError
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import read_manifest
     from tactile_toolkit.store.verify import verify
@@ -294,9 +240,7 @@ def _validate(
         raise typer.Exit(EXIT_FAILED)
 
 
-def add_card(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add the command ``card`` to a command line."""
-
+def _add_card(app: typer.Typer, kind: DatasetKind) -> None:
     @command(app)
     def card(folder: Folder, sink: Sink) -> None:
         """Write the data card (README.md) of a folder again, with the picture that it shows, and check it.
@@ -310,7 +254,6 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.cards.checks import check_card
         from tactile_toolkit.cards.croissant import CROISSANT_FILE
         from tactile_toolkit.catalog.kinds import finished_manifest, require_manifest, specification_read
-        from tactile_toolkit.errors import IntegrityError
         from tactile_toolkit.store.folder import DataFolder
 
         place = DataFolder(folder)
@@ -321,11 +264,116 @@ def add_card(app: typer.Typer, kind: DatasetKind) -> None:
         findings = check_card(place)
         if findings:
             raise IntegrityError(f"{findings[0].file} of {folder!r}: {findings[0].problem}")
-        pictures = [
-            f"{PREVIEW_FOLDER}/{name}" for name in place.names(PREVIEW_FOLDER) if name.endswith(".png")
-        ]
-        sink.document(
-            {"folder": folder, "card": CARD_FILE, "croissant": CROISSANT_FILE, "previews": pictures}
-        )
+        names = [name for name in place.names(PREVIEW_FOLDER) if name.endswith(".png")]
+        pictures = [f"{PREVIEW_FOLDER}/{name}" for name in names]
+        files = {"card": CARD_FILE, "croissant": CROISSANT_FILE, "previews": pictures}
+        sink.document({"folder": folder, **files})
         made = ", ".join([CARD_FILE, CROISSANT_FILE, *pictures])
         sink.line(f"{folder}: wrote {made}; all of it matches the data")
+
+
+def show(
+    *,
+    name: AnySet,
+    row: int = integer(0, help="Which row of the split, from 0."),
+    split: Split = None,
+    sink: Sink,
+) -> None:
+    """Show a row of a data set: each column, its type and its value, or how many values it has.
+
+    Example: show DIR --row 3 --split test
+    """
+    from tactile_toolkit.catalog.locate import find_shards, splits_of
+    from tactile_toolkit.read.parquet import ShardedTable
+
+    chosen = splits_of(name)[0] if split is None else split
+    rows = ShardedTable(tuple(find_shards(name, chosen)))
+    if row >= len(rows):
+        raise InputError(f"--row is {row}; expected less than the {counted(len(rows), 'rows')} of {chosen!r}")
+    group, index = rows.locate(row)
+    stored = group.table.slice(index, 1)
+    values = {name: _brief(_value(stored[name][0])) for name in stored.column_names}
+    sink.document({"data_set": name, "split": chosen, "row": row, "values": values})
+    sink.line(f"{name}: row {row:,} of the {counted(len(rows), 'rows')} in {chosen}")
+    lines = []
+    for field in stored.schema:
+        kept = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
+        for line in flat_lines({field.name: values[field.name]}):
+            column, _, value = line.partition(" = ")
+            lines.append((column, kept, value))
+    sink.table(("column", "type", "value"), lines)
+
+
+def _value(scalar: Any) -> Any:
+    """Return a value of Arrow as one of Python, in Arrow's words where Python has none (nanoseconds)."""
+    try:
+        return scalar.as_py()
+    except ValueError:
+        return str(scalar)
+
+
+def _brief(value: Any) -> Any:
+    """Return a value of JSON, with how many there are in place of many, and sizes in place of bytes."""
+    if isinstance(value, dict):
+        return {name: _brief(each) for name, each in value.items()}
+    if isinstance(value, bytes):
+        return bytes_text(len(value))
+    if isinstance(value, list) and len(value) > _SHOWN:
+        return f"{len(value):,} values"
+    if isinstance(value, list):
+        return [_brief(each) for each in value]
+    return value if isinstance(value, (bool, int, float, str, type(None))) else str(value)
+
+
+def _add_list(app: typer.Typer, kind: DatasetKind) -> None:
+    @command(app, "list")
+    def list_sets(
+        folder: Annotated[
+            str | None, typer.Argument(metavar="DIR", help="Folder of data sets; without, published ones.")
+        ] = None,
+        as_json: Json = False,
+    ) -> None:
+        """List the published data sets and what is here of them, or the data sets in a folder.
+
+        Examples: list;  list .
+        """
+        from tactile_toolkit.catalog.local import local_sets
+
+        sink = Sink(as_json)
+        if folder is None:
+            print_sets(sink, kind)
+            return
+        found = local_sets(local_place(folder))
+        sink.document([each.to_dict() for each in found])
+        rows = [
+            (each.name, each.kind, each.splits, each.rows, bytes_text(each.bytes), each.state)
+            for each in found
+        ]
+        sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
+        sink.line(f"{counted(len(found), 'data sets')} in {folder}")
+
+
+def cache(
+    *,
+    action: Annotated[Literal["ls", "prune"], typer.Argument(help="List what is kept, or remove it.")] = "ls",
+    unused_days: float = real(0.0, 0, metavar="DAYS", help="prune: only what was not used for so long."),
+    sink: Sink,
+) -> None:
+    """List or remove what this program keeps to save time; all of it is made again where it is needed.
+
+    Files of the Hub are in the Hub's own cache: `hf cache` lists and removes these.
+
+    Examples: cache ls;  cache prune --unused-days 30
+    """
+    from tactile_toolkit.cache import cache_folder, cached_files, prune_cache
+
+    before = cached_files()
+    removed = prune_cache(unused_days) if action == "prune" else []
+    rows = [(name, len(files), sum(size for _, size, _ in files)) for name, files in before.items()]
+    document = {name: {"files": count, "bytes": size} for name, count, size in rows}
+    sink.document({"folder": str(cache_folder()), "held": document, "removed": list(map(str, removed))})
+    if action == "prune":
+        sink.line(f"removed {counted(len(removed), 'files')} of {cache_folder()}")
+        return
+    sink.table(("what", "files", "size"), [(name, count, bytes_text(size)) for name, count, size in rows])
+    sink.line(f"kept in {cache_folder()}; next: cache prune removes it")

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from cli.options import Making, Work
+from cli.options import Making, Work, process_count
 from cli.output import Sink, bytes_text, duration_text
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import counted
@@ -20,25 +19,6 @@ if TYPE_CHECKING:
 
 PrintMade = Callable[[Sink, "Manifest", str, float | None], None]
 """Prints what a folder holds: with how long it took where it was just made, else None."""
-
-
-@dataclass(frozen=True, slots=True)
-class Made:
-    """A finished run: what its folder holds now, what it made, what gave no row, and how long it took."""
-
-    manifest: Manifest
-    nouns: str
-    rows: int
-    skipped: int
-    elapsed_s: float
-
-    @property
-    def text(self) -> str:
-        """What it made, in words."""
-        if not self.rows and not self.skipped:
-            return "nothing was left to make"
-        left_out = f", {self.skipped:,} left out," if self.skipped else ""
-        return f"made {counted(self.rows, self.nouns)}{left_out} in {duration_text(self.elapsed_s)}"
 
 
 def generate_set(
@@ -57,12 +37,10 @@ def generate_set(
     if making.dry_run:
         _print_forecast(sink, kind, forecast(making.chosen_runner(), overwrite=making.overwrite), out, making)
         return
-    made = make_with_progress(sink, what, kind.nouns, make, making, out)
-    if made is None:
+    manifest = make_with_progress(sink, what, kind.nouns, make, making, out, print_made)
+    if manifest is None:
         return
-    print_made(sink, made.manifest, out, made.elapsed_s)
-    sink.line(f"{made.text}; the data set is in {out}")
-    table = made.manifest.split_table()
+    table = manifest.split_table()
     # One that has rows, so that the line works when it is tried.
     split = next((name for name in splits or table if name in table and table[name]["rows"]), None)
     call = f"{kind.package}.load({out!r}, split={split or next(iter(splits or table))!r})"
@@ -76,13 +54,13 @@ def make_with_progress(
     make: Callable[..., Manifest],
     work: Work,
     out: str,
-    *,
+    print_made: PrintMade,
     unit: str | None = None,
-) -> Made | None:
-    """Run ``make`` with a progress bar, which counts ``unit`` where that is not the ``nouns`` of rows.
+) -> Manifest | None:
+    """Run ``make`` and print what was made; progress counts ``unit`` where that is not the ``nouns`` of rows.
 
     It takes ``workers``, ``overwrite`` and ``on_progress``. Ctrl-C before the first shard is raised with what
-    is to be said then. None where this was one part of many: what it made has been said.
+    is to be said then. Returns None where this was one part of many.
     """
     from tactile_toolkit.store.build import MissingPartsError
     from tactile_toolkit.store.folder import DataFolder
@@ -114,15 +92,21 @@ def make_with_progress(
                 "interrupted before this run finished a shard: it leaves nothing, the same command starts "
                 "again"
             ) from error
-    made = Made(manifest, nouns, rows, skipped, time.monotonic() - start_s)
-    if work.part is None:
-        # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
-        return replace(made, manifest=manifest_so_far(DataFolder(out)) or manifest)
-    counts = {"rows": made.rows, "skipped": made.skipped, "elapsed_s": round(made.elapsed_s, 3)}
-    sink.document({"folder": out, "complete": False, "part": work.part, **counts})
-    sink.line(f"{made.text}; part {work.part} of the data set in {out} is there")
-    sink.line("next: when all parts have ended, the same command with --finish instead of --part")
-    return None
+    elapsed_s = time.monotonic() - start_s
+    left_out = f", {skipped:,} left out," if skipped else ""
+    made = f"made {counted(rows, nouns)}{left_out} in {duration_text(elapsed_s)}"
+    made = made if rows or skipped else "nothing was left to make"
+    if work.part is not None:
+        counts = {"rows": rows, "skipped": skipped, "elapsed_s": round(elapsed_s, 3)}
+        sink.document({"folder": out, "complete": False, "part": work.part, **counts})
+        sink.line(f"{made}; part {work.part} of the data set in {out} is there")
+        sink.line("next: when all parts have ended, the same command with --finish instead of --part")
+        return None
+    # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
+    manifest = manifest_so_far(DataFolder(out)) or manifest
+    print_made(sink, manifest, out, elapsed_s)
+    sink.line(f"{made}; the data set is in {out}")
+    return manifest
 
 
 def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, making: Making) -> None:
@@ -137,6 +121,87 @@ def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, mak
     sink.line(
         f"would make {counted(view.rows_to_make, kind.nouns)}{part} in {out}: about "
         f"{bytes_text(view.bytes)} of Parquet, about {duration_text(view.seconds)} with "
-        f"{counted(making.processes, 'workers')} (measured on {counted(view.sampled, kind.nouns)}); nothing "
-        "was written"
+        f"{counted(process_count(making.workers), 'workers')} (measured on "
+        f"{counted(view.sampled, kind.nouns)}); nothing was written"
     )
+
+
+def print_made(
+    sink: Sink,
+    kind: DatasetKind,
+    manifest: Manifest,
+    out: str,
+    splits: Any,
+    elapsed_s: float | None,
+    table: tuple[Sequence[str], Sequence[Sequence[object]]],
+    **further: Any,
+) -> None:
+    """Print what a folder holds: ``table`` where its run is finished, and how it continues where not.
+
+    ``splits`` and ``further`` are JSON values for the document.
+    """
+    sink.document(
+        {
+            "folder": out,
+            "complete": manifest.complete,
+            "toolkit_version": manifest.toolkit_version,
+            "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
+            "shards_planned": _shards_planned(manifest),
+            "splits": splits,
+            **further,
+            "spec": manifest.spec,
+        }
+    )
+    if manifest.complete:
+        sink.table(*table)
+    else:
+        print_unfinished(sink, manifest, out, kind.nouns, kind.made_by)
+
+
+def print_unfinished(sink: Sink, manifest: Manifest, out: str, unit: str, command: str) -> None:
+    """Print that a folder is unfinished, what it holds so far, and which command continues."""
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.origin import read_record
+
+    table = manifest.split_table()
+    record = read_record(DataFolder(out))
+    found = "the run is under way or was interrupted" if table else "no shard is finished yet"
+    next_step = f"the same `{command}` continues where it stopped, --finish names what is missing"
+    if record is not None:
+        found = "the download is under way or was interrupted"
+        next_step = f"download {record.repo_id} there again, it continues where it stopped"
+    sink.line(f"{out}: unfinished, {found}; {next_step}")
+    rows = [
+        (split, f"{held['shards']:,} of {planned:,}", held["rows"], bytes_text(held["bytes"]))
+        for (split, held), planned in zip(table.items(), _shards_planned(manifest).values(), strict=True)
+    ]
+    sink.table(("split", "shards finished", unit, "Parquet"), rows)
+
+
+def _shards_planned(manifest: Manifest) -> dict[str, int]:
+    """Return how many shards each split is to have, as far as a finished one shows."""
+    # The name of a shard states of how many it is one, so any of them will do.
+    return {split: manifest.shards_of(split)[0].shard.count for split in manifest.splits}
+
+
+def print_converted(sink: Sink, manifest: Manifest, out: str, nouns: str) -> None:
+    """Print what a conversion wrote."""
+    table = manifest.split_table()
+    sink.document({"folder": out, "splits": table, "spec": manifest.spec})
+    rows = [
+        (split, e["rows"], e["shards"], bytes_text(e["bytes"]), e["skipped"]) for split, e in table.items()
+    ]
+    sink.table(("split", "rows", "shards", "Parquet", "left out"), rows)
+    print_skipped(sink, manifest, out, nouns)
+
+
+def print_skipped(sink: Sink, manifest: Manifest, out: str, nouns: str) -> None:
+    """Print how many items gave no row, by reason."""
+    for reason, count in manifest.skipped_reasons().items():
+        sink.line(f"left out {counted(count, nouns)}: {reason} (each is named in {out}/manifest.json)")
+
+
+def least_to_most(counts: Sequence[int]) -> str:
+    """Write how many rows classes have: ``"10"`` where all have as many, else ``"8-10"``."""
+    least, most = min(counts), max(counts)
+    return str(most) if least == most else f"{least}-{most}"

@@ -7,12 +7,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cli.application import OptionsOf, command, new_app, run
-from cli.folders import Geometry, least_to_most, print_made, print_skipped
-from cli.making import generate_set
+from cli.folders import Geometry, add_shared
+from cli.making import generate_set, least_to_most, print_made, print_skipped
 from cli.options import Limit, Making, Out, PerClass
 from cli.output import Sink, bytes_text
-from cli.preview_commands import preview_digits
-from cli.shared_commands import add_shared
+from cli.pictures import preview_digits
 from mnist3d.kind import KIND
 from mnist3d.source_options import SOURCES, SourceOptions, chosen_source
 from mnist3d.spec import SPLITS, SolidSpec, SplitSpec
@@ -104,7 +103,7 @@ def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | Non
     skipped = manifest.skipped_reasons()
     print_made(sink, KIND, manifest, out, splits, elapsed_s, (header, rows), skipped=skipped)
     if manifest.complete:
-        print_skipped(sink, manifest, out, KIND.nouns, "skipped")
+        print_skipped(sink, manifest, out, KIND.nouns)
 
 
 def _range(spread: tuple[float, ...]) -> str:
@@ -136,7 +135,7 @@ _GEOMETRY = Geometry(
 )
 
 
-add_shared(app, KIND, preview_digits, print_folder=_print_made, geometry=_GEOMETRY, has_meshes=True)
+add_shared(app, KIND, preview_digits, print_folder=_print_made, geometry=_GEOMETRY)
 
 
 def main() -> None:

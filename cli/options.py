@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tactile_toolkit.checked_fields import switch, text
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import listed
 
 if TYPE_CHECKING:
     from tactile_toolkit.run.processes import Runner
 
 
-_RUNNERS = ("processes", "ray")
 JOB = "Job options"
 """Panel of the help of all options that say who does the work, not what is made."""
 
@@ -26,41 +26,32 @@ def local_place(text: str | Path) -> Path:
 
     Paths of the type ``Path`` would come with ``//`` folded, so that such an address became a folder here.
     """
-    from tactile_toolkit.errors import InputError
+    from tactile_toolkit.store.address import shown
     from tactile_toolkit.store.files import expanded
 
     if "://" in str(text):
-        from tactile_toolkit.store.address import shown
-
-        place = shown(str(text))
-        raise typer.BadParameter(
-            f"{place!r} is a remote address; expected a local path; next: give a path of this machine"
+        raise InputError(
+            f"{shown(str(text))!r} is a remote address; expected a local path",
+            next="give a path of this machine",
         )
-    try:
-        return expanded(text)
-    except InputError as error:
-        raise typer.BadParameter(str(error)) from error
+    return expanded(text)
 
 
 def _runner_name(text: str) -> str:
     name, equals, address = text.partition("=")
-    if name not in _RUNNERS or (equals and (name != "ray" or not address)):
-        raise typer.BadParameter(f"{text!r} is not a runner; expected processes, ray, or ray=HOST:PORT")
+    if name not in ("processes", "ray") or (equals and (name != "ray" or not address)):
+        raise InputError(f"{text!r} is not a runner; expected processes, ray, or ray=HOST:PORT")
     return text
 
 
 def place_of_data(text: str | Path) -> str:
     """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
-    from tactile_toolkit.errors import InputError
     from tactile_toolkit.store.address import is_remote
     from tactile_toolkit.store.address import place_of_data as read
     from tactile_toolkit.store.files import expanded
 
-    try:
-        place = read(str(text))
-        return place if is_remote(place) else str(expanded(place))
-    except InputError as error:
-        raise typer.BadParameter(str(error)) from error
+    place = read(str(text))
+    return place if is_remote(place) else str(expanded(place))
 
 
 def parse_ids(text: str) -> Any:
@@ -70,8 +61,8 @@ def parse_ids(text: str) -> Any:
     return read(text)
 
 
-def _out(help: str, parser: Any, metavar: str = "DIR") -> Any:
-    return typer.Option("--out", "-o", metavar=metavar, help=help, parser=parser)
+def _out(help: str, parser: Any) -> Any:
+    return typer.Option("--out", "-o", metavar="DIR", help=help, parser=parser)
 
 
 Folder = Annotated[
@@ -109,7 +100,6 @@ Workers = Annotated[
         help="Workers at a time; 0 means one per processor core.",
     ),
 ]
-ReaderThreads = Workers
 Overwrite = Annotated[
     bool,
     typer.Option(
@@ -182,21 +172,15 @@ class Work:
     )
     overwrite: Overwrite = False
 
-    @property
-    def processes(self) -> int:
-        """Number of worker processes."""
-        return process_count(self.workers)
-
     def chosen_runner(self) -> int | Runner:
         """Return what makes the shards, as functions take it."""
-        from tactile_toolkit.errors import InputError
         from tactile_toolkit.run.parts import Check, Finish, part_of
 
         if self.finish and self.part is not None:
             raise InputError(
                 "--part and --finish were both given; expected --finish when all parts have ended"
             )
-        runner: int | Runner = self.processes
+        runner: int | Runner = process_count(self.workers)
         name, _, address = self.runner.partition("=")
         if self.finish:
             runner = Finish()

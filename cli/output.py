@@ -2,28 +2,27 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+import textwrap
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from itertools import zip_longest
+from typing import Any
 
 from cli.options import Json, Quiet
 from tactile_toolkit.printable import printable, printable_json
 
-if TYPE_CHECKING:
-    from rich.table import Table
-
-
 BYTES = "bytes"
 """A unit of progress: counts are sizes."""
 
-_PLAIN_INTERVAL_S = 5.0
+_LINE_INTERVAL_S = 5.0
 """Where no terminal is, lines stay: a job of a day writes some 17,000 of them, 1 MB of log."""
-_SPANS_S = (("s", 1), ("min", 60))
-_SENTENCE = 24
-"""Cells of a table that are longer may be folded between words."""
+_BAR_INTERVAL_S = 0.1
+_BAR = 24
+_GAP = "  "
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,31 +56,28 @@ class Sink:
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
         """Print a table of the result."""
-        if self.as_json or self.quiet:
-            return
+        if title:
+            self.line(title)
         if not rows:
-            sys.stdout.write(f"{printable(title)}\n" if title else "")
             return
-        from rich.console import Console
-        from rich.text import Text
-
-        console = Console(file=sys.stdout)
-        # Piped into a file, a table keeps its columns instead of being folded at 80 characters.
-        console.width = console.width if console.is_terminal else 160
-        header = [printable(name) for name in header]
+        is_number = [isinstance(cell, (int, float)) for cell in rows[0]]
         texts = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row] for row in rows]
-        cells = [[printable(text, keep="\n") for text in row] for row in texts]
-        widths = _widths(header, cells, console.width - 3 * len(header) + 1)
-        # Rendered here and written as all else is: rich has an exit of its own for a closed pipe.
-        with console.capture() as written:
-            if title:
-                console.print(Text(printable(title)))  # as Text: rich obeys marks, such as [/b0]
-            if widths is None:
-                console.print(_records(header, cells))
-            else:
-                right = [isinstance(sample, (int, float)) for sample in rows[0]]
-                console.print(_grid(header, cells, widths, right))
-        sys.stdout.write(written.get())
+        cells = [[printable(text).rstrip() for text in row] for row in texts]
+        # Piped into a file, a table keeps its columns, however wide.
+        width = shutil.get_terminal_size().columns if sys.stdout.isatty() else sys.maxsize
+        # The words of a header stand under one another before the columns do.
+        for above in ([header], list(zip_longest(*map(str.split, header), fillvalue=""))):
+            widths = [max(map(len, column)) for column in zip(*above, *cells, strict=True)]
+            if sum(widths) + len(_GAP) * (len(widths) - 1) <= width:
+                rule = _GAP.join("─" * wide for wide in widths)
+                body = [_aligned(row, widths, is_number) for row in cells]
+                self.line("\n".join([*(_aligned(row, widths, is_number) for row in above), rule, *body]))
+                return
+        wide = max(map(len, header)) + 2
+        for row in cells:
+            for name, cell in zip(header, row, strict=True):
+                label = f"  {name}" if name != header[0] else name
+                self.line(textwrap.fill(f"{label:<{wide}} {cell}", width, subsequent_indent=" " * (wide + 1)))
 
     @contextmanager
     def progress(self, what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
@@ -92,119 +88,58 @@ class Sink:
         callable
             Takes the number of items done so far and the number in all.
         """
-        if self.quiet:
-            yield lambda _done, _total: None
-        elif sys.stderr.isatty():
-            with _bar(what, unit) as update:
-                yield update
-        else:
-            yield _plain_lines(self.info, what, unit)
-
-
-def _widths(header: Sequence[str], rows: Sequence[Sequence[str]], room: int) -> list[int] | None:
-    """Return the widths of columns that break no word and no short cell; None where there is no room."""
-    columns = [[name, *column] for name, column in zip(header, zip(*rows, strict=True), strict=True)]
-    widths = [max(map(len, column)) for column in columns]
-    least = [
-        max(len(part) for cell in column for part in _unbroken(cell, cell is column[0])) for column in columns
-    ]
-    if sum(least) > room:
-        return None
-    # The column with the most to give, one character at a time, so that several long ones end alike.
-    while sum(widths) > room:
-        widest = max(range(len(widths)), key=lambda index: widths[index] - least[index])
-        widths[widest] -= 1
-    return widths
-
-
-def _unbroken(cell: str, is_header: bool) -> list[str]:
-    """Return the parts of a cell that stay on one line: all of it, or the words of a header or a sentence."""
-    return cell.split() or [""] if is_header or len(cell) > _SENTENCE else [cell]
-
-
-def _grid(
-    header: Sequence[str], rows: Sequence[Sequence[str]], widths: Sequence[int], right: Sequence[bool]
-) -> Table:
-    """Lay out rows below their header."""
-    from rich import box
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for name, width, is_number in zip(header, widths, right, strict=True):
-        table.add_column(Text(name), justify="right" if is_number else "left", width=width)
-    for row in rows:
-        table.add_row(*map(Text, row))
-    return table
-
-
-def _records(header: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """Lay out rows under one another, where a terminal is too narrow for their columns."""
-    from rich.table import Table
-    from rich.text import Text
-
-    table = Table.grid(padding=(0, 2))
-    for row in rows:
-        table.add_row()
-        for name, cell in zip(header, row, strict=True):
-            table.add_row(Text(f"  {name}" if name != header[0] else name), Text(cell))
-    table.add_row()
-    return table
-
-
-@contextmanager
-def _bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-    from rich import progress
-    from rich.console import Console
-
-    start_s = time.monotonic()
-    state = progress.TextColumn("{task.fields[state]}", markup=False)
-    columns = (progress.TextColumn("{task.description}", markup=False), progress.BarColumn(), state)
-    with progress.Progress(*columns, console=Console(file=sys.stderr)) as bar:
-        task = bar.add_task(printable(what), total=None, state="")
+        start_s = last_s = time.monotonic()
+        is_bar = sys.stderr.isatty()
+        interval_s = _BAR_INTERVAL_S if is_bar else _LINE_INTERVAL_S
 
         def update(done: int, total: int) -> None:
-            text = _state(done, total, unit, time.monotonic() - start_s)
-            bar.update(task, completed=done, total=total, state=text)
-
-        yield update
-
-
-def _plain_lines(info: Callable[[str], None], what: str, unit: str) -> Callable[[int, int], None]:
-    start_s = last_s = time.monotonic()
-
-    def update(done: int, total: int) -> None:
-        nonlocal last_s
-        now_s = time.monotonic()
-        # The last one always: a log that ends at 80 % looks like work that was stopped.
-        if done and (done == total or now_s - last_s >= _PLAIN_INTERVAL_S):
+            nonlocal last_s
+            now_s = time.monotonic()
+            # The last one always: a log that ends at 80 % looks like work that was stopped.
+            if self.quiet or not done or (done < total and now_s - last_s < interval_s):
+                return
             last_s = now_s
-            info(f"{what}: {_state(done, total, unit, now_s - start_s)}")
+            state = f"{what}: {_state(done, total, unit, now_s - start_s)}"
+            if is_bar:
+                bar = f"{'━' * (_BAR * done // total):<{_BAR}} {state}"
+                sys.stderr.write(f"\r{bar[: shutil.get_terminal_size().columns - 1]}\x1b[K")
+                sys.stderr.flush()
+            else:
+                self.info(state)
 
-    return update
+        try:
+            yield update
+        finally:
+            if is_bar and last_s > start_s:
+                sys.stderr.write("\n")
+
+
+def _aligned(row: Sequence[str], widths: Sequence[int], is_number: Sequence[bool]) -> str:
+    cells = [
+        cell.rjust(width) if right else cell.ljust(width)
+        for cell, width, right in zip(row, widths, is_number, strict=True)
+    ]
+    return _GAP.join(cells).rstrip()
 
 
 def _state(done: int, total: int, unit: str, elapsed_s: float) -> str:
-    """Write how far work is: counts, and once some is done the rate over all the time, and the time left."""
+    """Write how far work is: counts, the rate over all the time, and the time left."""
     # Shards come in bursts: the rate of the last seconds would jump.
     amount = bytes_text if unit == BYTES else "{:,}".format
-    count = f"{amount(done)} of {amount(total)}"
-    if not done:
-        return count
     left = duration_text(elapsed_s / done * (total - done))
-    return f"{count}, {rate_text(done, elapsed_s, unit)}, {left} left"
+    return f"{amount(done)} of {amount(total)}, {rate_text(done, elapsed_s, unit)}, {left} left"
 
 
 def rate_text(done: int, elapsed_s: float, unit: str) -> str:
     """Write how fast it goes, in numbers that can be read: ``"12 digits/s"``, ``"3.0 pictures/min"``."""
-    rate = done / elapsed_s if elapsed_s > 0 else 0.0
-    if not rate or unit == BYTES:
-        return f"{bytes_text(rate)}/s" if rate else ""
-    each, rate = next(
-        ((each, rate * seconds) for each, seconds in _SPANS_S if rate * seconds >= 1), ("h", rate * 3600)
-    )
+    rate, per = done / max(elapsed_s, 1e-9), "s"
+    if unit == BYTES:
+        return f"{bytes_text(rate)}/s"
+    for longer in ("min", "h"):
+        if rate < 1:
+            rate, per = 60 * rate, longer
     # Two digits are enough: from 9.95 on a decimal would make three of them.
-    return f"{rate:,.0f} {unit}/{each}" if rate >= 9.95 else f"{rate:.1f} {unit}/{each}"
+    return f"{rate:,.0f} {unit}/{per}" if rate >= 9.95 else f"{rate:.1f} {unit}/{per}"
 
 
 def bytes_text(size: float) -> str:

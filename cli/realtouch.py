@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
-from cli.folders import print_converted, print_unfinished
+from cli.folders import add_shared
+from cli.making import least_to_most, print_converted, print_unfinished
 from cli.options import Json, OneSplit, Revision, Split, TouchSet, Workers, process_count
 from cli.output import Sink
-from cli.preview_commands import preview_touches
-from cli.shared_commands import add_shared
-from cli.touch_conversions import add_conversions
-from cli.touch_tables import announce_fetching, print_summary, raise_findings
+from cli.pictures import preview_touches
+from cli.touch_conversions import add_conversions, announce_fetching
 from realtouch.kind import KIND
 from tactile_toolkit.checked_fields import switch
+from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from realtouch.integrity.verify import TouchVerification
+    from realtouch.summary import Summary
 
 
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
@@ -43,11 +44,11 @@ def load(
 
     dataset = open_set(name, split, revision=revision)
     if check:
-        raise_findings(sink, _verified(sink, name, split, revision, quick=True), name)
+        _require_intact(sink, _verified(sink, name, split, revision, quick=True), name)
     summary = summarise(dataset)
     opened = split or " and ".join(dataset.splits)
     sink.document({"name": name, "split": opened, "checked": check, **summary.to_dict()})
-    print_summary(sink, opened, summary)
+    _print_summary(sink, opened, summary)
     arguments = ", ".join(map(repr, filter(None, (name, opened))))
     sink.line(f"next in Python: realtouch.load({arguments}).touches()")
 
@@ -71,10 +72,10 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
     manifest = None if folder is None else manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
         sink.document({"name": name, "complete": False, "splits": manifest.split_table()})
-        print_unfinished(sink, manifest, name, "rounds", f"realtouch {manifest.spec.get('operation')}")
+        print_unfinished(sink, manifest, name, KIND.nouns, f"realtouch {manifest.spec.get('operation')}")
         return
     if manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
-        print_converted(sink, manifest, name)
+        print_converted(sink, manifest, name, KIND.nouns)
         return
     announce_fetching(sink, name, split)
     source = Source.open(name, revision, split)
@@ -87,7 +88,7 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
         }
     )
     for each, summary in summaries.items():
-        print_summary(sink, each, summary)
+        _print_summary(sink, each, summary)
     if manifest is not None:
         where = f"{name}/{MANIFEST_FILE}"
         operation = typed(manifest.spec.get("operation"), str, where, "spec.operation")
@@ -114,19 +115,13 @@ def verify(
     """
     result = _verified(sink, name, split, revision, workers, quick=quick)
     findings = [
-        {"file": f.file, "row": f.row, "touch": f.touch, "field": f.field, "problem": f.problem}
-        for f in result.findings
+        {name: getattr(finding, name) for name in ("file", "row", "touch", "field", "problem")}
+        for finding in result.findings
     ]
-    sink.document(
-        {
-            "ok": result.ok,
-            "rounds": result.rounds,
-            "touches": result.touches,
-            "findings": findings,
-            "unprotected": list(result.unprotected),
-        }
-    )
-    raise_findings(sink, result, name)
+    counts_of = {"rounds": result.rounds, "touches": result.touches}
+    unprotected = list(result.unprotected)
+    sink.document({"ok": result.ok, **counts_of, "findings": findings, "unprotected": unprotected})
+    _require_intact(sink, result, name)
     how = "every header was read" if quick else "every picture was decoded"
     counts = f"{counted(result.rounds, 'rounds')}, {counted(result.touches, 'touches')}"
     sink.line(f"{name}: {counts}: nothing is wrong; {how}")
@@ -161,15 +156,6 @@ def reproduce(*, name: TouchSet, revision: Revision = None, sink: Sink) -> None:
         raise typer.Exit(EXIT_FAILED)
 
 
-add_conversions(app)
-add_shared(app, KIND, preview_touches)
-
-
-def main() -> None:
-    """Run the command line."""
-    run(app)
-
-
 def _verified(
     sink: Sink, name: str, split: str | None, revision: str | None, workers: int = 0, *, quick: bool
 ) -> TouchVerification:
@@ -178,3 +164,45 @@ def _verified(
     count = process_count(workers)
     with sink.progress("checking", "rounds") as update:
         return check(name, split, revision=revision, quick=quick, workers=count, on_progress=update)
+
+
+def _require_intact(sink: Sink, result: TouchVerification, name: str) -> None:
+    """Name all damage on stderr; IntegrityError where there is any."""
+    for finding in result.findings:
+        sink.warn(f"damaged: {finding}")
+    if not result.ok:
+        raise IntegrityError(
+            f"{counted(len(result.findings), 'problems')} in {name!r}",
+            next="download or convert it again, or open it with on_error='skip' to leave them out",
+        )
+
+
+def _print_summary(sink: Sink, split: str, summary: Summary) -> None:
+    """Print the figures of one split."""
+    width, height = summary.image_size
+    contact = "unknown"
+    if summary.contact_share is not None:
+        contact = f"{summary.contact_share:.1%} ({summary.contact_rule})"
+    gels = ", ".join(f"{gel}: {counted(n, 'rounds')}" for gel, n in summary.gel_ids.items())
+    rows: list[tuple[str, Any]] = [
+        ("rounds", f"{summary.rounds:,}"),
+        ("touches", f"{summary.touches:,} ({least_to_most(summary.touches_per_round)} per round)"),
+        ("objects", f"{summary.objects:,}"),
+        ("with contact", contact),
+        ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items())),
+        ("picture", f"{width} x {height} pixels"),
+        ("gels", gels or "unknown"),
+    ]
+    if summary.clip_frames is not None:
+        least, median, most = summary.clip_frames
+        rows.append(("clips", f"{least} to {most} frames, median {median}, {summary.fps:g} per second"))
+    sink.table((split, summary.kind), rows)
+
+
+add_conversions(app)
+add_shared(app, KIND, preview_touches)
+
+
+def main() -> None:
+    """Run the command line."""
+    run(app)

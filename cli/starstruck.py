@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cli.application import command, new_app, run
-from cli.folders import Geometry, least_to_most, print_made
-from cli.making import generate_set
+from cli.folders import Geometry, add_shared
+from cli.making import generate_set, least_to_most, print_made
 from cli.options import Limit, Making, Out
 from cli.output import Sink, bytes_text
-from cli.preview_commands import preview_scenes
-from cli.shared_commands import add_shared
+from cli.pictures import preview_scenes
 from starstruck_gen.kind import KIND
 from starstruck_gen.options import SceneOptions, scene_counts
 from tactile_toolkit.checked_fields import choice, integer, text
@@ -23,8 +21,6 @@ if TYPE_CHECKING:
     from starstruck_gen.validate import Checked
     from tactile_toolkit.store.manifest import Manifest
 
-
-_TRIAL_INTERVAL_S = 2.0
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
@@ -64,36 +60,19 @@ def generate(
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
         # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
         limit_threads()
-    # A forecast tries the fullest scene, too.
-    on_failure = trial_reporter(sink)
-    generate_set(
-        sink,
-        KIND,
-        making,
-        out,
-        splits,
-        what="making scenes",
-        forecast=partial(forecast, spec, out, splits, on_failure=on_failure),
-        make=partial(make, spec, out, splits, on_failure=on_failure),
-        print_made=_print_made,
-    )
-
-
-def trial_reporter(sink: Sink) -> Callable[[int, int], None]:
-    """Return a function that takes each layout that failed, and reports it every few seconds.
-
-    It is tried whether the fullest scene has room before anything is made, which may take minutes.
-    """
-    last_s = time.monotonic()
-
-    def report(failed: int, allowed: int) -> None:
-        nonlocal last_s
-        now_s = time.monotonic()
-        if now_s - last_s >= _TRIAL_INTERVAL_S:
-            last_s = now_s
-            sink.info(f"trying whether the fullest scene has room: {failed:,} of {allowed:,} layouts failed")
-
-    return report
+    # Before anything is made or forecast, which may take minutes.
+    with sink.progress("trying whether the fullest scene has room", "failed layouts") as on_failure:
+        generate_set(
+            sink,
+            KIND,
+            making,
+            out,
+            splits,
+            what="making scenes",
+            forecast=partial(forecast, spec, out, splits, on_failure=on_failure),
+            make=partial(make, spec, out, splits, on_failure=on_failure),
+            print_made=_print_made,
+        )
 
 
 def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
@@ -163,7 +142,7 @@ _GEOMETRY = Geometry(
 )
 
 
-add_shared(app, KIND, preview_scenes, print_folder=_print_made, geometry=_GEOMETRY, has_meshes=True)
+add_shared(app, KIND, preview_scenes, print_folder=_print_made, geometry=_GEOMETRY)
 
 
 def main() -> None:

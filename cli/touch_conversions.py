@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from cli.application import Former, command
-from cli.folders import print_converted
-from cli.making import make_with_progress
+from cli.application import command
+from cli.making import make_with_progress, print_converted
 from cli.options import Limit, Split, TouchSet, Work, place_of_data
 from cli.output import Sink
-from cli.touch_tables import announce_fetching
 from realtouch.kind import KIND
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError
@@ -132,7 +130,7 @@ class Select(_Conversion):
     )
     labels: tuple[str, ...] = text((), metavar="3,5", read=listed, help="Only these classes.")
     objects: tuple[int, ...] = text(
-        (), name="--ids", was="--objects", metavar="ID,ID", read=_object_ids, help="Only these objects."
+        (), name="--ids", metavar="ID,ID", read=_object_ids, help="Only these objects."
     )
 
     def arguments(self) -> dict[str, Any]:
@@ -157,7 +155,6 @@ class Export(_Conversion):
         MISSING,
         ("flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"),
         name="--format",
-        was="--layout",
         help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
         "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
         "anytouch: list files.",
@@ -203,10 +200,9 @@ class Columns:
 
 def add_conversions(app: typer.Typer) -> None:
     """Add the commands to a command line."""
-    former = {"--png": ("--format=png", None), "--jpeg": ("--format=jpeg", None)}
     _add(app, "to-single", ToSingle, lazy("realtouch.convert.api:to_single"))
     _add(app, "resize", Resize, lazy("realtouch.convert.api:resize"))
-    _add(app, "frames", Frames, lazy("realtouch.convert.api:frames"), former=former)
+    _add(app, "frames", Frames, lazy("realtouch.convert.api:frames"))
     _add(app, "select", Select, lazy("realtouch.convert.api:select"))
     # A row is a touch, or an episode of LeRobot.
     _add(app, "export", Export, lazy("realtouch.exchange.api:export"), nouns="rows")
@@ -218,11 +214,9 @@ def _add(
     name: str,
     spec: type[_Conversion],
     function: Callable[..., Manifest],
-    *,
     nouns: str = KIND.nouns,
-    former: Former | None = None,
 ) -> None:
-    """Add a command: print what will be fetched, convert with a progress bar, print what was made."""
+    """Add a command: print what will be fetched, convert with progress, print what was made."""
 
     def convert(
         *,
@@ -233,26 +227,42 @@ def _add(
         converting: Converting,
         sink: Sink,
     ) -> None:
-        place = _place(sink, out, former_out)
+        if former_out is not None:
+            sink.warn(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
+        place = _required(out or former_out)
         arguments = options.arguments()
         announce_fetching(sink, source, converting.split)
         make = partial(function, source, place, **arguments, split=converting.split, limit=converting.limit)
-        made = make_with_progress(sink, "converting", nouns, make, converting, place, unit=KIND.nouns)
-        if made is not None:
-            print_converted(sink, made.manifest, place)
+        print_made = partial(_print_made, nouns=nouns)
+        make_with_progress(sink, "converting", nouns, make, converting, place, print_made, KIND.nouns)
 
     convert.__doc__ = spec.__doc__
     convert.__annotations__["options"] = spec
-    command(app, name, former)(convert)
+    command(app, name)(convert)
 
 
-def _place(sink: Sink, out: str | None, former_out: str | None = None) -> str:
-    """Return the folder to write; as the second argument, where it was until now, with a warning."""
-    if out is None and former_out is None:
+def _required(out: str | None) -> str:
+    if out is None:
         raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
-    if former_out is not None:
-        sink.warn(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
-    return str(out or former_out)
+    return out
+
+
+def _print_made(sink: Sink, manifest: Manifest, out: str, _elapsed_s: float | None, nouns: str) -> None:
+    print_converted(sink, manifest, out, nouns)
+
+
+def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
+    """Print what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
+    from tactile_toolkit.catalog.published import place_of
+    from tactile_toolkit.hub.repository import hub_name
+    from tactile_toolkit.store.files import expanded
+
+    place = place_of(name)
+    # A folder called USER/NAME that is here comes before the repository of that name, as in `load`.
+    if hub_name(place) is None or expanded(place).exists():
+        return
+    part = f"the files of split {split!r}" if split else "the files of all splits (--split takes one)"
+    sink.info(f"{place}: fetching from the Hub what is not here yet of {part}")
 
 
 def import_touches(
@@ -264,7 +274,6 @@ def import_touches(
         MISSING,
         ("folder", "webdataset", "fota", "sparsh", "anytouch"),
         name="--format",
-        was="--layout",
         help="How the images lie.",
     ),
     out: str | None = _out(),
@@ -287,23 +296,26 @@ def import_touches(
 
     Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
     """
-    from realtouch.exchange.importing import NOT_IMPORTED, import_images
+    from realtouch.exchange.importing import import_images
     from realtouch.exchange.items import ImportColumns
-    from tactile_toolkit.store.shards import add_up
 
-    place = _place(sink, out)
+    place = _required(out)
     named = ImportColumns(*asdict(columns).values())
     make = partial(
         import_images, source, place, file_format, named, table=table, classes=classes or (), split=split
     )
-    made = make_with_progress(sink, "importing", KIND.nouns, make, work, place, unit="touches")
-    if made is None:
-        return
-    skipped = [item for record in made.manifest.shards for item in record.skipped]
+    make_with_progress(sink, "importing", KIND.nouns, make, work, place, _print_imported, "touches")
+
+
+def _print_imported(sink: Sink, manifest: Manifest, out: str, _elapsed_s: float | None) -> None:
+    from realtouch.exchange.importing import NOT_IMPORTED
+    from tactile_toolkit.store.shards import add_up
+
+    skipped = [item for record in manifest.shards for item in record.skipped]
     for item in skipped[:_SKIPPED_SHOWN]:
         sink.info(f"left out: {item.message} ({item.reason})")
-    fields = add_up(list(made.manifest.statistics().values())).get(NOT_IMPORTED, {})
+    fields = add_up(list(manifest.statistics().values())).get(NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, and of how many touches: {counts}")
-    print_converted(sink, made.manifest, place, "touches")
+    print_converted(sink, manifest, out, "touches")

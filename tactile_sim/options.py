@@ -55,7 +55,6 @@ class PictureOptions:
     )
     sensor_noise: str = text(
         "none",
-        was="--noise",
         metavar=SENSOR_NOISE,
         help="Noise of a real sensor on the pictures: none, as calibrated in tactile-mnist, or as in a JSON "
         "file.",

@@ -22,19 +22,16 @@ _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"
 class OptionText(TypedDict, total=False):
     """How a field is given on a command line; without ``help`` it cannot be given there.
 
-    ``name`` stands for ``--NAME-OF-THE-FIELD``, ``was`` for former names, ``shown`` for a default that
-    follows from others, ``panel`` for a part of the help, ``read`` for what makes a value of the text,
-    ``complete`` for what a shell offers.
+    ``name`` stands for ``--NAME-OF-THE-FIELD``, ``shown`` for a default that follows from others, ``panel``
+    for a part of the help, ``read`` for what makes a value of the text.
     """
 
     help: str
     name: str
-    was: str
     metavar: str
     panel: str
     shown: str
     read: Callable[[str], Any]
-    complete: Callable[[str], list[str]]
 
 
 @dataclass(frozen=True, slots=True)

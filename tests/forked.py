@@ -47,7 +47,7 @@ _CONTEXT.set_forkserver_preload(
         "tactile_toolkit.mesh.files",
         "tactile_toolkit.mesh.height_map",
         "tactile_toolkit.mesh.nearness",
-        "tactile_toolkit.printing.singles",
+        "tactile_toolkit.printing.objects",
         "tactile_toolkit.run.processes",
         "tactile_toolkit.store.build",
         "trimesh",

@@ -9,20 +9,21 @@ shapes, which only get harder to place. Shapes are moved by whole cells and neve
 from __future__ import annotations
 
 import math
-import re
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import fft, ndimage
 
-from tactile_toolkit.checked_fields import check_fields, real
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.raster import highest_values, positions_in_runs
+from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.mesh.walls import signed_area_mm2
-from tactile_toolkit.wording import did_you_mean
+from tactile_toolkit.printing.checked import Failure, Progress
+from tactile_toolkit.printing.objects import PrintObject, require_scale, standing
+from tactile_toolkit.printing.spec import Physics, PlateSpec
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -85,122 +86,21 @@ def outline_of(manifold: Any) -> Outline:
     return Outline(rings, (right - left, back - front), (left, front))
 
 
-BEDS_MM = {
-    "bambu-a1": (256.0, 256.0),
-    "bambu-a1-mini": (180.0, 180.0),
-    "bambu-p1": (256.0, 256.0),
-    "bambu-x1": (256.0, 256.0),
-    "ender-3": (220.0, 220.0),
-    "prusa-core-one": (250.0, 220.0),
-    "prusa-mini": (180.0, 180.0),
-    "prusa-mk3": (250.0, 210.0),
-    "prusa-mk4": (250.0, 210.0),
-    "prusa-xl": (360.0, 360.0),
-    "ultimaker-s5": (330.0, 240.0),
-}
-"""Width and depth of what printers can reach, as their makers state it."""
+def cells_of(spec: PlateSpec, outline: Outline) -> NDArray[np.bool_]:
+    """Return the cells that an outline needs, shape (rows, columns).
 
-MARGIN_MM = 7.0
-"""Room for PrusaSlicer's skirt as it is without settings: one loop, under 1 mm wide, 6 mm around objects."""
-
-_PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
-_PITCH_MM = 1.0
-# Cells along the longer side of a plate; beyond it cells grow with the plate.
-_MOST_CELLS = 400
-
-
-@dataclass(frozen=True, slots=True)
-class PlateSpec:
-    """Build plates: how large they are, how far apart things lie on them, and how far from their edges.
-
-    What lies within the margins, and half a gap around it, is divided into cells. An object needs the cells
-    that it touches when grown by half the gap. Objects that share no cell, each moved by whole cells, are
-    therefore at least a gap apart.
+    The first cell begins half a gap left of and below the outline's lower left corner.
     """
-
-    width_mm: float = real(256.0, 1, 10_000)
-    depth_mm: float = real(256.0, 1, 10_000)
-    gap_mm: float = real(3.0, 0, 1_000)
-    margin_mm: float = real(MARGIN_MM, 0)
-
-    def __post_init__(self) -> None:
-        """Refuse plates that no printer has."""
-        check_fields(self, "the plate")
-        if min(self.inner_mm) < 1:
-            raise InputError(
-                f"margin_mm is {self.margin_mm:g}; expected 0 or more, and 1 mm left of the plate of "
-                f"{self.width_mm:g} x {self.depth_mm:g} mm"
-            )
-
-    @classmethod
-    def parse(cls, plate: str, gap_mm: float = 3.0, margin_mm: float = MARGIN_MM) -> PlateSpec:
-        """Read a name of :data:`BEDS_MM` or sides such as ``256x256``; raises InputError for other text."""
-        text = plate.strip().lower()
-        match = _PLATE_TEXT.fullmatch(text)
-        if match is None and text not in BEDS_MM:
-            raise InputError(
-                f"--plate is {plate!r}; expected width x depth in mm, such as 256x256, or one of "
-                f"{', '.join(BEDS_MM)}{did_you_mean(plate, BEDS_MM)}"
-            )
-        sides_mm = BEDS_MM[text] if match is None else (float(match[1]), float(match[2]))
-        return cls(*sides_mm, gap_mm, margin_mm)
-
-    @property
-    def text(self) -> str:
-        """Plate, gap and margin for people."""
-        distances = f"gap {self.gap_mm:g} mm, margin {self.margin_mm:g} mm"
-        return f"{self.width_mm:g} x {self.depth_mm:g} mm, {distances}"
-
-    @property
-    def sides_mm(self) -> tuple[float, float]:
-        """Width and depth."""
-        return self.width_mm, self.depth_mm
-
-    @property
-    def inner_mm(self) -> tuple[float, float]:
-        """Width and depth of what lies within the margins."""
-        return self.width_mm - 2 * self.margin_mm, self.depth_mm - 2 * self.margin_mm
-
-    @property
-    def _packed_mm(self) -> tuple[float, float]:
-        """Sides of what the cells cover."""
-        return self.inner_mm[0] + self.gap_mm, self.inner_mm[1] + self.gap_mm
-
-    @property
-    def cells(self) -> tuple[int, int]:
-        """Rows and columns of cells."""
-        width_mm, depth_mm = self._packed_mm
-        pitch_mm = max(_PITCH_MM, max(width_mm, depth_mm) / _MOST_CELLS)
-        return math.ceil(depth_mm / pitch_mm), math.ceil(width_mm / pitch_mm)
-
-    @property
-    def cell_mm(self) -> tuple[float, float]:
-        """Sides of a cell along x and y: whole cells fill the plate exactly."""
-        rows, columns = self.cells
-        return self._packed_mm[0] / columns, self._packed_mm[1] / rows
-
-    @property
-    def area_mm2(self) -> float:
-        """Area of all cells."""
-        return self._packed_mm[0] * self._packed_mm[1]
-
-    def cells_of(self, outline: Outline) -> NDArray[np.bool_]:
-        """Return the cells that an outline needs, shape (rows, columns).
-
-        The first cell begins half a gap left of and below the outline's lower left corner.
-        """
-        cell_mm = np.array(self.cell_mm)
-        columns, rows = (
-            # Less a little: an object as large as the plate must not need one cell more than the plate has.
-            math.ceil((side_mm + self.gap_mm) / side_of_cell_mm - 1e-6)
-            for side_mm, side_of_cell_mm in zip(outline.size_mm, self.cell_mm, strict=True)
-        )
-        # Sampled edges may cut the corner of a cell unseen; growing by half a step makes up for it.
-        slack_mm = float(cell_mm.max()) / _SAMPLES_PER_CELL / 2
-        rings = outline.grown(self.gap_mm / 2 + slack_mm).to_polygons()
-        return cells_touched(
-            [(np.asarray(ring) + self.gap_mm / 2) / cell_mm for ring in rings], (rows, columns)
-        )
+    cell_mm = np.array(spec.cell_mm)
+    columns, rows = (
+        # Less a little: an object as large as the plate must not need one cell more than the plate has.
+        math.ceil((side_mm + spec.gap_mm) / side_of_cell_mm - 1e-6)
+        for side_mm, side_of_cell_mm in zip(outline.size_mm, spec.cell_mm, strict=True)
+    )
+    # Sampled edges may cut the corner of a cell unseen; growing by half a step makes up for it.
+    slack_mm = float(cell_mm.max()) / _SAMPLES_PER_CELL / 2
+    rings = outline.grown(spec.gap_mm / 2 + slack_mm).to_polygons()
+    return cells_touched([(np.asarray(ring) + spec.gap_mm / 2) / cell_mm for ring in rings], (rows, columns))
 
 
 def cells_touched(rings: Rings, shape: tuple[int, int]) -> NDArray[np.bool_]:
@@ -223,6 +123,118 @@ def cells_touched(rings: Rings, shape: tuple[int, int]) -> NDArray[np.bool_]:
     inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
     cells[row[inside], column[inside]] = True
     return cells
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """An object made ready for packing, and where it lies on its plate.
+
+    It needs ``cells`` of a plate, shape (rows, columns), those among its parts too, and an area: that of the
+    outline grown by half the gap. ``x_mm`` and ``y_mm`` are the lower left corner of its bounding box, from
+    the front left corner of the plate; 0 until it is packed.
+    """
+
+    item: PrintObject
+    outline: Outline
+    height_mm: float
+    volume_mm3: float
+    cells: NDArray[np.bool_]
+    area_mm2: float
+    x_mm: float = 0.0
+    y_mm: float = 0.0
+
+    @property
+    def offset_mm(self) -> tuple[float, float, float]:
+        """How the object moves from where it is stored; z = 0 is its lowest point already."""
+        return self.x_mm - self.outline.low_mm[0], self.y_mm - self.outline.low_mm[1], 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Layout:
+    """Objects made ready for packing, in their order, and what lies on each plate, from front to back.
+
+    ``failures`` are those that are not solids and were left out. No packing needs fewer than
+    ``least_plates``: the area that all need, over that of a plate. There are no plates until it is packed.
+    """
+
+    spec: PlateSpec
+    scale: float
+    pieces: tuple[Placed, ...]
+    failures: tuple[Failure, ...]
+    plates: tuple[tuple[Placed, ...], ...] = ()
+    least_plates: int = 0
+    physics: Physics | None = None
+
+    @property
+    def shares(self) -> tuple[float, ...]:
+        """Shares of each plate that are needed, counted as ``least_plates`` is."""
+        return tuple(sum(each.area_mm2 for each in plate) / self.spec.area_mm2 for plate in self.plates)
+
+
+def measure(
+    objects: Sequence[PrintObject],
+    spec: PlateSpec,
+    scale: float = 1.0,
+    on_progress: Progress = lambda _done, _total: None,
+) -> Layout:
+    """Take the outline of every object; ``scale`` is a factor on all lengths.
+
+    Raises InputError where an object is larger than a plate, or the scale is not positive.
+    """
+    require_scale(scale)
+    pieces, failures = [], []
+    for done, item in enumerate(objects, 1):
+        try:
+            pieces.append(_piece(item, spec, scale))
+        except ItemError as error:
+            failures.append(Failure(item.name, error.reason, f"{error}; it was left out"))
+        on_progress(done, len(objects))
+    return Layout(spec, scale, tuple(pieces), tuple(failures))
+
+
+def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
+    verdict = require_solid(standing(item.load(), scale))
+    outline = outline_of(verdict.manifold)
+    width_mm, depth_mm = outline.size_mm
+    # Outlines as wide as the plate fit, whatever their last bits.
+    if width_mm > spec.inner_mm[0] + 1e-6 or depth_mm > spec.inner_mm[1] + 1e-6:
+        margins = f" less {spec.margin_mm:g} mm at each edge" if spec.margin_mm else ""
+        raise InputError(
+            f"{item.name} does not fit on the plate: it needs {width_mm:.1f} x {depth_mm:.1f} mm, the plate "
+            f"has {spec.width_mm:g} x {spec.depth_mm:g} mm{margins}; nothing was written",
+            next=f"a larger --plate, a smaller {'--margin-mm or ' if margins else ''}--scale, or other --ids",
+        )
+    box = verdict.manifold.bounding_box()
+    claimed = outline.claimed()
+    area_mm2 = float(claimed.grown(spec.gap_mm / 2).area())
+    height_mm = float(box[5] - box[2])
+    return Placed(item, outline, height_mm, verdict.volume_mm3, cells_of(spec, claimed), area_mm2)
+
+
+def arrange(measured: Layout, on_progress: Progress = lambda _done, _total: None) -> Layout:
+    """Find a place for every object on few plates; objects are moved, never turned.
+
+    What lies on a plate is in its middle. The same input gives the same layout; progress counts objects
+    placed over all attempts.
+    """
+    spec, pieces = measured.spec, measured.pieces
+    # Plates that are filled to the last bit are not one more.
+    least = math.ceil(sum(piece.area_mm2 for piece in pieces) / spec.area_mm2 - 1e-9)
+    packed = pack([piece.cells for piece in pieces], spec.cells, least, on_progress)
+    cell_width_mm, cell_depth_mm = spec.cell_mm
+    plates = []
+    for spots in packed:
+        corners_mm = np.array([(spot.column * cell_width_mm, spot.row * cell_depth_mm) for spot in spots])
+        sizes_mm = np.array([pieces[spot.shape].outline.size_mm for spot in spots])
+        # What lies there is moved to the middle: the bed is flattest and most evenly warm there.
+        reach_mm = corners_mm.min(axis=0) + (corners_mm + sizes_mm).max(axis=0)
+        corners_mm += (np.array(spec.sides_mm) - reach_mm) / 2
+        placed = [
+            replace(pieces[spot.shape], x_mm=x_mm, y_mm=y_mm)
+            for spot, (x_mm, y_mm) in zip(spots, corners_mm.tolist(), strict=True)
+        ]
+        plates.append(tuple(sorted(placed, key=lambda each: (each.y_mm, each.x_mm))))
+    return replace(measured, plates=tuple(plates), least_plates=least)
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -14,8 +14,8 @@ from tactile_toolkit.pictures.sheets import draw_text, text_size
 from tactile_toolkit.printing.packing import cells_touched
 
 if TYPE_CHECKING:
-    from tactile_toolkit.printing.layout import Placed
-    from tactile_toolkit.printing.packing import Outline, PlateSpec
+    from tactile_toolkit.printing.packing import Outline, Placed
+    from tactile_toolkit.printing.spec import PlateSpec
 
 
 _PAPER, _PLATE, _GRID, _INK, _FIELD = "#ffffff", "#f4f2ec", "#e0dcd2", "#222222", "#ffffff"

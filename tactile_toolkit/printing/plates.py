@@ -33,11 +33,11 @@ from tactile_toolkit.printing.checked import (
     require_free,
     require_same_solid,
 )
-from tactile_toolkit.printing.layout import Layout, Placed
 from tactile_toolkit.printing.objects import standing
-from tactile_toolkit.printing.packing import PlateSpec
+from tactile_toolkit.printing.packing import Layout, Placed
 from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf, read_mjcf
+from tactile_toolkit.printing.spec import PlateSpec
 from tactile_toolkit.wording import counted
 
 TABLE_FILE = "plates.csv"

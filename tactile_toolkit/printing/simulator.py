@@ -17,29 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.convex import convex_parts
 from tactile_toolkit.mesh.files import BROKEN_FILE, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-
-MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
-"""Formats of bodies for simulators, and how their files end."""
-
-
-@dataclass(frozen=True, slots=True)
-class Physics:
-    """What the material of a body is like.
-
-    ``density_kg_m3`` is that of the solid body, by default of PLA as printers take it; a print that is not
-    filled is lighter. ``friction`` is the coefficient of sliding, our own default.
-    """
-
-    density_kg_m3: float = real(1240.0, above=0, most=1e5)
-    friction: float = real(0.5, above=0, most=100)
-
-    def __post_init__(self) -> None:
-        check_fields(self, "the material")
+from tactile_toolkit.printing.spec import Physics
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,7 +115,7 @@ def test_quiet_says_nothing(folder: Path, tmp_path: Path, capsys: pytest.Capture
         (("--plate", "256"), ("--plate is '256'", "256x256")),
         (("--plate", "20x20"), ("does not fit on the plate", "printed_", "20 x 20 mm")),
         (("--plate", "256x256", "--gap-mm", "-1"), ("--gap-mm is -1",)),
-        (("--plate", "256x256", "--format", "stl"), ("--plate writes 3mf",)),
+        (("--plate", "256x256", "--format", "stl"), ("--plate is about 3mf and mjcf",)),
         (("--gap-mm", "3"), ("--gap-mm is about build plates",)),
     ],
 )

@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 
 import pytest
-import typer
 
 from cli.options import _runner_name, local_place, place_of_data
 from starstruck_gen.options import SceneOptions
@@ -12,6 +11,7 @@ from starstruck_gen.spec import SceneSpec
 from tactile_sim import GenerateSpec
 from tactile_sim.options import PictureOptions
 from tactile_sim.spec import TrainConfig
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tests.command_line import call
 
@@ -22,7 +22,7 @@ def test_places_to_write_are_local_and_the_home_folder_is_known(tmp_path, monkey
     assert local_place("a//b") == Path("a/b")
     assert local_place(Path("gallery")) == Path("gallery")
     for address in ("s3://bucket/site", "memory://site", "file:///tmp/site"):
-        with pytest.raises(typer.BadParameter, match="is a remote address; expected a local path"):
+        with pytest.raises(InputError, match="is a remote address; expected a local path"):
             local_place(address)
 
 
@@ -30,7 +30,7 @@ def test_runners_have_names_and_that_of_ray_may_have_an_address():
     for text in ("processes", "ray", "ray=127.0.0.1:6379"):
         assert _runner_name(text) == text
     for text in ("", "threads", "ray=", "processes=127.0.0.1:6379"):
-        with pytest.raises(typer.BadParameter, match="is not a runner; expected processes, ray, or ray=HOST"):
+        with pytest.raises(InputError, match="is not a runner; expected processes, ray, or ray=HOST"):
             _runner_name(text)
 
 
@@ -60,7 +60,7 @@ def test_commands_leave_the_home_folder_alone(tmp_path, monkeypatch):
 
 
 def test_the_home_of_nobody_is_refused():
-    with pytest.raises(typer.BadParameter, match="no home folder is known"):
+    with pytest.raises(InputError, match="no home folder is known"):
         local_place("~nobody-of-that-name/x")
 
 

@@ -53,7 +53,7 @@ def test_load_checks_and_prints_what_there_is(clips, capsys):
         "2: 1",
         "64 x 48 pixels",
         "25 per second",
-        "1: 1 round ",
+        "1: 1 round",
     ):
         assert words in printed.out
     assert "realtouch.load(" in printed.out
@@ -103,7 +103,7 @@ def test_one_split_alone(clips, tmp_path, capsys):
 
 def test_what_is_fetched_is_told(capsys):
     from cli.output import Sink
-    from cli.touch_tables import announce_fetching
+    from cli.touch_conversions import announce_fetching
 
     announce_fetching(Sink(), "real-seq", None)
     announce_fetching(Sink(), "someone/touches", "test")

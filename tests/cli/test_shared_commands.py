@@ -13,7 +13,7 @@ import pytest
 import typer
 
 import mnist3d
-from cli.shared_commands import _brief
+from cli.folders import _brief
 from tactile_sim.spec import TouchPlan, TrainConfig
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
@@ -37,7 +37,7 @@ def test_a_row_is_shown_column_by_column(digits, capsys):
     assert call("mnist3d", "show", digits, "--row", 3) == 0
     printed = capsys.readouterr().out
     assert f"{len(record.vertices_m):,} values" in printed
-    assert "row 3 of the 20 digits in test" in printed
+    assert "row 3 of the 20 rows in test" in printed
     assert call("mnist3d", "show", digits, "--row", 20) == 2
     assert "--row is 20; expected less than the 20 rows" in capsys.readouterr().err
 

@@ -8,7 +8,6 @@ import pytest
 from typer.testing import CliRunner
 
 import starstruck_gen
-from cli import starstruck
 from cli.output import Sink
 from cli.starstruck import app
 from tactile_toolkit.store.folder import DataFolder
@@ -196,15 +195,16 @@ def test_finished_split_is_told_beside_what_an_unfinished_one_keeps(tmp_path):
 
 def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
     now_s = [0.0]
-    monkeypatch.setattr(starstruck.time, "monotonic", lambda: now_s[0])
-    tell = starstruck.trial_reporter(Sink())
-    tell(1, 1_001)
-    assert capsys.readouterr().err == ""
-    now_s[0] = 60.0
-    tell(2, 1_001)
-    tell(3, 1_001)
+    monkeypatch.setattr("cli.output.time.monotonic", lambda: now_s[0])
+    with Sink().progress("trying whether the fullest scene has room", "failed layouts") as tell:
+        tell(1, 1_001)
+        assert capsys.readouterr().err == ""
+        now_s[0] = 60.0
+        tell(2, 1_001)
+        tell(3, 1_001)
     told = capsys.readouterr().err
-    assert told == "trying whether the fullest scene has room: 2 of 1,001 layouts failed\n"
+    assert told.startswith("trying whether the fullest scene has room: 2 of 1,001, 2.0 failed layouts/min, ")
+    assert told.count("\n") == 1
 
 
 def test_info_shows_acceptance_by_object(made):

@@ -12,10 +12,9 @@ from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.printability import inspect
-from tactile_toolkit.printing.layout import arrange, measure
-from tactile_toolkit.printing.objects import PrintObject, choose
-from tactile_toolkit.printing.packing import PlateSpec
-from tactile_toolkit.printing.singles import export_files
+from tactile_toolkit.printing.objects import PrintObject, choose, export_files
+from tactile_toolkit.printing.packing import arrange, measure
+from tactile_toolkit.printing.spec import PlateSpec
 
 
 @pytest.fixture(scope="module")

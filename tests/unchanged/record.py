@@ -30,9 +30,9 @@ import starstruck_gen.previews
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.show.previews import TouchPreviewSpec
 from tactile_toolkit.pictures.previews import PreviewSpec
-from tactile_toolkit.printing.layout import arrange, measure
-from tactile_toolkit.printing.packing import PlateSpec
+from tactile_toolkit.printing.packing import arrange, measure
 from tactile_toolkit.printing.plate_map import draw_map
+from tactile_toolkit.printing.spec import PlateSpec
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
 from tests.tactile_sim.sets import touch_sets

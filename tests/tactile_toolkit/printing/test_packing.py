@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactile_toolkit.printing.packing import PlateSpec, Spot, cells_touched, outline_of, pack
+from tactile_toolkit.printing.packing import Spot, cells_of, cells_touched, outline_of, pack
+from tactile_toolkit.printing.spec import PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, ring
 
 PLATE = (24, 30)
@@ -145,5 +146,5 @@ def test_growing_reaches_all_around() -> None:
 def test_an_object_as_large_as_the_plate_needs_all_of_it_and_no_more() -> None:
     for gap_mm in (0.0, 3.0, 7.3):
         spec = PlateSpec(120.0, 87.3, gap_mm, 0.0)
-        cells = spec.cells_of(outline_of(box(120, 87.3).to_manifold()))
+        cells = cells_of(spec, outline_of(box(120, 87.3).to_manifold()))
         assert cells.shape == spec.cells

@@ -23,11 +23,11 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.printing.layout import Layout, Placed, arrange, measure
 from tactile_toolkit.printing.objects import PrintObject, standing
-from tactile_toolkit.printing.packing import BEDS_MM, PlateSpec
+from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure
 from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.plates import forecast_plates, write_plates
+from tactile_toolkit.printing.spec import BEDS_MM, PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -240,7 +240,7 @@ def test_a_file_that_leaves_the_plate_by_either_side_is_removed(
 
 def test_beds_have_names() -> None:
     assert PlateSpec.parse("Prusa-MK4") == PlateSpec(250, 210)
-    assert PlateSpec.parse("250x210", 1, 0) == PlateSpec(250, 210, 1, 0)
+    assert PlateSpec.parse("250x210", gap_mm=1, margin_mm=0) == PlateSpec(250, 210, 1, 0)
     # As the makers give them.
     sides = {"bambu-a1-mini": 180, "bambu-a1": 256, "bambu-p1": 256, "bambu-x1": 256, "ender-3": 220}
     assert {name: BEDS_MM[name] for name in sides} == {name: (side, side) for name, side in sides.items()}
@@ -265,7 +265,7 @@ def test_plates_of_another_form_are_refused(text: str) -> None:
 )
 def test_plates_and_gaps_that_no_printer_has_are_refused(plate: str, gap_mm: float) -> None:
     with pytest.raises(InputError, match="expected"):
-        PlateSpec.parse(plate, gap_mm)
+        PlateSpec.parse(plate, gap_mm=gap_mm)
 
 
 def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> None:

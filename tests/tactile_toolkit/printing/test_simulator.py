@@ -13,11 +13,10 @@ import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.printing.layout import arrange, measure
-from tactile_toolkit.printing.packing import PlateSpec
+from tactile_toolkit.printing.objects import export_files, forecast_files
+from tactile_toolkit.printing.packing import arrange, measure
 from tactile_toolkit.printing.plates import write_plates
-from tactile_toolkit.printing.simulator import Physics
-from tactile_toolkit.printing.singles import export_files, forecast_files
+from tactile_toolkit.printing.spec import Physics, PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -10,52 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.application import EXIT_FAILED, OptionsOf, command
-from cli.folders import print_converted
+from cli.making import print_converted
 from cli.options import JOB, AnySet, Chosen, LocalOut, Workers, process_count
 from cli.output import Sink, bytes_text
 from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.printing.spec import MODELS, Physics, PlateSpec
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.printing.checked import Failure
     from tactile_toolkit.printing.objects import PrintObject
-    from tactile_toolkit.printing.packing import PlateSpec
-    from tactile_toolkit.printing.simulator import Physics
 
 
 _ROWS_SHOWN = 20
-
-
-def _beds(begun: str) -> list[str]:
-    from tactile_toolkit.printing.packing import BEDS_MM
-
-    return [name for name in BEDS_MM if name.startswith(begun)]
-
-
-@dataclass(frozen=True, slots=True)
-class PlateOptions:
-    """Build plates; those that were given go to ``PlateSpec``."""
-
-    plate: str | None = text(
-        was="--bed",
-        metavar="256x256|prusa-mk4",
-        complete=_beds,
-        help="Pack the objects on build plates of this size, in mm, or of this printer.",
-    )
-    gap_mm: float = real(3.0, 0, 1_000, was="--gap", help="Distance between objects on a plate.")
-    margin_mm: float = real(7.0, 0, was="--margin", help="Room at the edges of a plate, for a skirt.")
-
-
-@dataclass(frozen=True, slots=True)
-class MaterialOptions:
-    """Bodies for simulators; those that were given go to ``Physics``."""
-
-    density_kg_m3: float = real(
-        1240.0, above=0, most=1e5, was="--density", help="Density of bodies for simulators; that of PLA."
-    )
-    friction: float = real(0.5, above=0, most=100, help="Sliding friction of bodies for simulators.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,18 +48,21 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
         name: AnySet,
         file_format: str | None = choice(
             None,
-            ("stl", "3mf", "ply", "obj", "glb", "mjcf", "urdf", "usd", "flat"),
+            ("stl", "3mf", "ply", "obj", "glb", *MODELS, "flat"),
             optional=True,
             name="--format",
-            was="--layout",
             shown="stl, plates 3mf",
             help="Format of the files, mm (glb, mjcf, urdf, usd: m); plates are 3mf or mjcf. flat: tables, "
             "Parquet, a row for each object, its mesh as GLB.",
         ),
         chosen: Chosen,
         scale: float = real(1.0, help="Factor on all lengths."),
-        plate: Annotated[dict[str, Any], OptionsOf(PlateOptions)],
-        material: Annotated[dict[str, Any], OptionsOf(MaterialOptions)],
+        plate: str | None = text(
+            metavar="256x256|prusa-mk4",
+            help="Pack the objects on build plates of this size, in mm, or of this printer.",
+        ),
+        distances: Annotated[dict[str, Any], OptionsOf(PlateSpec)],
+        material: Annotated[dict[str, Any], OptionsOf(Physics)],
         job: Job,
         sink: Sink,
     ) -> None:
@@ -115,64 +87,48 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
         some = chosen.given()
         split = some.pop("split")
         # One by one, as no loader opens several splits as one data set.
-        datasets = (
-            (each, kind.load(name, each)) for each in (splits_of(name) if split is None else (split,))
-        )
+        splits = splits_of(name) if split is None else (split,)
+        datasets = ((each, kind.load(name, each)) for each in splits)
+        # What cannot be used is reported before any work.
         if file_format == "flat":
-            files = {**plate, **material, **({} if scale == 1 else {"scale": scale})}
-            _refuse(files, "is about files, not about tables of meshes as they are stored", "leave it out")
+            given = {**distances, **material, "plate": plate, "scale": None if scale == 1 else scale}
+            why = "about files, not about tables of meshes as they are stored"
+            _refuse([name for name, value in given.items() if value is not None], why, "leave it out")
             _export_flat(sink, kind, name, choose_rows(datasets, **some), some, job)
             return
-        # What cannot be used is reported before any work.
-        plates, physics = _plate_spec(file_format, plate), _physics(file_format, material)
-        objects = choose(datasets, **some)
-        if plates is None:
-            failures = _export_files(sink, objects, file_format or "stl", scale, physics, job)
+        if file_format not in MODELS:
+            _refuse(material, "about bodies for simulators", "add --format mjcf, urdf or usd")
+        if plate is None:
+            _refuse(distances, "about build plates", "add --plate 256x256")
+            objects = choose(datasets, **some)
+            failures = _export_files(sink, objects, file_format or "stl", scale, Physics(**material), job)
         else:
+            spec = PlateSpec.parse(plate, **distances)
+            if file_format not in (None, "3mf", "mjcf"):
+                _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
             # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
-            bodies = physics if file_format == "mjcf" else None
-            failures = _export_plates(sink, objects, plates, scale, bodies, job)
+            bodies = Physics(**material) if file_format == "mjcf" else None
+            failures = _export_plates(sink, choose(datasets, **some), spec, scale, bodies, job)
         for failure in failures:
             sink.warn(f"failed: {failure.name}: {failure.detail}")
         if failures:
             raise typer.Exit(EXIT_FAILED)
 
 
-def _refuse(given: Mapping[str, Any], why: str, instead: str) -> None:
+def _refuse(given: Iterable[str], why: str, instead: str) -> None:
     """Refuse options that would have no effect."""
     for name in given:
-        raise InputError(f"--{name.replace('_', '-')} {why}", next=instead)
-
-
-def _plate_spec(file_format: str | None, plate: Mapping[str, Any]) -> PlateSpec | None:
-    from tactile_toolkit.printing.packing import PlateSpec
-
-    if "plate" not in plate:
-        _refuse(plate, "is about build plates", "add --plate 256x256")
-        return None
-    if file_format not in (None, "3mf", "mjcf"):
-        raise InputError(
-            f"--plate writes 3mf or mjcf, which hold named objects; --format {file_format} does not"
-        )
-    return PlateSpec.parse(**plate)
-
-
-def _physics(file_format: str | None, material: Mapping[str, Any]) -> Physics:
-    from tactile_toolkit.printing.simulator import MODELS, Physics
-
-    if file_format not in MODELS:
-        _refuse(material, "is about bodies for simulators", "add --format mjcf, urdf or usd")
-    return Physics(**material)
+        raise InputError(f"--{name.replace('_', '-')} is {why}", next=instead)
 
 
 def _export_files(
     sink: Sink, objects: list[PrintObject], ending: str, scale: float, physics: Physics, job: Job
 ) -> tuple[Failure, ...]:
-    from tactile_toolkit.printing.singles import export_files, forecast_files
+    from tactile_toolkit.printing.objects import export_files, forecast_files
 
-    out, overwrite = str(job.out), job.overwrite
+    out = str(job.out)
     if job.dry_run:
-        view = forecast_files(objects, out, ending, scale=scale, physics=physics, overwrite=overwrite)
+        view = forecast_files(objects, out, ending, scale=scale, physics=physics, overwrite=job.overwrite)
         sink.document({"out": out, **asdict(view)})
         sink.line(
             f"would write {counted(view.files, f'{ending} files')} to {out}, about {bytes_text(view.bytes)} "
@@ -184,12 +140,12 @@ def _export_files(
             *(objects, out, ending),
             scale=scale,
             physics=physics,
-            overwrite=overwrite,
+            overwrite=job.overwrite,
             workers=process_count(job.workers),
             on_progress=update,
         )
     sink.document({"out": out, **asdict(made)})
-    if made.files and len(made.files) <= _ROWS_SHOWN:
+    if len(made.files) <= _ROWS_SHOWN:
         sizes = [" x ".join(f"{side:.1f}" for side in file.size_mm) for file in made.files]
         rows = [
             (file.file, size, f"{file.volume_mm3:,.0f}", file.bytes, file.state)
@@ -230,41 +186,40 @@ def _export_flat(
             on_progress=lambda progress: update(progress.done, progress.total),
         )
     print_converted(sink, manifest, out, kind.nouns)
+    sink.line(f"the data set is in {out}")
 
 
 def _export_plates(
     sink: Sink, objects: list[PrintObject], spec: PlateSpec, scale: float, bodies: Physics | None, job: Job
 ) -> tuple[Failure, ...]:
-    from tactile_toolkit.printing.layout import arrange, measure
+    from tactile_toolkit.printing.packing import arrange, measure
     from tactile_toolkit.printing.plates import TABLE_FILE, forecast_plates, write_plates
 
     out = str(job.out)
     with sink.progress("measuring", "objects") as update:
         measured = measure(objects, spec, scale, update)
     with sink.progress("packing", "objects") as update:
-        layout = arrange(measured, update)
-    if bodies is not None:
-        layout = replace(layout, physics=bodies)
+        layout = replace(arrange(measured, update), physics=bodies)
+    verb, ending = "wrote", f"maps next to them, and {TABLE_FILE} lists which object lies where"
     if job.dry_run:
+        verb, ending = "would write", "nothing was written"
         made = forecast_plates(layout, out, overwrite=job.overwrite)
     else:
         with sink.progress("writing", "plates") as update:
             made = write_plates(layout, out, overwrite=job.overwrite, on_progress=update)
     sink.document({"out": out, **asdict(made)})
     if made.removed:
-        verb = "would remove" if job.dry_run else "removed"
-        sink.info(f"{verb} plates of the export that was there before: {', '.join(made.removed)}")
+        removed = "would remove" if job.dry_run else "removed"
+        sink.info(f"{removed} plates of the export that was there before: {', '.join(made.removed)}")
     rows = [
         (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.plates
     ]
     sink.table(("plate", "objects", "needed of the plate", "size"), rows)
-    verb = "would write" if job.dry_run else "wrote"
-    ending = f"maps next to them, and {TABLE_FILE} lists which object lies where"
     kept = _kept(sum(plate.state == "kept" for plate in made.plates))
     placed, plates = counted(len(made.objects), "objects"), counted(len(made.plates), "plates")
     sink.line(
         f"{verb} {placed} on {plates} of {spec.text} to {out} (no packing needs fewer than "
-        f"{made.least_plates}){kept}; {'nothing was written' if job.dry_run else ending}"
+        f"{made.least_plates}){kept}; {ending}"
     )
     return made.failed
 

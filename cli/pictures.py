@@ -1,24 +1,38 @@
-"""``preview``: pictures as PNG files, of digits, scenes and touches."""
+"""``preview`` and ``gallery``: pictures as PNG files, and a page of views that opens without a network."""
 
 from __future__ import annotations
 
+import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.options import DryRun, OneSplit, Revision, Split, TouchSet, local_place, parse_ids
-from cli.output import Sink, bytes_text
-from tactile_toolkit.checked_fields import choice, integer, text
+from cli.application import command
+from cli.options import (
+    JOB,
+    AnySet,
+    Chosen,
+    DryRun,
+    OneSplit,
+    Revision,
+    Split,
+    TouchSet,
+    Workers,
+    local_place,
+    parse_ids,
+    process_count,
+)
+from cli.output import Sink, bytes_text, duration_text
+from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import listed
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import counted, listed
 
 if TYPE_CHECKING:
+    from tactile_toolkit.gallery.items import Gallery
     from tactile_toolkit.pictures.writing import PicturePlan
-
-
-_FOLDER = Path("previews")
 
 
 def _ids(words: str) -> tuple[int, ...]:
@@ -41,12 +55,12 @@ class Pictures:
     )
     dry_run: DryRun = False
 
-    def write(self, sink: Sink, plan: PicturePlan, usual: Path = _FOLDER) -> None:
+    def write(self, sink: Sink, plan: PicturePlan, usual: str = "previews") -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""
         from tactile_toolkit.pictures.writing import renamed, write_pictures
         from tactile_toolkit.store.folder import DataFolder
 
-        folder, pictures = renamed(plan.pictures, self.out or usual)
+        folder, pictures = renamed(plan.pictures, self.out or Path(usual))
         for reason in plan.left_out:
             sink.info(f"left out: {reason}")
         left_out = {"left_out": list(plan.left_out)}
@@ -167,5 +181,94 @@ def preview_touches(
     """
     from realtouch.show.previews import TouchPreviewSpec, plan_previews
 
-    plan = plan_previews(name, TouchPreviewSpec(kind, split, row, touches, touch, revision))
-    pictures.write(sink, plan, _FOLDER if kind else Path("touches.png"))
+    plan = plan_previews(name, TouchPreviewSpec(tuple(kind), split, row, touches, touch, revision))
+    pictures.write(sink, plan, "previews" if kind else "touches.png")
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """Where a page goes, and how it is made."""
+
+    out: Path = text(
+        Path("gallery"),
+        name="--out -o",
+        metavar="SITE",
+        shown="gallery",
+        read=local_place,
+        help="Folder of the page; it appears complete or not at all.",
+    )
+    workers: Workers = 0
+    overwrite: bool = switch(False, panel=JOB, help="Replace a gallery that is there; nothing else ever is.")
+    dry_run: DryRun = False
+
+    def make(self, sink: Sink, gallery: Gallery) -> None:
+        """Make a gallery with progress and print what was made, or only what would be made."""
+        from tactile_toolkit.gallery.site import build_site, forecast_site
+
+        out, nouns, workers = self.out, gallery.nouns[1], process_count(self.workers)
+        if self.dry_run:
+            view = forecast_site(gallery, str(out), workers, overwrite=self.overwrite)
+            sink.document(view.to_dict())
+            sink.table(("split", nouns), list(view.splits.items()))
+            sink.line(
+                f"would make {out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "
+                f"{duration_text(view.seconds)} with {counted(workers, 'workers')} (measured on "
+                f"{counted(view.sampled, nouns)}); nothing was written"
+            )
+            if not view.fits:
+                sink.info("that is too large and would be refused; choose fewer with --limit or --split")
+            return
+        start_s = time.monotonic()
+        try:
+            with sink.progress("making the gallery", nouns) as update:
+                site = build_site(gallery, str(out), workers, overwrite=self.overwrite, on_progress=update)
+        except KeyboardInterrupt as error:
+            # The usual words promise that finished work is kept, but half a page would be of no use.
+            raise KeyboardInterrupt(
+                f"interrupted; nothing was left behind, {out} is as it was before"
+            ) from error
+        index = str(Path(site.path) / "index.html")
+        made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
+        sink.document({"page": index, **made})
+        sink.table(("split", nouns), list(site.splits.items()))
+        took = duration_text(time.monotonic() - start_s)
+        items, files = counted(site.items, nouns), counted(site.files, "files")
+        sink.line(f"made {out} in {took}: {items}, {files}, {bytes_text(site.bytes)}")
+        sink.line(f"next: open {index} in a browser")
+
+
+def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
+    """Add ``gallery`` to the command line of a kind of meshes."""
+
+    @command(app)
+    def gallery(*, name: AnySet, chosen: Chosen, page: Page, sink: Sink) -> None:
+        """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
+
+        Takes about 40 kB per digit, 8 kB per scene; at most 20,000 items and 2 GB.
+
+        Examples: gallery DIR --out site --split test;  gallery DIR --per-class 1
+        """
+        from tactile_toolkit.catalog.choose import Choice
+
+        page.make(sink, kind.plan_gallery(Choice(name, **chosen.given())))
+
+
+def gallery_of_touches(
+    *,
+    name: TouchSet,
+    chosen: Chosen,
+    touches: int = integer(64, 1, help="Most touches of a round, evenly spaced."),
+    revision: Revision = None,
+    page: Page,
+    sink: Sink,
+) -> None:
+    """Make a page of rounds: touches as a grid, clips frame by frame; no network or server is needed.
+
+    At most 20,000 rounds and 2 GB.
+
+    Example: realtouch gallery real-single-64x64 --out site --split test
+    """
+    from realtouch.show.gallery import RoundChoice, plan_gallery
+
+    choice = RoundChoice(name, **chosen.given(), touches=touches, revision=revision)
+    page.make(sink, plan_gallery(choice))

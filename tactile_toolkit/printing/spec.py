@@ -1,0 +1,135 @@
+"""Build plates and materials, as commands take them; light, for --help needs it.
+
+What is an option of ``export`` has its help here.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+
+from tactile_toolkit.checked_fields import check_fields, real
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import did_you_mean
+
+BEDS_MM = {
+    "bambu-a1": (256.0, 256.0),
+    "bambu-a1-mini": (180.0, 180.0),
+    "bambu-p1": (256.0, 256.0),
+    "bambu-x1": (256.0, 256.0),
+    "ender-3": (220.0, 220.0),
+    "prusa-core-one": (250.0, 220.0),
+    "prusa-mini": (180.0, 180.0),
+    "prusa-mk3": (250.0, 210.0),
+    "prusa-mk4": (250.0, 210.0),
+    "prusa-xl": (360.0, 360.0),
+    "ultimaker-s5": (330.0, 240.0),
+}
+"""Width and depth of what printers can reach, as their makers state it."""
+
+_PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
+_PITCH_MM = 1.0
+# Cells along the longer side of a plate; beyond it cells grow with the plate.
+_MOST_CELLS = 400
+
+
+@dataclass(frozen=True, slots=True)
+class PlateSpec:
+    """Build plates: how large they are, how far apart things lie on them, and how far from their edges.
+
+    What lies within the margins, and half a gap around it, is divided into cells. An object needs the cells
+    that it touches when grown by half the gap. Objects that share no cell, each moved by whole cells, are
+    therefore at least a gap apart.
+    """
+
+    width_mm: float = real(256.0, 1, 10_000)
+    depth_mm: float = real(256.0, 1, 10_000)
+    gap_mm: float = real(3.0, 0, 1_000, help="Distance between objects on a plate.")
+    # Room for PrusaSlicer's skirt as it is without settings: one loop, under 1 mm wide, 6 mm around objects.
+    margin_mm: float = real(7.0, 0, help="Room at the edges of a plate, for a skirt.")
+
+    def __post_init__(self) -> None:
+        """Refuse plates that no printer has."""
+        check_fields(self, "the plate")
+        if min(self.inner_mm) < 1:
+            raise InputError(
+                f"margin_mm is {self.margin_mm:g}; expected 0 or more, and 1 mm left of the plate of "
+                f"{self.width_mm:g} x {self.depth_mm:g} mm"
+            )
+
+    @classmethod
+    def parse(cls, plate: str, **distances: float) -> PlateSpec:
+        """Read a name of :data:`BEDS_MM` or sides such as ``256x256``; raises InputError for other text.
+
+        ``distances`` are ``gap_mm`` and ``margin_mm``.
+        """
+        text = plate.strip().lower()
+        match = _PLATE_TEXT.fullmatch(text)
+        if match is None and text not in BEDS_MM:
+            raise InputError(
+                f"--plate is {plate!r}; expected width x depth in mm, such as 256x256, or one of "
+                f"{', '.join(BEDS_MM)}{did_you_mean(plate, BEDS_MM)}"
+            )
+        sides_mm = BEDS_MM[text] if match is None else (float(match[1]), float(match[2]))
+        return cls(*sides_mm, **distances)
+
+    @property
+    def text(self) -> str:
+        """Plate, gap and margin for people."""
+        distances = f"gap {self.gap_mm:g} mm, margin {self.margin_mm:g} mm"
+        return f"{self.width_mm:g} x {self.depth_mm:g} mm, {distances}"
+
+    @property
+    def sides_mm(self) -> tuple[float, float]:
+        """Width and depth."""
+        return self.width_mm, self.depth_mm
+
+    @property
+    def inner_mm(self) -> tuple[float, float]:
+        """Width and depth of what lies within the margins."""
+        return self.width_mm - 2 * self.margin_mm, self.depth_mm - 2 * self.margin_mm
+
+    @property
+    def _packed_mm(self) -> tuple[float, float]:
+        """Sides of what the cells cover."""
+        return self.inner_mm[0] + self.gap_mm, self.inner_mm[1] + self.gap_mm
+
+    @property
+    def cells(self) -> tuple[int, int]:
+        """Rows and columns of cells."""
+        width_mm, depth_mm = self._packed_mm
+        pitch_mm = max(_PITCH_MM, max(width_mm, depth_mm) / _MOST_CELLS)
+        return math.ceil(depth_mm / pitch_mm), math.ceil(width_mm / pitch_mm)
+
+    @property
+    def cell_mm(self) -> tuple[float, float]:
+        """Sides of a cell along x and y: whole cells fill the plate exactly."""
+        rows, columns = self.cells
+        return self._packed_mm[0] / columns, self._packed_mm[1] / rows
+
+    @property
+    def area_mm2(self) -> float:
+        """Area of all cells."""
+        return self._packed_mm[0] * self._packed_mm[1]
+
+
+MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
+"""Formats of bodies for simulators, and how their files end."""
+
+
+@dataclass(frozen=True, slots=True)
+class Physics:
+    """What the material of a body is like.
+
+    ``density_kg_m3`` is that of the solid body, by default of PLA as printers take it; a print that is not
+    filled is lighter. ``friction`` is the coefficient of sliding, our own default.
+    """
+
+    density_kg_m3: float = real(
+        1240.0, above=0, most=1e5, help="Density of bodies for simulators; that of PLA."
+    )
+    friction: float = real(0.5, above=0, most=100, help="Sliding friction of bodies for simulators.")
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the material")
