@@ -14,6 +14,7 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from multiprocessing.pool import ThreadPool
 from typing import Any, TypeVar
+from urllib.parse import urlsplit
 
 from tactile_toolkit.errors import HubError
 from tactile_toolkit.hub.errors import (
@@ -40,8 +41,14 @@ WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0)
 
 # Too slow, too early, too many, and a server in trouble; 501 stays, as what is not offered will not be.
 _TRANSIENT_STATUS = frozenset({408, 425, 429, 500, 502, 503, 504})
-_SILENCE = frozenset({"ConnectionError", "TimeoutError", "RequestError"})
-_BROKEN = frozenset({"ConnectionResetError", "BrokenPipeError", "ConnectionAbortedError", "RequestError"})
+# RequestError is of httpx; Timeout and ChunkedEncodingError are of requests, which clients before 1.0 have.
+_SILENCE = frozenset({"ConnectionError", "TimeoutError", "RequestError", "Timeout"})
+_BROKEN = frozenset(
+    {
+        *("ConnectionResetError", "BrokenPipeError", "ConnectionAbortedError"),
+        *("RequestError", "Timeout", "ChunkedEncodingError"),
+    }
+)
 # What a longer wait than anyone's patience would not mend, and what the client has waited for in vain.
 _LASTING = frozenset(
     {"ConnectError", "ConnectTimeout", "LocalProtocolError", "UnsupportedProtocol", "ProxyError"}
@@ -57,7 +64,7 @@ class TooLargeError(Exception):
 
 @dataclass
 class _Call:
-    """When the latest request of a call began, and how large a file may be that it fetches."""
+    """When the latest answer to a call began, and how large a file may be that it fetches."""
 
     most_bytes: float
     began_s: float = field(default_factory=time.monotonic)
@@ -129,17 +136,13 @@ def is_unanswered(error: BaseException) -> bool:
 
 def _limited_call(action: Callable[[], T], call: _Call, *, is_question: bool) -> T:
     """Return what an action gets from the Hub; TimeoutError where a question takes too long."""
-    hooks = import_module("huggingface_hub").get_session().event_hooks
-    if _check_answer not in hooks["response"]:
-        hooks["request"].append(_note_request)
-        hooks["response"].append(_check_answer)
     context = contextvars.copy_context()
     context.run(_CALL.set, call)
     if not is_question:
-        return context.run(action)
+        return context.run(_hooked, action)
     # In a daemon that can be given up: the client has no limit for an answer that arrives byte by byte.
     with ThreadPool(1) as pool:
-        result = pool.apply_async(context.run, (action,))
+        result = pool.apply_async(context.run, (_hooked, action))
         while not result.ready():
             left_s = call.began_s + QUESTION_S - time.monotonic()
             if left_s <= 0:
@@ -149,15 +152,21 @@ def _limited_call(action: Callable[[], T], call: _Call, *, is_question: bool) ->
         return answer
 
 
-def _note_request(_: Any) -> None:
-    call = _CALL.get()
-    if call is not None:
-        call.began_s = time.monotonic()
+def _hooked(action: Callable[[], T]) -> T:
+    """Return what an action gets from the Hub by a session that limits its answers."""
+    session = import_module("huggingface_hub").get_session()
+    # Before 1.0 it is a session of requests, and each thread has its own.
+    hooks = session.event_hooks if hasattr(session, "event_hooks") else session.hooks
+    if _check_answer not in hooks["response"]:
+        hooks["response"].append(_check_answer)
+    return action()
 
 
-def _check_answer(response: Any) -> None:
+def _check_answer(response: Any, **_: Any) -> None:
     """Limit the body of an answer, and refuse it for its head."""
     request, call = response.request, _CALL.get()
+    if call is not None:
+        call.began_s = time.monotonic()
     # The client names files of its cache by these.
     for name in ("etag", "x-linked-etag", "x-repo-commit") if request.method == "HEAD" else ():
         value = response.headers.get(name, "").removeprefix("W/").strip('"')
@@ -170,10 +179,12 @@ def _check_answer(response: Any) -> None:
         import_module("huggingface_hub.utils").hf_raise_for_status(response)
     span = _RANGE.fullmatch(request.headers.get("Range", ""))
     most: float = int(span[2]) - int(span[1]) + 1 if span else call.most_bytes if call else float("inf")
-    if not response.is_success or "/api/" in request.url.path.partition("/resolve/")[0]:
+    path = urlsplit(str(request.url)).path
+    if response.status_code // 100 != 2 or "/api/" in path.partition("/resolve/")[0]:
         most = ANSWER_BYTES
-    response.iter_raw = _limited(response.iter_raw, float("inf"))
-    response.iter_bytes = _limited(response.iter_bytes, most)
+    for name, limit in (("iter_raw", float("inf")), ("iter_bytes", most), ("iter_content", most)):
+        if hasattr(response, name):  # the last is of requests
+            setattr(response, name, _limited(getattr(response, name), limit))
 
 
 def _limited(pieces: Callable[..., Iterator[bytes]], most: float) -> Callable[..., Iterator[bytes]]:

@@ -41,7 +41,7 @@ _SENTENCES = {
     "RepositoryNotFoundError": f"{{subject}} was not found, or is private and {{who}} may not see it; next: "
     f"check the name, or {_LOGIN} as someone who may",
     "RevisionNotFoundError": "{subject} has no revision {revision!r}; next: see what it has at {page}",
-    "RemoteEntryNotFoundError": "{subject} has no file {file!r}; next: see what it has at {page}/tree/main",
+    "no file": "{subject} has no file {file!r}; next: see what it has at {page}/tree/main",
     "HFValidationError": "{repo_id!r} is not a name of a repository; next: give USER/NAME",
     "LocalTokenNotFoundError": f"{{task}} needs a login, and there is no token here; next: {_LOGIN}",
     "401": "the Hub does not know the token ({source}), it is mistyped, expired or deleted; nothing can be "
@@ -52,13 +52,13 @@ _SENTENCES = {
     "is kept",
     "4xx": "the Hub refused {task} ({status}): {words}; next: correct what it names",
     "offline": "HF_HUB_OFFLINE forbids {task}{uncached}; next: unset HF_HUB_OFFLINE once",
-    "TimeoutError": f"the Hub at {{endpoint}} does not answer in time while {{task}}{{uncached}}; {_AGAIN}",
     "ConnectError": f"the Hub at {{endpoint}} cannot be reached ({{kind}}) while {{task}}{{uncached}}; "
     f"{_AGAIN}",
-    "ConnectionError": "the connection to the Hub broke while {task}; next: run the same command again, it "
-    "continues where it stopped",
+    "TimeoutError": f"the Hub at {{endpoint}} does not answer in time while {{task}}{{uncached}}; {_AGAIN}",
     "TooLargeError": "{endpoint} does not answer as a Hub does while {task} ({kind}: {words}); next: check "
     "HF_ENDPOINT, and whether the network asks for a login",
+    "ConnectionError": "the connection to the Hub broke while {task}; next: run the same command again, it "
+    "continues where it stopped",
     "OSError": "{task} failed: {kind}: {words}; next: check the network and run the same command again",
 }
 _CLASSES = {"full": StorageError, "PermissionError": StorageError, "HFValidationError": InputError}
@@ -70,6 +70,13 @@ _SAME = {
     "ConnectionRefusedError": "ConnectError",
     "RequestError": "ConnectionError",
     "FileMetadataError": "TooLargeError",
+    # Of clients before 1.0, by requests.
+    "NewConnectionError": "ConnectError",
+    "InvalidSchema": "ConnectError",
+    "MissingSchema": "ConnectError",
+    "Timeout": "TimeoutError",
+    "InvalidJSONError": "TooLargeError",
+    "RequestException": "ConnectionError",
 }
 
 
@@ -205,6 +212,8 @@ def _keys(error: BaseException) -> Iterator[str]:
     if status is not None:
         yield "LocalTokenNotFoundError" if status == 401 and not _token_source() else str(status)
         yield "5xx" if status >= 500 else "4xx"
+        if "EntryNotFoundError" in names:  # without a status: not in the cache
+            yield "no file"
     if number in _FULL:
         yield "full"
     if number == errno.EROFS:

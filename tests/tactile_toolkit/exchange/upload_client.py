@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import huggingface_hub
 import pytest
-from huggingface_hub import constants
+from huggingface_hub import constants, file_download
 from huggingface_hub.utils.tqdm import disable_progress_bars, enable_progress_bars
 
 from tactile_toolkit.hub import calls
 from tests.hub_server import HubServer
+from tests.tactile_toolkit.hub.client import forget_sessions
 
 __all__ = ["logged_in"]
 
@@ -21,14 +21,15 @@ def logged_in(server: HubServer, token: str, monkeypatch: pytest.MonkeyPatch) ->
     """Let the client library talk to the server, as if HF_ENDPOINT had been set when it was imported."""
     monkeypatch.setattr(constants, "ENDPOINT", server.endpoint)
     template = server.endpoint + "/{repo_id}/resolve/{revision}/{filename}"
-    monkeypatch.setattr(constants, "HUGGINGFACE_CO_URL_TEMPLATE", template)
+    for module in (constants, file_download):  # clients before 1.0 have a copy there
+        monkeypatch.setattr(module, "HUGGINGFACE_CO_URL_TEMPLATE", template, raising=False)
     monkeypatch.setattr(constants, "HF_HUB_DISABLE_XET", True)
     monkeypatch.setenv("HF_TOKEN", token)
     monkeypatch.setattr(calls, "WAITS_S", (0.01, 0.02))
-    huggingface_hub.close_session()
+    forget_sessions()
     disable_progress_bars()
     try:
         yield
     finally:
         enable_progress_bars()
-        huggingface_hub.close_session()
+        forget_sessions()

@@ -14,12 +14,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from unittest import mock
 
+import huggingface_hub
+
 from tactile_toolkit.hub import calls
 from tests.forked import Forked, start_forked
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
 
-__all__ = ["as_client", "run_here", "run_python", "settings", "start_here", "start_python"]
+__all__ = ["as_client", "forget_sessions", "run_here", "run_python", "settings", "start_here", "start_python"]
 
 
 def settings(server: HubServer | str, home: Path, token: str | None = None, **more: str) -> dict[str, str]:
@@ -83,13 +85,19 @@ class _NoWaits:
     time, monotonic = staticmethod(time.time), staticmethod(time.monotonic)
 
 
+def forget_sessions() -> None:
+    """Let the client make new sessions: they keep what they read of the environment."""
+    close = getattr(huggingface_hub, "close_session", None)  # from 1.0 on
+    (close or huggingface_hub.utils._http.reset_sessions)()
+
+
 _RESOLVE = "/{repo_id}/resolve/{revision}/{filename}"
 
 
 @contextlib.contextmanager
 def as_client(environment: dict[str, str]) -> Iterator[None]:
     """Let this process be a client of these settings, as if they had been set when it was started."""
-    from huggingface_hub import HfFileSystem, close_session, constants, file_download
+    from huggingface_hub import HfFileSystem, constants, file_download
     from huggingface_hub.utils import _http, disable_progress_bars, enable_progress_bars
 
     home = environment["HF_HOME"]
@@ -104,11 +112,14 @@ def as_client(environment: dict[str, str]) -> Iterator[None]:
         "DOWNLOAD_CHUNK_SIZE": constants.DOWNLOAD_CHUNK_SIZE,  # scripts may set it
     }
     limit = resource.getrlimit(resource.RLIMIT_FSIZE)
+    template = swapped["HUGGINGFACE_CO_URL_TEMPLATE"]
     with (
         mock.patch.dict(os.environ, environment, clear=True),
         mock.patch.multiple(constants, **swapped),
         mock.patch.object(calls, "WAITS_S", (0.01, 0.02)),
         mock.patch.object(file_download, "are_symlinks_supported", file_download.are_symlinks_supported),
+        # Clients before 1.0 have a copy.
+        mock.patch.object(file_download, "HUGGINGFACE_CO_URL_TEMPLATE", template, create=True),
         mock.patch.object(_http, "time", _NoWaits()),
         mock.patch.object(file_download, "time", _NoWaits()),
     ):
@@ -117,7 +128,7 @@ def as_client(environment: dict[str, str]) -> Iterator[None]:
             yield
         finally:
             resource.setrlimit(resource.RLIMIT_FSIZE, limit)
-            close_session()
+            forget_sessions()
             HfFileSystem.clear_instance_cache()  # early releases keep the address in it
             del os.environ["HF_HUB_DISABLE_PROGRESS_BARS"]
             enable_progress_bars()

@@ -134,7 +134,7 @@ def test_writing_without_login_without_right_and_elsewhere(server, tmp_path):
 def test_no_network_and_offline(tmp_path):
     nowhere = "http://127.0.0.1:9"
     text = said(nowhere, tmp_path, "with named_failures('someone/set'): api.dataset_info('someone/set')")
-    assert f"4 HubError the Hub at {nowhere} cannot be reached (ConnectError)" in text
+    assert f"4 HubError the Hub at {nowhere} cannot be reached (" in text
     assert "next: check the network" in text
     text = said(nowhere, tmp_path, reading(), HF_HUB_OFFLINE="1")
     assert (
@@ -153,7 +153,7 @@ def test_offline_forbids_to_upload(tmp_path):
 @pytest.mark.parametrize("endpoint", ["notaurl", "localhost:1234"])
 def test_an_endpoint_that_is_no_address_is_named(tmp_path, endpoint):
     text = said(endpoint, tmp_path, "with named_failures('someone/set'): api.dataset_info('someone/set')")
-    assert text.startswith(f"4 HubError the Hub at {endpoint} cannot be reached (UnsupportedProtocol)")
+    assert text.startswith(f"4 HubError the Hub at {endpoint} cannot be reached (")
     assert "next: check the network, and HF_ENDPOINT if you set it" in text
 
 

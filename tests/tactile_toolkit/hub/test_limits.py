@@ -9,6 +9,7 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import huggingface_hub
 import pytest
 
 from tactile_toolkit.hub import calls
@@ -52,6 +53,10 @@ def test_a_listing_that_comes_byte_by_byte_ends_in_time(server, tmp_path, monkey
     assert "does not answer in time while reading Hub data set 'someone/big'" in words
 
 
+@pytest.mark.skipif(
+    not hasattr(huggingface_hub, "close_session"),
+    reason="clients before 1.0 wait for 10 MB at once",
+)
 def test_a_file_that_comes_byte_by_byte_ends_in_time(server, tmp_path, monkeypatch):
     monkeypatch.setattr(calls, "WAIT_S", 0.5)
     server.faults.drip("/cdn/*parquet", 0.05)
