@@ -179,7 +179,7 @@ def preview_touches(
     Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
     realtouch preview real-seq --kind all --touch 12
     """
-    from realtouch.show.previews import TouchPreviewSpec, plan_previews
+    from realtouch.previews import TouchPreviewSpec, plan_previews
 
     plan = plan_previews(name, TouchPreviewSpec(tuple(kind), split, row, touches, touch, revision))
     pictures.write(sink, plan, "previews" if kind else "touches.png")
@@ -268,7 +268,7 @@ def gallery_of_touches(
 
     Example: realtouch gallery real-single-64x64 --out site --split test
     """
-    from realtouch.show.gallery import RoundChoice, plan_gallery
+    from realtouch.gallery import RoundChoice, plan_gallery
 
     choice = RoundChoice(name, **chosen.given(), touches=touches, revision=revision)
     page.make(sink, plan_gallery(choice))

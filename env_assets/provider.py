@@ -300,7 +300,7 @@ class AssetProvider:
 
 
 def _held_places(places: object) -> dict[str, str]:
-    from realtouch.names import SHORT_NAMES
+    from realtouch.opening import SHORT_NAMES
 
     known = (*KINDS, *FOREIGN, *SHORT_NAMES)
     if not isinstance(places, Mapping):

@@ -13,8 +13,8 @@ from typing import Any, Literal, NamedTuple, TypeVar
 import numpy as np
 
 from realtouch.dataset import dataset_of
+from realtouch.images import contact_sheet, evenly_spaced
 from realtouch.kind import KIND
-from realtouch.media.sheets import contact_sheet, evenly_spaced
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from realtouch.touch import Touch
 from tactile_toolkit.cards.card import (
@@ -288,7 +288,7 @@ def _split_figures(split: SplitFacts, kind: Kind) -> _SplitFigures:
     """Count one split; reads small columns, no image or clip."""
     if not split.rows:
         return _SplitFigures(0, None, 0, None)
-    dataset = dataset_of(split.shards, kind)
+    dataset = dataset_of(split.shards)
     return _SplitFigures(
         _or_none(lambda: int(dataset.touch_counts.sum())),
         _or_none(lambda: (int(dataset.touch_counts.min()), int(dataset.touch_counts.max()))),

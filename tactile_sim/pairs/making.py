@@ -58,7 +58,7 @@ class PairsSpec:
         Share of touches that meet no object, 0 to 1. The paper reduces it and does not say to how much.
     min_height_m : float or None
         A gel that stops so far above the plate touched an object, metres; None: the rule of the real touches,
-        see :meth:`realtouch.touches.Touches.in_contact`, for both.
+        see :meth:`realtouch.dataset.Touches.in_contact`, for both.
     like : str
         ``"published"``: depth of the whole sensor, squashed into the size as the real touches are;
         ``"environment"``: the window that the environments show.

@@ -11,7 +11,7 @@ import pytest
 
 import mnist3d
 import realtouch
-from realtouch.names import SHORT_NAMES
+from realtouch.opening import SHORT_NAMES
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.errors import InputError
 from tests.hub_server import HubServer, hub

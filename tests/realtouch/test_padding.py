@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.columns.poses import clip_poses, contact_z_m, pose_sequences
+from realtouch.clip_columns import clip_poses, contact_z_m, pose_sequences
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import Row

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 import realtouch
 from realtouch.contact import contact_window, contact_windows
-from realtouch.media.images import in_parallel
+from realtouch.images import in_parallel
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch.video import Avi, write_avi
 from tests.realtouch import factories
@@ -101,7 +101,7 @@ def test_frames_of_a_round_are_those_of_its_clips(
     factories.write_set(tmp_path, {"train": rows}, "seq", layout)
     record = realtouch.load(tmp_path)[1]
     clips = list(record.sensor_video)
-    for method in ("contact_start", "contact_end", "peak", "median", "best"):
+    for method in ("contact_start", "contact_end", "peak", "best"):
         expected = np.stack([clip.contact_frame(method) for clip in clips])
         np.testing.assert_array_equal(record.contact_frames(method), expected)
         out = np.zeros_like(expected)

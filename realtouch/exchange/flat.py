@@ -4,33 +4,36 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch.changes import median_in_memory
-from realtouch.columns.per_touch import int_value
-from realtouch.contact import ContactMethod
-from realtouch.convert.pictures import (
+from realtouch.columns import label_value
+from realtouch.contact import ContactMethod, median_in_memory
+from realtouch.convert.plan import (
+    Choices,
+    Conversion,
+    Made,
+    Pack,
+    RowChoice,
+    Source,
+    checksums,
+    marked_repetitions,
+)
+from realtouch.convert.steps import (
     POSE_COLUMNS,
     POSITION_COLUMNS,
-    Repeated,
     columns_of_touches,
-    repeated_ids,
-    require_first,
+    shown_touches,
 )
-from realtouch.convert.plan import Conversion, Made, RowChoice, Source
-from realtouch.convert.shown import shown_touches
-from realtouch.damage import damaged
-from realtouch.integrity.files import checksums, file_fields, files_are_current
+from realtouch.damage import damaged, naming
 from realtouch.touch import touch_id
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, encode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, class_names, column_type
 
@@ -44,66 +47,36 @@ _MOST_ROWS_PER_GROUP = 1 << 14
 _NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
 
 
-PackRows = Callable[[ShardName, pa.Table, Sequence[Skipped]], Made]
-"""What makes files of the rows of a shard, and an index that names them; a function of a module."""
+def plan_rows(
+    source: Source,
+    choices: Choices,
+    method: ContactMethod,
+    options: Mapping[str, Any],
+    *,
+    folder: str | None = None,
+    pack: Pack | None = None,
+    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = checksums,
+) -> Conversion:
+    """Plan an export with a row for each touch; of clips, a touch shows the frame by some method.
 
-
-@dataclass(frozen=True)
-class _Pack:
-    """Packs the rows of a shard; keeps all columns but the images, and the names of files for each row."""
-
-    pack: PackRows
-    files_per_row: int
-
-    def schema(self, rows: pa.Schema) -> pa.Schema:
-        """Return the columns of the index."""
-        kept = (field for field in rows if field.name != IMAGE)
-        return pa.schema([*kept, *file_fields(self.files_per_row)])
-
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
-        """Return the files of the shard with the index."""
-        return self.pack(shard, rows, skipped)
-
-
-@dataclass(frozen=True)
-class RowsFormat:
-    """A format with a row for each touch: Parquet, or files that are made of such rows.
-
-    ``pack`` makes the files of a shard below ``folder``, so many for each row; ``write_files`` writes what
-    follows from all, see :class:`tactile_toolkit.store.plan.BuildPlan`.
+    Without ``pack``, which makes files of them below ``folder``, the rows are kept as they are: flat Parquet.
     """
-
-    folder: str | None = None
-    pack: PackRows | None = None
-    files_per_row: int = 1
-    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = checksums
-
-    def plan(
-        self,
-        source: Source,
-        choices: Mapping[str, Sequence[RowChoice]],
-        method: ContactMethod,
-        options: Mapping[str, Any],
-    ) -> Conversion:
-        """Plan an export; of clips, a touch shows the frame by some method."""
-        is_seq = source.kind == "seq"
-        image_bytes = source.media_bytes() // (_FRAMES_PER_CLIP if is_seq else 1) or 1
-        return Conversion(
-            source,
-            "export",
-            {**options, **({"frame": method} if is_seq else {})},
-            _FlatTouches(method, class_names(source.schema), repeated_ids(source, choices)),
-            choices,
-            rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
-            extra_dirs=() if self.folder is None else (self.folder,),
-            is_current=files_are_current,
-            write_files=self.write_files,
-            pack=None if self.pack is None else _Pack(self.pack, self.files_per_row),
-        )
+    is_seq = source.kind == "seq"
+    image_bytes = source.media_bytes() // (_FRAMES_PER_CLIP if is_seq else 1) or 1
+    return Conversion(
+        source,
+        "export",
+        {**options, **({"frame": method} if is_seq else {})},
+        _FlatTouches(method, class_names(source.schema)),
+        marked_repetitions(source, choices),
+        rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
+        extra_dirs=() if folder is None else (folder,),
+        write_files=write_files,
+        pack=pack,
+    )
 
 
-FORMAT = RowsFormat()
-"""Flat Parquet: the rows as they are."""
+plan = plan_rows
 
 
 def require_intact(data: bytes | memoryview) -> tuple[int, int]:
@@ -120,14 +93,6 @@ def require_intact(data: bytes | memoryview) -> tuple[int, int]:
             f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
         )
     return size
-
-
-def known_label(row: Row, names: tuple[str, ...]) -> int:
-    """Return the label of a row; IntegrityError where it is not one of the named classes."""
-    label = int_value(row, "label")
-    if label >= len(names):
-        raise damaged(row, "label", f"the value is {label}; expected less than {len(names)}, the classes")
-    return label
 
 
 def image_column(images: list[Any], names: list[str]) -> pa.Array:
@@ -179,7 +144,6 @@ class _FlatTouches:
 
     method: ContactMethod
     names: tuple[str, ...]
-    repeated: Repeated = field(default_factory=dict, repr=False)
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return plain columns: of what the source says, and nothing that it does not."""
@@ -204,8 +168,7 @@ class _FlatTouches:
 
     def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
         """Return the touches of a row; one damaged touch leaves the round out, so that none is half there."""
-        require_first(row, choice, split, self.repeated)
-        known_label(row, self.names)
+        label_value(row, self.names)
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)
         name = str(row.value("id"))
@@ -216,11 +179,9 @@ class _FlatTouches:
         images: list[Any] = []
         for each in shown:
             images.append(encode_image(each.decode()) if each.stored is None else each.stored)
-            try:
+            where = f"frame {each.frame}: " if kind == "seq" else ""
+            with naming(row, MEDIA_COLUMN[kind], each.touch, where):
                 require_intact(images[-1])
-            except ValueError as error:
-                problem = f"frame {each.frame}: {error}" if kind == "seq" else str(error)
-                raise damaged(row, MEDIA_COLUMN[kind], problem, each.touch) from error
         columns["id"] = [touch_id(name, each.touch) for each in shown]
         columns[IMAGE] = image_column(images, columns["id"])
         schema = self.schema(row.group.table.schema)

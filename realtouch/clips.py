@@ -6,29 +6,30 @@ through FFmpeg (PyAV, the extra ``video``).
 
 from __future__ import annotations
 
-import contextlib
 import operator
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from contextlib import AbstractContextManager, suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from realtouch.changes import best_of
-from realtouch.columns.per_frame import clip_length, clip_times, stored_clip, touch_times
-from realtouch.columns.poses import clip_poses
-from realtouch.contact import (
-    DEFAULT_MIN_AREA,
-    DEFAULT_MIN_CHANGE,
-    contact_window,
-    deepest_frame,
-    most_changed_frame,
-    require_method,
+from realtouch.clip_columns import (
+    clip_length,
+    clip_poses,
+    clip_times,
+    padded_times,
+    pose_sequences,
+    stored_clip,
+    times_of_touches,
 )
-from realtouch.damage import damaged
-from realtouch.media.images import in_parallel
+from realtouch.columns import entries_of
+from realtouch.contact import ContactMethod, best_of, contact_window, contact_windows, require_method
+from realtouch.damage import damaged, naming
+from realtouch.images import in_parallel
 from realtouch.poses import Poses
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError, MissingExtraError
+from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
@@ -45,9 +46,6 @@ from tactile_toolkit.touch.video import (
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
 
-
-T = TypeVar("T")
-NO_CONTACT = "no-contact"
 _SHOWN_FRAMES = 8
 
 
@@ -92,21 +90,20 @@ class TouchClip(Sequence[Pixels]):
         self._avi: Avi | None = None
         self._index: AviIndex | None = None
         stated = clip_length(row, touch)
-        try:
-            avi = Avi(self.data)
-            # As many entries as frames: each entry is a frame, so one is found without reading them all.
-            if stated is None or avi.entry_count != stated or avi.frame(0) is None:
-                self._index = avi.index()
-            self._avi = avi
-        except NoIndexError:
-            self._count = self._named(lambda: ffmpeg_count(self.data)) if stated is None else stated
-        except ValueError as error:
-            raise damaged(row, "sensor_video", str(error), touch) from error
-        else:
-            self._count = avi.entry_count
-            if self._index is not None:
-                self._count = len(self._index)
-                self._require_length(self._count)
+        with self._naming():
+            try:
+                avi = Avi(self.data)
+                # As many entries as frames: each entry is a frame, so one is found without reading them all.
+                if stated is None or avi.entry_count != stated or avi.frame(0) is None:
+                    self._index = avi.index()
+                self._avi = avi
+            except NoIndexError:
+                self._count = ffmpeg_count(self.data) if stated is None else stated
+                return
+        self._count = avi.entry_count
+        if self._index is not None:
+            self._count = len(self._index)
+            self._require_length(self._count)
 
     def __len__(self) -> int:
         return self._count
@@ -124,7 +121,8 @@ class TouchClip(Sequence[Pixels]):
         frame = checked_index(operator.index(index), self._count, "frame", "frames")
         if self._avi is not None:
             return self._decode(frame)
-        pixels: Pixels = self._named(lambda: ffmpeg_frames(self.data, [frame], self._count))[0]
+        with self._naming():
+            pixels: Pixels = ffmpeg_frames(self.data, [frame], self._count)[0]
         return pixels
 
     def frames(self, index: Any = slice(None), *, threads: int = 1) -> Pixels:
@@ -147,11 +145,11 @@ class TouchClip(Sequence[Pixels]):
             A frame is damaged, or they exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
         wanted = positions(index, self._count).tolist()
-        if self._avi is None:
-            return self._named(lambda: ffmpeg_frames(self.data, wanted, self._count))
-        self._whole_index()  # refuses frames that overlap: few bytes that decode to any amount of pixels
-        size = self.size
-        pixels = self._named(lambda: room_for(len(wanted), size))
+        with self._naming():
+            if self._avi is None:
+                return ffmpeg_frames(self.data, wanted, self._count)
+            self._whole_index()  # refuses frames that overlap: few bytes that decode to any amount of pixels
+            pixels = room_for(len(wanted), self.size)
         in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
         return pixels
 
@@ -159,7 +157,7 @@ class TouchClip(Sequence[Pixels]):
         """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
         to_data: Callable[[Pixels], Any] = np.asarray
         # Consumers of torchvision's reader expect tensors; without torch the arrays do.
-        with contextlib.suppress(ImportError):
+        with suppress(ImportError):
             import torch
 
             to_data = torch.from_numpy
@@ -181,14 +179,14 @@ class TouchClip(Sequence[Pixels]):
     @property
     def size(self) -> tuple[int, int]:
         """Height and width of a frame, pixels."""
-        if self._avi is None:
-            return self._named(lambda: ffmpeg_facts(self.data))[0]
-        return self._named(lambda: image_size(self.encoded(0)))
+        with self._naming():
+            return ffmpeg_facts(self.data)[0] if self._avi is None else image_size(self.encoded(0))
 
     @property
     def fps(self) -> float:
         """Frames per second that the file states; 25 in the published sets."""
-        return self._avi.fps if self._avi is not None else self._named(lambda: ffmpeg_facts(self.data))[1]
+        with self._naming():
+            return ffmpeg_facts(self.data)[1] if self._avi is None else self._avi.fps
 
     @property
     def media_times_s(self) -> NDArray[np.float64]:
@@ -224,7 +222,7 @@ class TouchClip(Sequence[Pixels]):
         found = self._avi.frame(number) if self._index is None else None
         return self._whole_index().frame(self.data, number) if found is None else found
 
-    def contact_into(self, out: Pixels, method: str = "contact_end", **thresholds: float) -> None:
+    def contact_into(self, out: Pixels, method: str = "contact_end") -> None:
         """Decode the frame that shows the contact into an array of its size; see :meth:`contact_index`.
 
         Parameters
@@ -233,10 +231,8 @@ class TouchClip(Sequence[Pixels]):
             Where to put it.
         method : str
             As for :meth:`contact_index`.
-        **thresholds : float
-            As for :meth:`contact_index`.
         """
-        self.decode_into(out, self.contact_index(method, **thresholds))
+        self.decode_into(out, self.contact_index(method))
 
     def decode_into(self, out: Pixels, frame: int) -> None:
         """Decode one frame into an array of its size.
@@ -284,27 +280,18 @@ class TouchClip(Sequence[Pixels]):
     @property
     def contact_window(self) -> slice:
         """Frames from first to last registered contact; see :func:`realtouch.contact.contact_window`."""
-        start_s, end_s = touch_times(self._row, self.touch)
-        return contact_window(self.timestamps_s, start_s, end_s)
+        start_s, end_s = times_of_touches(self._row, self.touch)
+        return contact_window(self.timestamps_s, float(start_s[0]), float(end_s[0]))
 
-    def contact_index(
-        self,
-        method: str = "contact_end",
-        *,
-        min_change: float = DEFAULT_MIN_CHANGE,
-        min_area: float = DEFAULT_MIN_AREA,
-    ) -> int:
+    def contact_index(self, method: str = "contact_end") -> int:
         """Choose the frame that shows the contact.
 
         Parameters
         ----------
         method : str
             ``"contact_start"`` and ``"contact_end"``: first and last frame of :attr:`contact_window`;
-            ``"peak"``: the frame of the window with the lowest gel, the earliest of equals; ``"median"``: the
-            frame of the whole clip that differs most from its median, see
-            :func:`realtouch.contact.most_changed_frame`; ``"best"``: that of :func:`realtouch.best_frame`.
-        min_change, min_area : float
-            Thresholds of ``"median"``: grey levels and share of the picture.
+            ``"peak"``: the frame of the window with the lowest gel, the earliest of equals; ``"best"``: the
+            frame of the whole clip that changed most, see :func:`realtouch.best_frame`.
 
         Returns
         -------
@@ -314,19 +301,8 @@ class TouchClip(Sequence[Pixels]):
         ------
         InputError
             There is no such method.
-        ItemError
-            ``"median"`` finds no frame that shows contact (reason ``"no-contact"``).
         """
         chosen = require_method(method)
-        if chosen == "median":
-            frame = most_changed_frame(self.frames(), min_change=min_change, min_area=min_area)
-            if frame is None:
-                raise ItemError(
-                    NO_CONTACT,
-                    f"touch {self.touch} of {self._row.path!r}, row {self._row.number}, shows no contact: no "
-                    f"frame differs from the median by {min_change} levels on {min_area:.2%} of its pixels",
-                )
-            return frame
         if chosen == "best":
             return best_of(self.frames())[0]
         window = self.contact_window
@@ -334,11 +310,11 @@ class TouchClip(Sequence[Pixels]):
             return int(window.start)
         if chosen == "contact_end":
             return int(window.stop) - 1
-        return int(window.start) + deepest_frame(self.poses.position_m[window, 2])
+        return int(window.start) + int(np.argmin(self.poses.position_m[window, 2]))
 
-    def contact_frame(self, method: str = "contact_end", **thresholds: float) -> Pixels:
+    def contact_frame(self, method: str = "contact_end") -> Pixels:
         """Decode the frame that shows the contact, (H, W, 3) uint8; see :meth:`contact_index`."""
-        return self[self.contact_index(method, **thresholds)]
+        return self[self.contact_index(method)]
 
     def to_torchcodec(self) -> VideoDecoder:
         """Return a ``torchcodec`` decoder of the clip, as `datasets` hands them out.
@@ -350,18 +326,17 @@ class TouchClip(Sequence[Pixels]):
         IntegrityError
             The clip is neither an AVI nor Matroska; names file, row and touch.
         """
-        self._named(lambda: require_video(self.data))
-        try:
+        with self._naming():
+            require_video(self.data)
+        with needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
             from torchcodec.decoders import VideoDecoder
-        except ImportError as error:
-            feature = "TouchClip.to_torchcodec()"
-            raise MissingExtraError(feature, "torchcodec", "torch") from error
         return VideoDecoder(bytes(self.data))
 
     def _whole_index(self) -> AviIndex:
         if self._index is None:
             assert self._avi is not None
-            index = self._named(self._avi.index)
+            with self._naming():
+                index = self._avi.index()
             self._require_length(len(index))
             self._index = index
         return self._index
@@ -373,17 +348,12 @@ class TouchClip(Sequence[Pixels]):
             raise damaged(self._row, "sensor_video", problem, self.touch)
 
     def _decode(self, frame: int, out: Pixels | None = None) -> Pixels:
-        try:
+        with naming(self._row, "sensor_video", self.touch, f"frame {frame}: "):
             return decode_image(self.encoded(frame), out)
-        except ValueError as error:
-            raise damaged(self._row, "sensor_video", f"frame {frame}: {error}", self.touch) from error
 
-    def _named(self, work: Callable[[], T]) -> T:
-        """Do some work, whose ValueError is damage of this clip."""
-        try:
-            return work()
-        except ValueError as error:
-            raise damaged(self._row, "sensor_video", str(error), self.touch) from error
+    def _naming(self) -> AbstractContextManager[None]:
+        """Turn a ValueError into damage of this clip."""
+        return naming(self._row, "sensor_video", self.touch)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (TouchClip, (self._row, self.touch))
@@ -393,12 +363,89 @@ class TouchClip(Sequence[Pixels]):
 
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
-        from realtouch.media.sheets import evenly_spaced, round_html
+        from realtouch.images import evenly_spaced, round_html
 
-        pictures: list[tuple[str, Pixels | None]] = []
-        for frame in evenly_spaced(self._count, _SHOWN_FRAMES):
-            try:
-                pictures.append((f"frame {frame}", self[frame]))
-            except IntegrityError:
-                pictures.append((f"frame {frame}", None))
+        frames = evenly_spaced(self._count, _SHOWN_FRAMES)
+        pictures = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
         return round_html(f"Touch {self.touch}", [f"{self._count} frames"], pictures)
+
+
+class SensorClips(Sequence[TouchClip]):
+    """The clips of one round; each is opened when it is asked for."""
+
+    __slots__ = ("_count", "row")
+
+    def __init__(self, row: Row) -> None:
+        _, start, stop = entries_of(row, "sensor_video")
+        self.row, self._count = row, stop - start
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> TouchClip: ...
+    @overload
+    def __getitem__(self, index: slice | Sequence[int]) -> list[TouchClip]: ...
+    def __getitem__(self, index: Any) -> TouchClip | list[TouchClip]:
+        """Open one clip, or some; raises as :class:`TouchClip`."""
+        if isinstance(index, (slice, list, tuple, np.ndarray)):
+            return [TouchClip(self.row, touch) for touch in positions(index, self._count).tolist()]
+        return TouchClip(self.row, checked_index(operator.index(index), self._count, "touch", "touches"))
+
+    def room(self, count: int, out: Pixels | None = None) -> Pixels:
+        """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
+
+        Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
+        :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+        """
+        size = self[0].size if self._count else (0, 0)
+        with naming(self.row, "sensor_video"):
+            return room_for(count, size, out)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (SensorClips, (self.row,))
+
+    def __repr__(self) -> str:
+        return f"SensorClips({self._count} touches)"
+
+
+def contact_windows_of(clips: SensorClips) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Return first frame of contact, and one more than the last, of every clip of a round, shapes (T,).
+
+    See :func:`realtouch.contact.contact_window`. Raises IntegrityError when times are missing or impossible.
+    """
+    times = padded_times(clips.row)
+    if times is not None:
+        return contact_windows(*times, *times_of_touches(clips.row))
+    windows = [clip.contact_window for clip in clips]
+    starts, stops = np.reshape([(each.start, each.stop) for each in windows], (-1, 2)).astype(np.int64).T
+    return starts, stops
+
+
+def contact_frames_of(clips: SensorClips, method: ContactMethod) -> list[int]:
+    """Return the frame of every clip of a round that shows the contact, by time or pose, not by the picture.
+
+    See :meth:`TouchClip.contact_index`. Raises IntegrityError when times or poses are missing or impossible.
+    """
+    windows = contact_windows_of(clips)
+    starts: list[int] = windows[0].tolist()
+    stops: list[int] = windows[1].tolist()
+    if method == "contact_start":
+        return starts
+    if method == "contact_end":
+        return [stop - 1 for stop in stops]
+    heights = (touch.position_m[:, 2] for touch in pose_sequences(clips.row))
+    pressed = zip(heights, starts, stops, strict=True)
+    return [start + int(np.argmin(z_m[start:stop])) for z_m, start, stop in pressed]
+
+
+def decode_frames(
+    clips: SensorClips, touches: Sequence[int], frames: Sequence[int], out: Pixels, threads: int
+) -> None:
+    """Decode one frame each of n clips into ``out``, shape (n, H, W, 3), uint8, in some threads.
+
+    Raises IntegrityError when a frame is damaged or of another size; it names file, row and touch.
+    """
+    in_parallel(
+        lambda number: clips[touches[number]].decode_into(out[number], frames[number]), len(touches), threads
+    )

@@ -8,12 +8,11 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
-from realtouch.columns.per_touch import plain_value, touch_total
+from realtouch.columns import plain_value, touch_total
+from realtouch.convert.plan import files_of
 from realtouch.damage import Damage, unreadable_rows
-from realtouch.integrity.agreement import TouchFiles, folder_meant, usual_touch_count
-from realtouch.integrity.check_round import check_round
-from realtouch.integrity.files import files_of
-from realtouch.names import Name, Place, open_shards, place_of
+from realtouch.integrity import agreeing_files, check_round, modal_touch_count, stated_class_names
+from realtouch.opening import Name, Place, open_shards, place_of
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.locate import folder_named, splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -89,7 +88,7 @@ def verify(
         Nothing of that name, or no data set of touches.
     """
     place = place_of(name)
-    folder = folder_meant(place)
+    folder = folder_named(place) if isinstance(place, str) else None
     findings: list[Damage] = []
     has_checksums = False
     if folder is not None:
@@ -105,24 +104,26 @@ def verify(
         parts: tuple[str, ...] = ("train",)  # files come without a split
     else:
         parts = (split,) if split is not None else splits_of(place, revision=revision)
-    splits, unprotected = [], []
+    splits: list[list[Shard]] = []
+    unprotected: list[str] = []
     for part in parts:
-        files = TouchFiles(str(name))
-        findings += files.add_undamaged(open_shards(place, part, revision=revision), at_least_one=False)
-        findings += _lacking_columns(files.shards)
+        found = open_shards(place, part, revision=revision)
+        splits.append(agreeing_files(found, str(name), findings))
+        findings += _lacking_columns(splits[-1])
         if not has_checksums:
-            unprotected += [shard.path for shard in files.shards if _is_unprotected(shard, place)]
-        splits.append(files)
-    total = sum(len(shard) for files in splits for shard in files.shards)
+            unprotected += [shard.path for shard in splits[-1] if _is_unprotected(shard, place)]
+    total = sum(len(shard) for files in splits for shard in files)
     rounds = touches = 0
     seen: dict[str, str] = {}
     for files in splits:
-        expected = usual_touch_count(files.shards)
         check = partial(
-            check_round, expected_touches=expected, decode=not quick, class_names=files.stated_names
+            check_round,
+            expected_touches=modal_touch_count(files),
+            decode=not quick,
+            class_names=stated_class_names(files),
         )
         # In the order of the rows, whoever comes first: findings do not depend on the number of workers.
-        for row, problems in in_threads(partial(_checked, check), _readable_rows(files.shards), workers):
+        for row, problems in in_threads(partial(_checked, check), _readable_rows(files), workers):
             findings += problems
             if isinstance(row, Row):
                 rounds += 1

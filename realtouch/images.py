@@ -1,20 +1,25 @@
-"""The images of a round, decoded one at a time and only when asked for; and work shared by threads."""
+"""The images of a round, decoded when they are asked for; work shared by threads; sheets of pictures."""
 
 from __future__ import annotations
 
+import html
 import operator
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from threading import Lock
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from realtouch.damage import damaged
+from realtouch.damage import damaged, naming
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
+from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
 from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
-from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
+from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized, room_for
 
 # Long enough that taking a run costs nothing, short enough that threads end together.
 _LONGEST_RUN = 16
@@ -27,12 +32,12 @@ class SensorImages(Sequence[Pixels]):
     Safe to share between threads and to pickle.
     """
 
-    __slots__ = ("_blobs", "_count", "_name", "_row", "_start")
+    __slots__ = ("_blobs", "_count", "_row", "_start")
 
-    def __init__(self, row: Row, name: str = "sensor_image") -> None:
-        column = row.group.nested(name)
+    def __init__(self, row: Row) -> None:
+        column = row.group.nested("sensor_image")
         start, stop = column.inside(0, row.index, row.index + 1)
-        self._row, self._name = row, name
+        self._row = row
         self._blobs: BytesColumn = column.values
         self._start, self._count = start, stop - start
 
@@ -78,10 +83,8 @@ class SensorImages(Sequence[Pixels]):
         touches = positions(index, self._count).tolist()
         first = touches[0] if len(touches) else 0
         size = self.size(first) if self._count else (0, 0)
-        try:
+        with naming(self._row, "sensor_image", first):
             pixels = room_for(len(touches), size, out)
-        except ValueError as error:
-            raise damaged(self._row, self._name, str(error), first) from error
         self.decode_into(pixels, touches, threads=threads)
         return pixels
 
@@ -94,62 +97,85 @@ class SensorImages(Sequence[Pixels]):
         place = checked_index(touch, self._count, "touch", "touches")
         blob = self._blobs[self._start + place]
         if blob is None or len(blob) == 0:
-            raise damaged(self._row, self._name, "no bytes are stored; expected a JPEG", place)
+            raise damaged(self._row, "sensor_image", "no bytes are stored; expected a JPEG", place)
         return blob
 
     def size(self, touch: int = 0) -> tuple[int, int]:
         """Return height and width of one image from its header."""
-        try:
+        with naming(self._row, "sensor_image", touch):
             return image_size(self.encoded(touch))
-        except ValueError as error:
-            raise damaged(self._row, self._name, str(error), touch) from error
 
     def _decode(self, touch: int, out: Pixels | None = None) -> Pixels:
-        try:
+        with naming(self._row, "sensor_image", touch):
             return decode_image(self.encoded(touch), out)
-        except ValueError as error:
-            raise damaged(self._row, self._name, str(error), touch) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (SensorImages, (self._row, self._name))
+        return (SensorImages, (self._row,))
 
     def __repr__(self) -> str:
         return f"SensorImages({self._count} touches)"
 
 
 def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
-    """Do ``count`` pieces of work, numbered from 0, in some threads, the calling one among them.
+    """Do ``count`` pieces of work, numbered from 0, in some threads; the first error ends all of them.
 
-    Each takes a run of pieces at a time: neighbours share pages of the array that they are written to, and a
-    thread that is held up leaves the rest to the others. The first error ends all of them.
+    Each takes a run of pieces at a time: neighbours share pages of the array that they are written to.
     """
     threads = min(threads, count)
-    if threads <= 1:
-        for piece in range(count):
+    length = max(1, min(_LONGEST_RUN, count // max(1, 4 * threads)))
+
+    def run(start: int) -> None:
+        for piece in range(start, min(start + length, count)):
             work(piece)
+
+    if threads <= 1:
+        deque(map(run, range(0, count, length)), maxlen=0)
         return
-    length = max(1, min(_LONGEST_RUN, count // (4 * threads)))
-    runs = iter(range(start, min(start + length, count)) for start in range(0, count, length))
-    one_at_a_time = Lock()
+    with ThreadPoolExecutor(threads) as pool:
+        deque(pool.map(run, range(0, count, length)), maxlen=0)
 
-    def next_run() -> range:
-        with one_at_a_time:
-            return next(runs, range(0))
 
-    def share() -> None:
-        try:
-            while run := next_run():
-                for piece in run:
-                    work(piece)
-        # The others would continue with pieces that nobody wants any more.
-        except BaseException:
-            while next_run():
-                pass
-            raise
+MOST_TILES = 32
+"""Touches that a notebook shows of a round."""
 
-    # Decoders leave the interpreter's lock; what they write is one array, so that nothing is handed back.
-    with ThreadPoolExecutor(threads - 1) as pool:
-        others = [pool.submit(share) for _ in range(threads - 1)]
-        share()
-        for other in others:
-            other.result()
+_TILE_WIDTH = 120
+_GAP = 4
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """Choose up to ``most`` of ``count`` indices, first and last among them."""
+    indices: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    return indices
+
+
+def fitted(image: Pixels, width: int) -> Pixels:
+    """Return an image, (H, W, 3), at another width in pixels, its proportions kept."""
+    return resized(image, width, max(1, round(width * image.shape[0] / image.shape[1])))
+
+
+def contact_sheet(images: Sequence[Pixels], columns: int = 8, tile_width: int = _TILE_WIDTH) -> Pixels:
+    """Lay RGB images, (H, W, 3), out in rows of ``columns``, each ``tile_width`` pixels wide.
+
+    All get the proportions of the first.
+    """
+    height = fitted(images[0], tile_width).shape[0]
+    tiles = [Tile(resized(image, tile_width, height)) for image in images]
+    return sheet(tiles, Sheet(min(columns, len(images)), gap_px=_GAP, margin_px=_GAP))
+
+
+def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], Pixels]]]) -> str:
+    """Return a notebook's view of a round: a caption, which counts damaged pictures, and the others."""
+    tiles = []
+    for caption, read in pictures:
+        with suppress(IntegrityError):
+            tiles.append(touch_html(read(), caption))
+    if len(tiles) < len(pictures):
+        missing = f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"
+        words = [*words, missing]
+    grid = f'<div style="display:flex;flex-wrap:wrap;gap:{_GAP}px">{"".join(tiles)}</div>'
+    return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
+
+
+def touch_html(picture: Pixels, caption: str) -> str:
+    """Return a notebook's view of a touch: its picture and what it is."""
+    return figure_html(fitted(picture, _TILE_WIDTH), caption, TILE_STYLE)

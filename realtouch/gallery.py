@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.info import has_info
+from realtouch.clips import TouchClip
+from realtouch.columns import has_info
 from realtouch.dataset import TouchDataset
+from realtouch.images import evenly_spaced
 from realtouch.kind import KIND
-from realtouch.media.clips import TouchClip
-from realtouch.media.sheets import evenly_spaced
 from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.touch import Touch

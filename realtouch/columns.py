@@ -1,18 +1,20 @@
-"""Columns of a stored round with one entry per touch, as numpy views, checked where they are read.
+"""Columns of a stored round with one entry per touch, and its metadata, checked where they are read.
 
 T is the number of touches of the round.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from realtouch.damage import damaged, missing_column
+from realtouch.poses import Poses, bad_pose, rigid_transform
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
@@ -28,6 +30,7 @@ _COUNTED = (
     "gel_pose_cell_frame_seq.position",
 )
 _INT_LIMIT = 1 << 63
+_UNREADABLE = (ValueError, pa.ArrowException)
 
 
 def column_of(row: Row, name: str) -> NestedColumn:
@@ -41,15 +44,12 @@ def column_of(row: Row, name: str) -> NestedColumn:
 def touch_total(row: Row) -> int:
     """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
     # Once for a block of rows: this is asked for each touch.
-    starts = row.group.once("starts of touches", lambda: _touch_starts(row))
+    starts = row.group.once("starts of touches", lambda: column_of(row, _counted(row)).levels[0])
     return starts if isinstance(starts, int) else int(starts[row.index + 1] - starts[row.index])
 
 
-def _touch_starts(row: Row) -> NDArray[Any] | int:
-    for name in _COUNTED:
-        if row.has(name):
-            return row.group.nested(name).levels[0]
-    raise missing_column(row, _COUNTED[0])
+def _counted(row: Row) -> str:
+    return next(filter(row.has, _COUNTED), _COUNTED[0])
 
 
 def entries_of(row: Row, name: str, touch: int | None = None) -> tuple[NestedColumn, int, int]:
@@ -114,13 +114,9 @@ def intended_positions(row: Row, touch: int | None = None) -> NDArray[np.floatin
     return positions
 
 
-def intended_position(row: Row, touch: int) -> NDArray[np.floating]:
-    """Return where one touch was meant to be, shape (2,); see :func:`intended_positions`."""
-    position: NDArray[np.floating] = intended_positions(row, touch)[0]
-    return position
-
-
-def readable(row: Row, read: Callable[[Row, int | None], NDArray[Any]], *shape: int) -> NDArray[np.float64]:
+def readable(
+    row: Row, read: Callable[[Row, int | None], NDArray[Any]], shape: tuple[int, ...] = ()
+) -> NDArray[np.float64]:
     """Return what is read of all touches, shape (T, ...), float64; NaN for touches where it is damaged."""
     try:
         return read(row, None).astype(np.float64)
@@ -133,11 +129,6 @@ def readable(row: Row, read: Callable[[Row, int | None], NDArray[Any]], *shape: 
     return known
 
 
-def known_positions(row: Row) -> NDArray[np.float64]:
-    """Return what :func:`intended_positions` does, float64; NaN where a position cannot be read."""
-    return readable(row, intended_positions, 2)
-
-
 def plain_value(row: Row, name: str) -> Any:
     """Return a field as numpy's scalar or Python's object.
 
@@ -148,7 +139,7 @@ def plain_value(row: Row, name: str) -> Any:
         value = row.value(name)
     except KeyError as error:
         raise missing_column(row, name) from error
-    except _unreadable():  # one such value spoils the column of its whole block
+    except _UNREADABLE:  # one such value spoils the column of its whole block
         value = stored_value(row, name)
     if value is None:
         raise damaged(row, name, "no value is stored")
@@ -166,6 +157,15 @@ def int_value(row: Row, name: str) -> int:
     return int(value)
 
 
+def label_value(row: Row, names: Sequence[str] | None) -> int:
+    """Return the class of a row; IntegrityError where it is not one of the classes, if those are named."""
+    label = int_value(row, "label")
+    if names is not None and label >= len(names):
+        limit = f"expected less than {len(names)}, the number of named classes"
+        raise damaged(row, "label", f"the value is {label}; {limit}")
+    return label
+
+
 def stored_value(row: Row, name: str) -> Any:
     """Return a field of any type as Python's objects, looking at no other row.
 
@@ -173,12 +173,89 @@ def stored_value(row: Row, name: str) -> Any:
     """
     try:
         return row.group.arrow(name)[row.index].as_py()
-    except _unreadable() as error:
+    except _UNREADABLE as error:
         raise damaged(row, name, f"a value that cannot be read ({error})") from error
 
 
-def _unreadable() -> tuple[type[Exception], ...]:
-    # Asked for only when something was raised: the import costs nothing where all is well.
-    import pyarrow as pa
+class Info(Mapping[str, Any]):
+    """A mapping that cannot be written to; pickles and copies, other than Python's own."""
 
-    return (ValueError, pa.ArrowException)
+    __slots__ = ("_values",)
+
+    def __init__(self, values: Mapping[str, Any]) -> None:
+        self._values = dict(values)
+
+    def __getitem__(self, name: str) -> Any:
+        return self._values[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._values)
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def __or__(self, other: Mapping[str, Any]) -> dict[str, Any]:
+        return self._values | dict(other)
+
+    def copy(self) -> dict[str, Any]:
+        """Return a copy that can be written to."""
+        return dict(self._values)
+
+    def __repr__(self) -> str:
+        return f"Info({self._values!r})"
+
+
+def has_info(row: Row) -> bool:
+    """Return whether a round has metadata."""
+    return row.has("info") or any(name.startswith("info.") for name in row.group.names)
+
+
+def read_info(row: Row) -> Info:
+    """Read the metadata of a round; InputError when the data set does not store it.
+
+    Raises IntegrityError for a pose that is not one, or one name for a value and for a group of values.
+    """
+    if not has_info(row):
+        raise missing_column(row, "info")
+    nested: dict[str, Any] = {}
+    for name in row.group.names:
+        if not name.startswith("info."):
+            continue
+        # The published sets store the struct `info` as flat columns with dotted names.
+        *outer, last = name.split(".")[1:]
+        group: Any = nested
+        for part in outer:
+            if isinstance(group, dict):
+                group = group.setdefault(part, {})
+        if not isinstance(group, dict) or last in group:
+            raise damaged(row, name, "the name of a value and of a group of values; expected one of them")
+        group[last] = stored_value(row, name)
+    return Info(_with_poses(row, nested, "info"))
+
+
+def _with_poses(row: Row, values: dict[str, Any], name: str) -> Any:
+    """Put poses in place of groups of a position and a quaternion."""
+    if values.keys() == {"position", "quaternion"}:
+        return _pose(row, values, name)
+    return {
+        key: _with_poses(row, value, f"{name}.{key}") if isinstance(value, dict) else value
+        for key, value in values.items()
+    }
+
+
+def _pose(row: Row, values: dict[str, Any], name: str) -> Any:
+    """Make the pose, or the poses where there is one per touch."""
+    try:
+        position = np.asarray(values["position"], np.float64)
+        quaternion = np.asarray(values["quaternion"], np.float64)
+    except (TypeError, ValueError) as error:
+        problem = "values that are not numbers, or vectors of several lengths; expected a pose's numbers"
+        raise damaged(row, name, problem) from error
+    outer = position.shape[:-1]
+    if len(outer) > 1 or position.shape != (*outer, 3) or quaternion.shape != (*outer, 4):
+        found = f"position {position.shape} and quaternion {quaternion.shape}"
+        raise damaged(row, name, f"{found}; expected (3,) and (4,), or (n, 3) and (n, 4)")
+    wrong = bad_pose(position.reshape(-1, 3), quaternion.reshape(-1, 4))
+    if wrong is not None:  # the metadata of a round are one thing: none of it can be given
+        raise damaged(row, name, f"pose {wrong[0]}: {wrong[1]}" if outer else wrong[1])
+    return Poses(position, quaternion) if outer else rigid_transform(position, quaternion)

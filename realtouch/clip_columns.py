@@ -1,4 +1,4 @@
-"""Columns of a stored ``seq`` round with one entry per frame, cut to the lengths of the clips.
+"""Columns of a stored round with one entry per frame, cut to the lengths of the clips, and poses.
 
 T is the number of touches of the round, N_i the number of frames of touch i: the stated length of its clip.
 Where a data set states none, sequences of one length for all touches may be padded; the clips tell then.
@@ -7,17 +7,26 @@ Where a data set states none, sequences of one length for all touches may be pad
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.per_touch import entries_of, per_touch
-from realtouch.damage import damaged, missing_column
+from realtouch.columns import entries_of, per_touch, vectors
+from realtouch.damage import damaged, missing_column, naming
+from realtouch.poses import Poses, PoseSequences, bad_pose
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
+from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
 from tactile_toolkit.touch.video import MAX_CLIP_FRAMES, Avi, NoIndexError, ffmpeg_count
 
+if TYPE_CHECKING:
+    pass
+
+
+_UNORDERED = "times that are missing or run backwards"
+_NO_TIME = "no time is stored; expected a duration or float seconds"
 _SECOND = np.timedelta64(1, "s")
 _TOUCH_TIMES = ("touch_start_time_rel", "touch_end_time_rel")
 
@@ -77,10 +86,10 @@ def clip_times(row: Row, touch: int) -> NDArray[np.float64] | None:
     """
     if not row.has("time_stamp_rel_seq"):
         return None
-    times = _as_seconds(cut_touch(row, "time_stamp_rel_seq", touch, clip_length(row, touch), 0))
+    times = _as_seconds(cut_touch(row, "time_stamp_rel_seq", touch, 0))
     # A comparison with NaN is false, so this finds missing times too.
     if not (times[1:] >= times[:-1]).all() or not math.isfinite(times[:1].sum()):
-        raise _unordered(row, touch)
+        raise damaged(row, "time_stamp_rel_seq", _UNORDERED, touch)
     return times
 
 
@@ -105,12 +114,8 @@ def padded_times(row: Row) -> tuple[NDArray[np.float64], NDArray[np.int64]] | No
     rising |= np.arange(times.shape[1]) >= lengths[:, None]
     whole = rising.all(axis=1)
     if not whole.all():
-        raise _unordered(row, int(np.argmin(whole)))
+        raise damaged(row, "time_stamp_rel_seq", _UNORDERED, int(np.argmin(whole)))
     return times, lengths
-
-
-def _unordered(row: Row, touch: int) -> Exception:
-    return damaged(row, "time_stamp_rel_seq", "times that are missing or run backwards", touch)
 
 
 def touch_durations(row: Row, name: str) -> NDArray[np.timedelta64]:
@@ -118,7 +123,7 @@ def touch_durations(row: Row, name: str) -> NDArray[np.timedelta64]:
     times = _as_timedelta(per_touch(row, name))
     unknown = np.isnat(times)
     if unknown.any():
-        raise _no_time(row, name, int(np.argmax(unknown)))
+        raise damaged(row, name, _NO_TIME, int(np.argmax(unknown)))
     return times
 
 
@@ -131,23 +136,10 @@ def times_of_touches(row: Row, touch: int | None = None) -> tuple[NDArray[np.flo
     in_order = start_s <= end_s  # False for NaN, which stands for a missing time
     if not in_order.all():
         wrong = int(np.argmin(in_order))
-        times = dict(zip(_TOUCH_TIMES, (start_s[wrong], end_s[wrong]), strict=True))
-        for name, time_s in times.items():
-            if math.isnan(time_s):
-                raise _no_time(row, name, (touch or 0) + wrong)
+        name = _TOUCH_TIMES[0] if math.isnan(start_s[wrong]) else _TOUCH_TIMES[1]
         problem = f"contact from {start_s[wrong]} s to {end_s[wrong]} s; expected an end not before the start"
-        raise damaged(row, "touch_end_time_rel", problem, (touch or 0) + wrong)
+        raise damaged(row, name, problem, (touch or 0) + wrong)
     return start_s, end_s
-
-
-def touch_times(row: Row, touch: int) -> tuple[float, float]:
-    """Return the times of first and last contact of one touch, seconds; see :func:`times_of_touches`."""
-    start_s, end_s = times_of_touches(row, touch)
-    return float(start_s[0]), float(end_s[0])
-
-
-def _no_time(row: Row, name: str, touch: int) -> Exception:
-    return damaged(row, name, "no time is stored; expected a duration or float seconds", touch)
 
 
 def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
@@ -162,14 +154,11 @@ def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
     # Published clips are padded to the longest of their round: one view, cut T times.
     if padded is not None and lengths is not None and padded.shape[1] >= lengths.max(initial=0):
         return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
-    return tuple(
-        cut_touch(row, name, touch, None if lengths is None else int(lengths[touch]), width)
-        for touch in range(last - first)
-    )
+    return tuple(cut_touch(row, name, touch, width) for touch in range(last - first))
 
 
-def cut_touch(row: Row, name: str, touch: int, length: int | None, width: int) -> NDArray[Any]:
-    """Return the sequence of one touch: ``length`` entries, or as many as its clip has; see :func:`cut`.
+def cut_touch(row: Row, name: str, touch: int, width: int) -> NDArray[Any]:
+    """Return the sequence of one touch, as many entries as its clip has frames; see :func:`cut`.
 
     Raises IntegrityError when there are not T sequences, this one is shorter, or entries are not ``width``
     values each; InputError when nothing tells padding from frames: neither a stated length nor the clip.
@@ -178,6 +167,7 @@ def cut_touch(row: Row, name: str, touch: int, length: int | None, width: int) -
     column, *all_of_round = entries_of(row, name)
     first = all_of_round[0] + touch
     start, stop = column.inside(1, first, first + 1)
+    length = clip_length(row, touch)
     if length is None and _same_length(column, *all_of_round):
         length = _length_by_clip(row, touch)
     wanted = stop - start if length is None else length
@@ -195,13 +185,11 @@ def _length_by_clip(row: Row, touch: int) -> int:
     if not row.has("sensor_video"):
         raise missing_column(row, "video_length_frames")
     data = stored_clip(row, touch)
-    try:
+    with naming(row, "sensor_video", touch):
         try:
             return len(Avi(data).index())
         except NoIndexError:
             return ffmpeg_count(data)
-    except ValueError as error:
-        raise damaged(row, "sensor_video", str(error), touch) from error
 
 
 def stored_clip(row: Row, touch: int) -> memoryview:
@@ -232,3 +220,78 @@ def _same_length(column: NestedColumn, first: int, last: int) -> bool:
         return True
     lengths = np.diff(starts[first : last + 1])
     return bool((lengths == lengths[:1]).all())
+
+
+_POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
+
+
+def poses(row: Row, touch: int | None = None) -> Poses:
+    """Return the pose of the gel in each touch of a ``single`` round, T poses, or that of one alone.
+
+    Raises IntegrityError, which names the touch, for a position or quaternion that is missing, not finite or
+    of length zero.
+    """
+    positions = vectors(row, f"{_POSE}.position", 3, touch)
+    quaternions = vectors(row, f"{_POSE}.quaternion", 4, touch)
+    wrong = bad_pose(positions, quaternions)
+    if wrong is not None:
+        raise damaged(row, _POSE, wrong[1], (touch or 0) + wrong[0])
+    return Poses(positions, quaternions)
+
+
+def pose_sequences(row: Row) -> PoseSequences:
+    """Return the pose of the gel in each frame of each touch of a ``seq`` round, padding cut off.
+
+    Raises IntegrityError as :func:`poses`, and where a touch has fewer poses than frames.
+    """
+    positions = cut(row, f"{_POSE_SEQUENCE}.position", 3)
+    quaternions = cut(row, f"{_POSE_SEQUENCE}.quaternion", 4)
+    # Checked in one go; touch by touch only to find which one is wrong.
+    if positions and bad_pose(np.concatenate(positions), np.concatenate(quaternions)) is not None:
+        for touch, (position, quaternion) in enumerate(zip(positions, quaternions, strict=True)):
+            _require_frames(row, touch, position, quaternion)
+    return PoseSequences(positions, quaternions)
+
+
+def clip_poses(row: Row, touch: int) -> Poses:
+    """Return the poses of one touch of a ``seq`` round, N_i poses; see :func:`pose_sequences`."""
+    position = cut_touch(row, f"{_POSE_SEQUENCE}.position", touch, 3)
+    quaternion = cut_touch(row, f"{_POSE_SEQUENCE}.quaternion", touch, 4)
+    _require_frames(row, touch, position, quaternion)
+    return Poses(position, quaternion)
+
+
+def _require_frames(row: Row, touch: int, position: NDArray[Any], quaternion: NDArray[Any]) -> None:
+    wrong = bad_pose(position, quaternion)
+    if wrong is not None:
+        frame, problem = wrong
+        raise damaged(row, _POSE_SEQUENCE, f"frame {frame}: {problem}", touch)
+
+
+def contact_z_m(row: Row, kind: Kind, touch: int | None = None) -> NDArray[np.float64]:
+    """Return the height of the gel at the deepest press of each touch, shape (T,), or of one alone, (1,).
+
+    Metres, cell frame; of a ``single`` round, that is the height of its one pose per touch. Raises
+    IntegrityError, which names the touch, for a height that is missing or not finite.
+    """
+    name = f"{POSE_COLUMN[kind]}.position"
+    if kind == "single":
+        heights = vectors(row, name, 3, touch)[:, 2].astype(np.float64)
+    else:
+        frames = cut(row, name, 3) if touch is None else (cut_touch(row, name, touch, 3),)
+        # A clip without frames has no height: infinity is refused below.
+        heights = np.array([each[:, 2].min(initial=np.inf) for each in frames])
+    finite = np.isfinite(heights)
+    if not finite.all():
+        wrong = int(np.argmin(finite))
+        problem = f"a gel height of {heights[wrong]}; expected metres"
+        raise damaged(row, name, problem, (touch or 0) + wrong)
+    return heights
+
+
+def plate_z_m(row: Row) -> float:
+    """Return the known or stored height of the plate in a round, metres, cell frame; NaN without one."""
+    if ContactHeight.of(row.group.names).plate == "known":
+        return PRESS_DEPTH_M
+    stored = row.value(PLATE_COLUMN) if row.has(PLATE_COLUMN) else None
+    return math.nan if stored is None else float(stored)
