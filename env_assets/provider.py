@@ -18,7 +18,7 @@ from env_assets.missing import FOREIGN, KINDS, AssetMaker, require_integer
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh.height_map import HeightCache, HeightMap
+from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 from tactile_toolkit.mesh.mesh import as_mesh
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.files import expanded, is_there
@@ -98,7 +98,6 @@ class AssetProvider:
         self._generate = generate
         require_integer("cache_meshes", cache_meshes, 0)
         self._memory = MemoryCache[Any, Any](cache_meshes)
-        self._heights = HeightCache()
         self._opened: dict[tuple[str, str, str], Any] = {}
 
     @property
@@ -197,7 +196,7 @@ class AssetProvider:
         return kept.volumes_m3
 
     def height_map(self, record: Any, pitch_m: float = 0.0002) -> HeightMap:
-        """Return the top surface of a mesh as a grid, kept on disk for the next time.
+        """Return the top surface of a mesh as a grid.
 
         Parameters
         ----------
@@ -211,7 +210,7 @@ class AssetProvider:
         InputError
             No mesh, or a pitch that is not positive or makes the grid too large.
         """
-        return self._heights.get(record, pitch_m)
+        return top_surface(record, pitch_m)
 
     def bounds(self, record: Any) -> NDArray[np.float64]:
         """Return lowest and highest corner of a mesh, shape (2, 3), metres, in its own frame.

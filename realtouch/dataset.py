@@ -22,7 +22,6 @@ from realtouch.integrity import check_round, stated_class_names, stored_touch_co
 from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
@@ -186,11 +185,11 @@ class TouchDataset(RecordDataset[R]):
     ) -> NDArray[np.float64]:
         """Join what is known of the touches of each stored row, of a few columns."""
 
-        def of_group(group: RowGroup) -> NDArray[np.float64]:
-            rows = [known(Row(group, index)) for index in range(len(group.table))]
-            return np.concatenate(rows or [np.zeros(0)])
+        def of_shard(shard: Shard) -> list[NDArray[np.float64]]:
+            groups = shard.all_blocks(columns)
+            return [known(Row(group, index)) for group in groups for index in range(len(group.table))]
 
-        return np.concatenate([table.derive(key, columns, of_group) for table in self._tables])
+        return np.concatenate([table.per_shard(key, of_shard) for table in self._tables])
 
     def plates_z_m(self) -> NDArray[np.float64]:
         """Return the height of the plate of every stored row, shape (stored rows,), metres, cell frame.
@@ -586,13 +585,6 @@ class Touches(LazySequence[Touch], Generic[R]):
         """What distinguishes these touches from all others, also from later ones of the same files."""
         rounds = hashlib.sha256(self.dataset._row_numbers.tobytes()).hexdigest()
         return f"{self.dataset.identity} {rounds}"
-
-    def _candidates(self, item: Any) -> Iterable[int]:
-        rounds = list(self.dataset._candidates(item.round)) if isinstance(item, Touch) else []
-        if not rounds:
-            return ()
-        places = np.isin(self.round_positions, rounds) & (self.touch_indices == item.touch_index)
-        return np.flatnonzero(places).tolist()
 
     def _each(self) -> Iterator[tuple[int, Touch]]:
         touches = self.touch_indices.tolist()

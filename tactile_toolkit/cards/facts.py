@@ -11,7 +11,7 @@ from typing import Any
 
 from tactile_toolkit.catalog.locate import available_splits, find_shards
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.features import dtype_name, stored_features
+from tactile_toolkit.read.columns import dtype_name, stored_features
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder

@@ -10,7 +10,7 @@ from itertools import islice
 from tactile_toolkit.cards.card import Card, Column, first_rows
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.flat import MESH, SIZES
+from tactile_toolkit.mesh.columns import MESH, SIZES
 from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, DatasetKind
-from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names
-from tactile_toolkit.mesh.flat import MESH, flat_table
+from tactile_toolkit.mesh.columns import FACES, MESH, VERTICES, class_names, flat_table
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable

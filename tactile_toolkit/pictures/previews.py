@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -74,17 +74,14 @@ class MeshPreviews(Generic[D]):
 
     def plan_sheets(self, draw: Callable[[D, str], Pixels]) -> list[PlannedPicture]:
         """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""
-
-        def planned(split: str, rows: D) -> PlannedPicture:
-            what = f"{counted(len(rows), self.things)} of {split} from above"
-            title = f"{self.stem}: {split}"
-            return PlannedPicture(f"{self.stem}-{split}-sheet.png", what, lambda: draw(rows, title))
-
-        chosen = {
-            split: dataset[class_by_class(dataset, self.spec.ids, self.spec.per_class)]
-            for split, dataset in self.datasets.items()
-        }
-        return [planned(split, rows) for split, rows in chosen.items() if len(rows)]
+        planned = []
+        for split, dataset in self.datasets.items():
+            rows = dataset[class_by_class(dataset, self.spec.ids, self.spec.per_class)]
+            if len(rows):
+                what = f"{counted(len(rows), self.things)} of {split} from above"
+                drawing = partial(draw, rows, f"{self.stem}: {split}")
+                planned.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, drawing))
+        return planned
 
     def plan_histogram(self, panels: Callable[[], Sequence[Bars]], further: str = "") -> list[PlannedPicture]:
         """Plan bars of the rows of each class."""

@@ -180,8 +180,7 @@ def test_digits_are_no_scenes(tmp_path):
     import pyarrow.parquet as pq
 
     from starstruck_gen.gallery import plan_gallery
-    from tactile_toolkit.read.columns import vectors_type
-    from tactile_toolkit.read.features import feature_metadata, label_feature
+    from tactile_toolkit.read.columns import feature_metadata, label_feature, vectors_type
 
     columns = {
         "id": pa.array([1], pa.int64()),
