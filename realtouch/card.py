@@ -52,6 +52,7 @@ _TILE_WIDTH = 96
 _ROUNDS_SEEN = 4
 
 _CELL = "m, cell frame"
+_WINDOW = "18.88 x 14.16 mm of gel"
 _FAMILIES: dict[str, Column] = {"info.": ("", "metadata of the round, as recorded")}
 
 COLUMNS: dict[str, Column] = {
@@ -147,10 +148,8 @@ def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
         content = _stored_content(facts, kind, rule, manifest, words["kinds"][kind])
         content.columns["object_id"] = ("", of_origin["object_id"])
         heights = [of_origin.get("drift"), words["plates"][rule.plate]]
-    # Rendered touches may show less of the gel; their source knows how much.
-    is_known = not (origin == "synthetic" and (is_plain or rule.plate == "known"))
-    window = "18.88 x 14.16 mm of gel" if is_known else "the window of its source"
-    in_cell = " ".join(filter(None, [words["frames"]["cell"].replace("$window", window), *heights]))
+    cell = words["frames"]["cell"].replace("$window", of_origin.get("window", _WINDOW))
+    in_cell = " ".join(filter(None, [cell, *heights]))
     limits = [*of_origin["limits"], *(content.words.get("limits", ()) if origin == "real" else ())]
     title = f"{of_origin['title']} {content.words['title']}"
     is_clips = template == "seq"

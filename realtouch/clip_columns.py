@@ -1,7 +1,6 @@
 """Columns of a stored round with one entry per frame, cut to the lengths of the clips, and poses.
 
 T is the number of touches of the round, N_i the number of frames of touch i: the stated length of its clip.
-Where a data set states none, sequences of one length for all touches may be padded; the clips tell then.
 """
 
 from __future__ import annotations
@@ -13,13 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns import entries_of, per_touch, vectors
-from realtouch.damage import damaged, missing_column, naming
+from realtouch.damage import damaged
 from realtouch.poses import Poses, PoseSequences, bad_pose
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
-from tactile_toolkit.touch.video import MAX_CLIP_FRAMES, Avi, NoIndexError, ffmpeg_count
+from tactile_toolkit.touch.video import MAX_CLIP_FRAMES
 
 if TYPE_CHECKING:
     pass
@@ -52,13 +51,11 @@ def _as_seconds(values: NDArray[Any]) -> NDArray[np.float64]:
     return np.asarray(values, np.float64)
 
 
-def clip_lengths(row: Row, touch: int | None = None) -> NDArray[np.int64] | None:
-    """Return the number of frames of each clip, shape (T,), or of one alone, (1,); None if none are stated.
+def clip_lengths(row: Row, touch: int | None = None) -> NDArray[np.int64]:
+    """Return the number of frames of each clip, shape (T,), or of one alone, (1,).
 
     Raises IntegrityError for lengths that are missing, negative or beyond the limit.
     """
-    if not row.has("video_length_frames"):
-        return None
     values = per_touch(row, "video_length_frames", touch)
     possible = (values >= 0) & (values <= MAX_CLIP_FRAMES)  # False for NaN, which stands for a missing one
     if not possible.all():
@@ -68,10 +65,9 @@ def clip_lengths(row: Row, touch: int | None = None) -> NDArray[np.int64] | None
     return values.astype(np.int64, copy=False)
 
 
-def clip_length(row: Row, touch: int) -> int | None:
-    """Return the number of frames of one clip; None where it is not stated."""
-    lengths = clip_lengths(row, touch)
-    return None if lengths is None else int(lengths[0])
+def clip_length(row: Row, touch: int) -> int:
+    """Return the number of frames of one clip."""
+    return int(clip_lengths(row, touch)[0])
 
 
 def frame_times(row: Row) -> tuple[NDArray[np.timedelta64], ...]:
@@ -97,14 +93,14 @@ def padded_times(row: Row) -> tuple[NDArray[np.float64], NDArray[np.int64]] | No
     """Return the time stamps of all touches at once, where they are stored padded to one length N.
 
     That is an array of shape (T, N), float64, seconds, and the lengths N_i, shape (T,), int64: of touch i
-    the first N_i count. None in data sets without stamps or lengths, and where clips are not padded to one
-    length. Raises IntegrityError as :func:`clip_times`.
+    the first N_i count. None in data sets without stamps, and where clips are not padded to one length.
+    Raises IntegrityError as :func:`clip_times`.
     """
     if not row.has("time_stamp_rel_seq"):
         return None
     lengths = clip_lengths(row)
     padded = _padded(*entries_of(row, "time_stamp_rel_seq"), 0)
-    if lengths is None or padded is None or padded.shape[1] < lengths.max(initial=0):
+    if padded is None or padded.shape[1] < lengths.max(initial=0):
         return None
     times = _as_seconds(padded)
     rising = np.ones(times.shape, bool)
@@ -146,13 +142,13 @@ def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
     """Return a sequence per touch, cut to the length of its clip: T arrays of shape (N_i, width).
 
     A width of 0 means scalars, and shapes (N_i,). Raises IntegrityError when there are not T sequences, or
-    one is too short, InputError as :func:`cut_touch`.
+    one is too short.
     """
     lengths = clip_lengths(row)
     column, first, last = entries_of(row, name)
     padded = _padded(column, first, last, width)
     # Published clips are padded to the longest of their round: one view, cut T times.
-    if padded is not None and lengths is not None and padded.shape[1] >= lengths.max(initial=0):
+    if padded is not None and padded.shape[1] >= lengths.max(initial=0):
         return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
     return tuple(cut_touch(row, name, touch, width) for touch in range(last - first))
 
@@ -161,16 +157,12 @@ def cut_touch(row: Row, name: str, touch: int, width: int) -> NDArray[Any]:
     """Return the sequence of one touch, as many entries as its clip has frames; see :func:`cut`.
 
     Raises IntegrityError when there are not T sequences, this one is shorter, or entries are not ``width``
-    values each; InputError when nothing tells padding from frames: neither a stated length nor the clip.
+    values each.
     """
     # Counted for a single touch, too: else it would be given the next round's for what is lacking.
-    column, *all_of_round = entries_of(row, name)
-    first = all_of_round[0] + touch
-    start, stop = column.inside(1, first, first + 1)
-    length = clip_length(row, touch)
-    if length is None and _same_length(column, *all_of_round):
-        length = _length_by_clip(row, touch)
-    wanted = stop - start if length is None else length
+    column, first, _ = entries_of(row, name)
+    start, stop = column.inside(1, first + touch, first + touch + 1)
+    wanted = clip_length(row, touch)
     if wanted > stop - start:
         raise damaged(row, name, f"{stop - start} frames; expected at least {wanted}", touch)
     values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
@@ -178,18 +170,6 @@ def cut_touch(row: Row, name: str, touch: int, width: int) -> NDArray[Any]:
         problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
         raise damaged(row, name, problem, touch)
     return values.reshape(wanted, width) if width else values
-
-
-def _length_by_clip(row: Row, touch: int) -> int:
-    """Count the frames of a clip, decoding none, in a data set that states no lengths."""
-    if not row.has("sensor_video"):
-        raise missing_column(row, "video_length_frames")
-    data = stored_clip(row, touch)
-    with naming(row, "sensor_video", touch):
-        try:
-            return len(Avi(data).index())
-        except NoIndexError:
-            return ffmpeg_count(data)
 
 
 def stored_clip(row: Row, touch: int) -> memoryview:
@@ -207,19 +187,11 @@ def _padded(column: NestedColumn, first: int, last: int, width: int) -> NDArray[
     touches = last - first
     start, stop = column.inside(1, first, last)
     frames = (stop - start) // max(touches, 1)
-    flat = column.flat(1, first, last)
-    if not _same_length(column, first, last) or len(flat) != touches * frames * max(width, 1):
+    flat, starts = column.flat(1, first, last), column.levels[1]
+    is_even = isinstance(starts, int) or (np.diff(starts[first : last + 1]) == frames).all()
+    if not is_even or len(flat) != touches * frames * max(width, 1):
         return None
     return flat.reshape((touches, frames, width) if width else (touches, frames))
-
-
-def _same_length(column: NestedColumn, first: int, last: int) -> bool:
-    """Return whether all touches have equally many entries, so that some may be padding."""
-    starts = column.levels[1]
-    if isinstance(starts, int):
-        return True
-    lengths = np.diff(starts[first : last + 1])
-    return bool((lengths == lengths[:1]).all())
 
 
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]

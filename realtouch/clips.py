@@ -37,7 +37,6 @@ from tactile_toolkit.touch.video import (
     Avi,
     AviIndex,
     NoIndexError,
-    ffmpeg_count,
     ffmpeg_facts,
     ffmpeg_frames,
     require_video,
@@ -94,11 +93,11 @@ class TouchClip(Sequence[Pixels]):
             try:
                 avi = Avi(self.data)
                 # As many entries as frames: each entry is a frame, so one is found without reading them all.
-                if stated is None or avi.entry_count != stated or avi.frame(0) is None:
+                if avi.entry_count != stated or avi.frame(0) is None:
                     self._index = avi.index()
                 self._avi = avi
             except NoIndexError:
-                self._count = ffmpeg_count(self.data) if stated is None else stated
+                self._count = stated
                 return
         self._count = avi.entry_count
         if self._index is not None:
@@ -343,7 +342,7 @@ class TouchClip(Sequence[Pixels]):
 
     def _require_length(self, found: int) -> None:
         stated = clip_length(self._row, self.touch)
-        if stated is not None and stated != found:
+        if stated != found:
             problem = f"a clip of {found} frames; expected {stated} by 'video_length_frames'"
             raise damaged(self._row, "sensor_video", problem, self.touch)
 

@@ -5,7 +5,7 @@ T is the number of touches of the round.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -18,6 +18,7 @@ from realtouch.poses import Poses, bad_pose, rigid_transform
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import checked_index
 from tactile_toolkit.touch.schema import PER_TOUCH_COLUMNS
 
@@ -31,6 +32,14 @@ _COUNTED = (
 )
 _INT_LIMIT = 1 << 63
 _UNREADABLE = (ValueError, pa.ArrowException)
+
+
+def stored_rows(shards: Iterable[Shard], columns: Sequence[str] | None = None) -> Iterator[Row]:
+    """Yield all rows of some files, with all columns or those named; a block of them is in memory."""
+    for shard in shards:
+        for index in range(shard.metadata.num_row_groups):
+            for group in shard.blocks(index, columns):
+                yield from (Row(group, row) for row in range(len(group.table)))
 
 
 def column_of(row: Row, name: str) -> NestedColumn:

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.clip_columns import contact_z_m
-from realtouch.columns import entries_of, intended_positions, readable, touch_total
+from realtouch.columns import entries_of, intended_positions, readable, stored_rows, touch_total
 from realtouch.contact import contact_heights_m
-from realtouch.damage import Damage, missing_column, unreadable_rows
+from realtouch.damage import Damage, missing_column
 from realtouch.images import SensorImages
-from realtouch.integrity import check_round, stated_class_names, stored_touch_counts
+from realtouch.integrity import check_round, readable_rows, stated_class_names, stored_touch_counts
 from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -92,7 +92,7 @@ class TouchDataset(RecordDataset[R]):
     def contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Read the height of the gel at the deepest press of every stored touch.
 
-        Opens no image or clip, but where a set states no lengths of padded clips: those are counted then.
+        Opens no image or clip.
 
         Returns
         -------
@@ -153,13 +153,7 @@ class TouchDataset(RecordDataset[R]):
         def known_z_m(row: Row) -> NDArray[np.float64]:
             return readable(row, lambda row, touch: contact_z_m(row, self.kind, touch))
 
-        try:
-            z_m = self._per_touch("contact z", columns, known_z_m)
-        except InputError:
-            if not self.has_column(columns[-1]):
-                raise
-            # Without stated lengths only clips tell padding from frames; without positions, pictures tell T.
-            z_m = self._per_touch("contact z", [*columns, MEDIA_COLUMN[self.kind]], known_z_m)
+        z_m = self._per_touch("contact z", columns, known_z_m)
         starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
         if len(z_m) != starts[-1]:
             raise IntegrityError(
@@ -752,28 +746,20 @@ class TouchStream:
         # In place: who holds the list sees what this pass leaves out.
         self.skipped[:] = self._left_out
         record = TouchSingleRound if self.kind == "single" else TouchSeqRound
-        for shard in self.shards:
-            for index in range(shard.metadata.num_row_groups):
-                try:
-                    for group in shard.blocks(index):
-                        for row in range(len(group.table)):
-                            yield from self._undamaged(record(Row(group, row)))
-                except IntegrityError as error:
-                    if not self.skip_damage:
-                        raise
-                    self.skipped.append(unreadable_rows(shard, index, error))
-
-    def _undamaged(self, record: TouchRound) -> Iterator[TouchRound]:
-        """Yield a round, or what is intact of it; nothing where it is damaged as a whole."""
         if not self.skip_damage:
-            yield record
+            yield from map(record, stored_rows(self.shards))
             return
-        found = check_round(record._row, self._expected_touches, class_names=self._stated_names)
-        self.skipped += found
-        lost = {damage.touch for damage in found}
-        if None not in lost:
-            kept = [touch for touch in range(record.touch_count) if touch not in lost]
-            yield record.with_touches(kept) if lost else record
+        for found in readable_rows(self.shards):
+            damage = [found] if isinstance(found, Damage) else self._check(found)
+            self.skipped += damage
+            lost = {each.touch for each in damage}
+            if isinstance(found, Row) and None not in lost:
+                intact = record(found)
+                kept = [touch for touch in range(intact.touch_count) if touch not in lost]
+                yield intact.with_touches(kept) if lost else intact
+
+    def _check(self, row: Row) -> list[Damage]:
+        return check_round(row, self._expected_touches, class_names=self._stated_names)
 
     def __repr__(self) -> str:
         words = with_origins(counted(len(self.shards), "shards"), [ShardedTable(self.shards)])

@@ -172,13 +172,10 @@ def sheet_of(images: Sequence[Pixels], columns: int = 8) -> tuple[bytes, int, tu
     tile_width = min(width, _TILE_WIDTH_PX)
     tile_height = max(1, round(tile_width * height / width))
     columns = min(columns, len(images))
-    rows = -(-len(images) // columns)
-    sheet = np.zeros((rows * tile_height, columns * tile_width, 3), np.uint8)
-    for number, image in enumerate(images):
-        row, column = divmod(number, columns)
-        y, x = row * tile_height, column * tile_width
-        sheet[y : y + tile_height, x : x + tile_width] = resized(image, tile_width, tile_height)
-    return encode_image(sheet, "jpeg", _QUALITY), columns, (tile_width, tile_height)
+    tiles = [resized(image, tile_width, tile_height) for image in images]
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
+    rows = [np.hstack(tiles[start : start + columns]) for start in range(0, len(tiles), columns)]
+    return encode_image(np.vstack(rows), "jpeg", _QUALITY), columns, (tile_width, tile_height)
 
 
 def film_of(clip: TouchClip, name: str) -> tuple[bytes, dict[str, Any]]:

@@ -119,6 +119,17 @@ def stored_touch_counts(shard: Shard, index: int) -> NDArray[np.int64]:
     return np.concatenate(counts or [np.zeros(0, np.int64)])
 
 
+def readable_rows(shards: Iterable[Shard]) -> Iterator[Row | Damage]:
+    """Yield all rows, and in the place of those that cannot be read, what is wrong with them."""
+    for shard in shards:
+        for index in range(shard.metadata.num_row_groups):
+            try:
+                for group in shard.blocks(index):
+                    yield from (Row(group, row) for row in range(len(group.table)))
+            except IntegrityError as error:
+                yield unreadable_rows(shard, index, error)
+
+
 def check_round(
     row: Row,
     expected_touches: int | None = None,

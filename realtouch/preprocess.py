@@ -22,7 +22,7 @@ from realtouch.contact import (
 )
 from realtouch.dataset import Touches, renamed_fraction, with_no_contact
 from realtouch.images import in_parallel
-from realtouch.rounds import TouchRound, TouchSingleRound
+from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
 
@@ -70,10 +70,9 @@ def _batches(pictures: Any) -> Iterator[Pixels]:
         yield from _pieces(len(pictures), pictures.size, pictures.frames)
     elif isinstance(pictures, TouchSingleRound):
         images = pictures.sensor_image
-        if len(images):
-            yield from _pieces(len(images), images.size(), images.batch)
-    elif isinstance(pictures, TouchRound):
-        for clip in pictures.sensor_video:  # type: ignore[attr-defined]
+        yield from _pieces(len(images), images.size() if len(images) else (1, 1), images.batch)
+    elif isinstance(pictures, TouchSeqRound):
+        for clip in pictures.sensor_video:
             yield from _batches(clip)
     elif isinstance(pictures, Touches) and len(pictures):
         if isinstance(pictures[0].round, TouchSingleRound):

@@ -29,12 +29,7 @@ from tactile_toolkit.pictures.sheets import (
     sheet,
     with_scale_bar,
 )
-from tactile_toolkit.pictures.writing import (
-    PicturePlan,
-    PlannedPicture,
-    file_stem,
-    plan_kinds,
-)
+from tactile_toolkit.pictures.writing import PicturePlan, PlannedPicture, file_stem, plan_kinds
 from tactile_toolkit.touch.contact import ContactHeight, height_text
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import POSE_COLUMN, Kind

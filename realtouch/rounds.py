@@ -15,7 +15,6 @@ from realtouch.clip_columns import clip_lengths, frame_times, pose_sequences, po
 from realtouch.clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
 from realtouch.columns import entries_of, int_value, intended_positions, plain_value, read_info, touch_total
 from realtouch.contact import require_method
-from realtouch.damage import missing_column
 from realtouch.images import SensorImages, in_parallel
 from realtouch.poses import Poses, PoseSequences
 from tactile_toolkit.errors import InputError, ToolkitError
@@ -120,7 +119,7 @@ class TouchRound(Record):
         chosen = take_touches(table, touches, self.touch_count)
         return type(self)(Row(RowGroup(chosen, row.path, row.number), 0))
 
-    def shown(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
+    def describe_field(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
         """Return a plain field in words, for people, whatever it holds; None when there is no such column."""
         try:
             return in_words(getattr(self, name))
@@ -130,26 +129,26 @@ class TouchRound(Record):
             return "unreadable"
 
     def __repr__(self) -> str:
-        named = ((name, self.shown(name)) for name in ("id", "label"))
+        named = ((name, self.describe_field(name)) for name in ("id", "label"))
         words = [f"{name}={value}" for name, value in named if value is not None]
-        words.append(f"{self.shown('touch_count')} touches")
+        words.append(f"{self.describe_field('touch_count')} touches")
         return f"{type(self).__name__}({', '.join(words)})"
 
     def _repr_html_(self) -> str:
         """Show touches in a notebook; what is not stored and pictures that are damaged are left out."""
         from realtouch.images import MOST_TILES, evenly_spaced, round_html
 
-        named = {"label": self.shown("label", str), "object": self.shown("object_id", str)}
+        named = {"label": self.describe_field("label", str), "object": self.describe_field("object_id", str)}
         words = [f"{word} {value}" for word, value in named.items() if value is not None]
         touches = evenly_spaced(self.touch_count, MOST_TILES)
         pictures = [(f"{touch}", partial(self._contact_image, touch)) for touch in touches]
-        title = self.shown("id", str) or "Round"
+        title = self.describe_field("id", str) or "Round"
         return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
     def _tile_html(self) -> str:
         from realtouch.images import touch_html
 
-        label = self.shown("label", str)
+        label = self.describe_field("label", str)
         words = [*([] if label is None else [f"label {label}"]), f"{self.touch_count} touches"]
         return touch_html(self._contact_image(self.touch_count // 2), ", ".join(words))
 
@@ -197,10 +196,7 @@ class TouchSeqRound(TouchRound):
     @property
     def video_length_frames(self) -> NDArray[np.int64]:
         """Number of frames of each clip, shape (T,), int64."""
-        lengths = clip_lengths(self._row)
-        if lengths is None:
-            raise missing_column(self._row, "video_length_frames")
-        return lengths
+        return clip_lengths(self._row)
 
     @property
     def gel_pose_cell_frame_seq(self) -> PoseSequences:

@@ -118,7 +118,7 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
 
 def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
     dataset = touches.dataset
-    if dataset.kind == "single" or not dataset.has_column("video_length_frames"):
+    if dataset.kind == "single":
         return None
     rows = dataset.row_numbers[touches.round_positions].tolist()
     shown = set(zip(rows, touches.touch_indices.tolist(), strict=True))
@@ -128,8 +128,7 @@ def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
         for touch in range(record.touch_count)
         if (row, touch) in shown
     ]
-    known = [length for length in lengths if length is not None]
-    return min(known), int(np.median(known)), max(known)
+    return min(lengths), int(np.median(lengths)), max(lengths)
 
 
 @dataclass(frozen=True, slots=True)

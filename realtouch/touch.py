@@ -90,7 +90,7 @@ class Touch:
         row, touch = self.round._row, self._index_in_row
         if isinstance(self.round, TouchSingleRound):
             return poses(row, touch)[0]
-        if not (row.has("time_stamp_rel_seq") and row.has("video_length_frames")):
+        if not row.has("time_stamp_rel_seq"):
             return self.clip.poses[self.clip.contact_index("contact_end")]
         times = clip_times(row, touch)
         start_s, end_s = times_of_touches(row, touch)
@@ -140,9 +140,9 @@ class Touch:
 
     def __repr__(self) -> str:
         shown = {
-            "round_id": self.round.shown("id"),
+            "round_id": self.round.describe_field("id"),
             "touch_index": f"{self.touch_index}",
-            "label": self.round.shown("label"),
+            "label": self.round.describe_field("label"),
         }
         words = [f"{name}={value}" for name, value in shown.items() if value is not None]
         return f"Touch({', '.join(words)})"
@@ -151,7 +151,7 @@ class Touch:
         """Show the picture of the contact in a notebook."""
         from realtouch.images import touch_html
 
-        label = self.round.shown("label", str)
+        label = self.round.describe_field("label", str)
         words = [*([] if label is None else [f"label {label}"]), f"touch {self.touch_index}"]
         with suppress(InputError):  # without positions
             x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)

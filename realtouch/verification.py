@@ -8,10 +8,16 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
-from realtouch.columns import plain_value, touch_total
+from realtouch.columns import plain_value, stored_rows, touch_total
 from realtouch.convert.plan import files_of
-from realtouch.damage import Damage, unreadable_rows
-from realtouch.integrity import agreeing_files, check_round, modal_touch_count, stated_class_names
+from realtouch.damage import Damage
+from realtouch.integrity import (
+    agreeing_files,
+    check_round,
+    modal_touch_count,
+    readable_rows,
+    stated_class_names,
+)
 from realtouch.opening import Name, Place, open_shards, place_of
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.locate import folder_named, splits_of
@@ -123,7 +129,7 @@ def verify(
             class_names=stated_class_names(files),
         )
         # In the order of the rows, whoever comes first: findings do not depend on the number of workers.
-        for row, problems in in_threads(partial(_checked, check), _readable_rows(files), workers):
+        for row, problems in in_threads(partial(_checked, check), readable_rows(files), workers):
             findings += problems
             if isinstance(row, Row):
                 rounds += 1
@@ -208,9 +214,8 @@ def _images_in(folder: DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
     elif path.endswith(".parquet"):
         shard = Shard(folder.address(path))
         for column in [name.removesuffix(".bytes") for name in shard.types if name.endswith(".bytes")]:
-            for index in range(shard.metadata.num_row_groups):
-                for group in shard.blocks(index, [column]):
-                    yield from ((column, image["bytes"]) for image in group.table[column].to_pylist())
+            for row in stored_rows([shard], [column]):
+                yield column, row.group.table[column][row.index].as_py()["bytes"]
     elif path.endswith((".jpg", ".png")):
         yield "", folder.read_bytes(path)
 
@@ -230,17 +235,6 @@ def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
 
 def _checked(check: Callable[[Row], list[Damage]], found: Row | Damage) -> tuple[Row | Damage, list[Damage]]:
     return found, check(found) if isinstance(found, Row) else [found]
-
-
-def _readable_rows(shards: Sequence[Shard]) -> Iterator[Row | Damage]:
-    """Yield all rows, and in the place of those that cannot be read, what is wrong with them."""
-    for shard in shards:
-        for index in range(shard.metadata.num_row_groups):
-            try:
-                for group in shard.blocks(index):
-                    yield from (Row(group, row) for row in range(len(group.table)))
-            except IntegrityError as error:
-                yield unreadable_rows(shard, index, error)
 
 
 def _repeated_id(row: Row, seen: dict[str, str]) -> list[Damage]:

@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 
 from realtouch.clip_columns import clip_poses, clip_times, poses
 from realtouch.clips import TouchClip
-from realtouch.columns import entries_of, int_value, intended_positions, label_value, plain_value, touch_total
+from realtouch.columns import (
+    entries_of,
+    int_value,
+    intended_positions,
+    label_value,
+    plain_value,
+    stored_rows,
+    touch_total,
+)
 from realtouch.convert.plan import Choices, Made, RowChoice, Source
 from realtouch.damage import naming
 from realtouch.dataset import dataset_of
@@ -196,10 +204,7 @@ def _episode_lengths(source: Source, split: str) -> NDArray[np.int64]:
     found = []
     for shard in source.shards[split]:
         if "video_length_frames" not in shard.types:
-            raise InputError(
-                f"{shard.path!r} has no column 'video_length_frames', by which frames are numbered ahead; "
-                "next: make single images of it first (`realtouch to-single`)"
-            )
+            raise InputError(f"{shard.path!r} has no column 'video_length_frames'")
         lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
         found += [(len(each), sum(each)) for each in lengths]
     return np.array(found, np.int64).reshape(-1, 2)
@@ -207,13 +212,7 @@ def _episode_lengths(source: Source, split: str) -> NDArray[np.int64]:
 
 def _first_image(shards: Sequence[Shard]) -> tuple[tuple[int, int], int]:
     """Return height and width of the first image, and the frames per second; 1 of single images."""
-    rows = (
-        Row(group, number)
-        for shard in shards
-        for index in range(shard.metadata.num_row_groups)
-        for group in shard.blocks(index)
-        for number in range(len(group.table))
-    )
+    rows = stored_rows(shards)
     row = next(row for row in rows if touch_total(row))  # there is one: touches were counted
     if row.has("sensor_image"):
         return SensorImages(row).size(0), 1

@@ -22,6 +22,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import Choices, Conversion, Source
 from realtouch.convert.steps import POSE_COLUMNS, POSITION_COLUMNS
@@ -105,10 +106,7 @@ class _WriteBuffer:
 
 def _images(shards: Sequence[Shard]) -> Any:
     """Yield the stored image of each frame, and its name."""
-    for shard in shards:
-        for index in range(shard.metadata.num_row_groups):
-            for group in shard.blocks(index, [IMAGE]):
-                yield from (image.as_py() for image in group.table[IMAGE])
+    yield from (row.group.table[IMAGE][row.index].as_py() for row in stored_rows(shards, [IMAGE]))
 
 
 def _numbers(column: pa.ChunkedArray) -> NDArray[Any]:

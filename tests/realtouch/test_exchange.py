@@ -345,7 +345,7 @@ def test_lerobot_needs_lengths_that_are_true(seq_rows: list[dict], tmp_path: Pat
         row["video_length_frames"] = [length - (index == 1) for length in row["video_length_frames"]]
 
     for layout, error, words in (
-        (Layout(leave_out=("video_length_frames",)), InputError, "numbered ahead; next: make single images"),
+        (Layout(leave_out=("video_length_frames",)), InputError, "has no column 'video_length_frames'"),
         (Layout(edit=shorten), IntegrityError, "row 1"),
     ):
         factories.write_set(tmp_path / "source", {"train": seq_rows}, "seq", layout)
