@@ -122,7 +122,7 @@ def test_windows_of_some_touches(seq_folder: Path) -> None:
         for window, place in zip(chosen, places, strict=True):
             np.testing.assert_array_equal(window, every[place])
     assert record.contact_windows([]) == ()
-    with pytest.raises(IndexError, match="out of range"):
+    with pytest.raises(IndexError, match="out of bounds"):
         record.contact_windows([5])
 
 
