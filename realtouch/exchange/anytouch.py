@@ -7,14 +7,15 @@ Facts of the format: images lie in ``touch_and_go/FOLDER/gelsight_frame``, their
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cache, partial
+from functools import cache
 from itertools import groupby
 
 import pyarrow as pa
 
-from realtouch.convert.plan import Made, write_changed
-from realtouch.exchange.flat import IMAGE, as_jpeg, background_of, plan_rows
-from realtouch.exchange.items import HERE, ImportColumns, Item, size_below
+from realtouch.convert.plan import Made
+from realtouch.exchange.items import HERE, ImportColumns, Item, Reason, size_below
+from realtouch.exchange.rows import IMAGE, RowsFormat, as_jpeg, background_of
+from realtouch.integrity.files import write_changed
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
@@ -61,10 +62,10 @@ def _write_lists(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
     return {path: write_changed(folder, path, content) for path, content in paths.items()}
 
 
-plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_lists)
+FORMAT = RowsFormat(_FOLDER, _pack, 2, _write_lists)
 
 
-def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items_of_lists(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each line of the lists (or one, by its name); of a file that is not there, why."""
     lists = [name for name in home.sizes() if name.endswith(_LIST_END) and table in (None, name)]
     if not lists:
@@ -79,7 +80,8 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
             problem, size, split = None, 0, each.removesuffix(_LIST_END)
             try:
                 if label == _LEFT_OUT:
-                    raise ItemError("label", "the list leaves it out: its label is -1")
+                    words = "the list leaves it out: its label is -1"
+                    raise ItemError(Reason.label, words)
                 size = size_below(home, name, sizes)
             except ItemError as error:
                 problem = error

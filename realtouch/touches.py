@@ -1,0 +1,569 @@
+"""Touches, not only rounds: the flat view with random access, and its filters."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from itertools import groupby
+from operator import itemgetter
+from typing import Any, Generic, Self, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realtouch.columns.per_touch import entries_of, known_positions, touch_total
+from realtouch.columns.poses import known_contact_z_m, touch_contact_z_m
+from realtouch.contact import contact_heights_m
+from realtouch.damage import missing_column
+from realtouch.integrity.agreement import stored_touch_counts
+from realtouch.media.images import SensorImages
+from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSingleRound
+from realtouch.touch import Touch, touch_id
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import RowGroup
+from tactile_toolkit.read.dataset import RecordDataset, Row
+from tactile_toolkit.read.order import StoredParts
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, nearest, positions
+from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
+from tactile_toolkit.touch.jpeg import Pixels, room_for
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, POSE_COLUMN, Kind, flat_row, is_per_touch
+from tactile_toolkit.wording import counted, is_whole, plain_number, whole_number
+
+_INDEX = "touch_index"
+_POSITION = ("x_m", "y_m")
+
+R = TypeVar("R", bound=TouchRound)
+
+
+class Rounds(RecordDataset[R]):
+    """Rounds, and what is known of all their touches without pictures: a part of `TouchDataset`."""
+
+    kind: Kind
+
+    @property
+    def touch_counts(self) -> NDArray[np.int64]:
+        """T of each round, shape (len,), int64; reads at most the column of intended positions."""
+        return self._stored_counts[self.row_numbers]
+
+    @property
+    def _stored_counts(self) -> NDArray[np.int64]:
+        def counts(shard: Shard) -> list[NDArray[np.int64]]:
+            return [stored_touch_counts(shard, index) for index in range(shard.metadata.num_row_groups)]
+
+        parts = [table.per_shard("touches", counts) for table in self._tables]
+        return np.concatenate(parts or [np.zeros(0, np.int64)])
+
+    @property
+    def _shards(self) -> list[Shard]:
+        return [shard for table in self._tables for shard in table.shards]
+
+    @property
+    def row_numbers(self) -> NDArray[np.int64]:
+        """Number of each round in the stored tables, shape (len,), int64."""
+        return np.asarray(self._rows, np.int64)
+
+    def has_column(self, name: str) -> bool:
+        """Return whether the data set has a column, by dotted name."""
+        return all(name in table.shards[0].types for table in self._tables)
+
+    def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return what :meth:`contact_z_m` does; NaN wherever a height cannot be read."""
+        columns = ["pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
+
+        def known_z_m(row: Row) -> NDArray[np.float64]:
+            return known_contact_z_m(row, self.kind)
+
+        try:
+            z_m = self._per_touch("contact z", columns, known_z_m)
+        except InputError:
+            if not self.has_column(columns[-1]):
+                raise
+            # Without stated lengths only clips tell padding from frames; without positions, pictures tell T.
+            z_m = self._per_touch("contact z", [*columns, MEDIA_COLUMN[self.kind]], known_z_m)
+        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
+        if len(z_m) != starts[-1]:
+            raise IntegrityError(
+                f"{len(z_m):,} poses of touches for {starts[-1]:,} touches; expected one each",
+                next="run `realtouch verify`, which names the rounds",
+            )
+        return z_m, starts
+
+    def known_positions_m(self) -> NDArray[np.float64]:
+        """Read where each touch of these rounds was meant to be, NaN where that cannot be read.
+
+        Shape (touches of all rounds of the view, in order, 2), metres, cell frame; reads that column only.
+        """
+        positions_m = self._per_touch("positions", ["pos_in_cell"], known_positions).reshape(-1, 2)
+        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
+        wanted = [np.arange(starts[row], starts[row + 1]) for row in self.row_numbers.tolist()]
+        of_view: NDArray[np.float64] = positions_m[np.concatenate(wanted or [np.zeros(0, np.int64)])]
+        return of_view
+
+    def _per_touch(
+        self, key: str, columns: Sequence[str], known: Callable[[Row], NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        """Join what is known of the touches of each stored row, of a few columns."""
+
+        def of_group(group: RowGroup) -> NDArray[np.float64]:
+            rows = [known(Row(group, index)) for index in range(len(group.table))]
+            return np.concatenate(rows or [np.zeros(0)])
+
+        parts = [table.derive(key, columns, of_group) for table in self._tables]
+        return np.concatenate(parts or [np.zeros(0)])
+
+    def plates_z_m(self) -> NDArray[np.float64]:
+        """Return the height of the plate of every stored row, shape (stored rows,), metres, cell frame.
+
+        NaN where it is neither known nor stored, as in the published sets: the deepest touch shows it there.
+        """
+        plates: list[NDArray[np.float64]] = []
+        for shard in self._shards:
+            rule = ContactHeight.of(shard.types)
+            if rule.plate == "stored":
+                stored = ShardedTable((shard,)).column(PLATE_COLUMN)
+                plates.append(np.asarray(stored, np.float64))
+            else:
+                plates.append(np.full(len(shard), PRESS_DEPTH_M if rule.plate == "known" else np.nan))
+        return np.concatenate(plates or [np.zeros(0)])
+
+    def contact_rules(self) -> list[ContactHeight]:
+        """Return the rule by which touches of each round count as contact; joined sets may have several."""
+        of_rows = [rule for shard in self._shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
+        return [of_rows[row] for row in self.row_numbers.tolist()]
+
+    def rounds_without_media(self) -> Iterator[tuple[int, R]]:
+        """Yield stored row number and round, row by row, without opening images or clips until asked for."""
+        number = 0
+        # Through the stored rows in their order: each block is read once, whatever the order of the view.
+        wanted = set(self.row_numbers.tolist())
+        media = MEDIA_COLUMN[self.kind]
+        for shard in self._shards:
+            columns = [name for name in shard.schema.names if name != media]
+            for index in range(shard.metadata.num_row_groups):
+                for block, group in enumerate(shard.blocks(index, columns)):
+                    rows = GroupWithoutMedia(
+                        group.table, group.path, group.first_row, shard=shard, index=index, block=block
+                    )
+                    for row in range(len(group.table)):
+                        if number + row in wanted:
+                            yield number + row, self.record_class(RowWithoutMedia(rows, row))
+                    number += len(group.table)
+
+    def _each(self) -> Iterator[tuple[int, R]]:
+        places: dict[int, list[int]] = {}
+        for place, row in enumerate(self.row_numbers.tolist()):
+            places.setdefault(row, []).append(place)
+        # A view may hold a round several times, at several places.
+        for row, record in self.rounds_without_media():
+            for place in places[row]:
+                yield place, record
+
+
+class Touches(LazySequence[Touch], Generic[R]):
+    """All touches of some rounds, or a selection of them; a view that copies nothing.
+
+    ``touches[i]`` gives a :class:`Touch`; a slice, ints or a boolean mask give a view. Filters give views too
+    and read only the columns that they need. :meth:`split` divides touches, so that parts share rounds and
+    objects: divide the rounds, or by :attr:`object_ids`, where they must not.
+
+    Parameters
+    ----------
+    dataset : TouchDataset
+        The rounds.
+    chosen : ndarray of int64, optional
+        Which touches, counted through all rounds of the data set; all by default.
+    """
+
+    things = "touches"
+
+    def __init__(self, dataset: Rounds[R], chosen: NDArray[np.int64] | None = None) -> None:
+        self.dataset = dataset
+        counts = dataset.touch_counts
+        self._starts = np.concatenate([[0], np.cumsum(counts)])
+        self._rows = range(int(self._starts[-1])) if chosen is None else chosen
+        # Rounds of one length, the common case, are found by a division.
+        self._per_round = int(counts[0]) if len(counts) and (counts == counts[0]).all() else 0
+
+    def __iter__(self) -> Iterator[Touch]:
+        last, current = -1, None
+        for flat in self._rows:
+            position, touch = self._located(int(flat))
+            # Neighbours share a round, whose columns are then resolved once.
+            if position != last or current is None:
+                last, current = position, self.dataset[position]
+            yield Touch(current, touch)
+
+    def locate(self, index: int) -> tuple[int, int]:
+        """Return the number of a touch's round in the data set, and its own in the round.
+
+        Raises
+        ------
+        IndexError
+            There is no such touch.
+        """
+        return self._located(int(self._rows[checked_index(index, len(self), "index", self.things)]))
+
+    def _located(self, flat: int) -> tuple[int, int]:
+        if self._per_round:
+            return divmod(flat, self._per_round)
+        place = int(np.searchsorted(self._starts, flat, side="right")) - 1
+        return place, flat - int(self._starts[place])
+
+    @property
+    def round_positions(self) -> NDArray[np.int64]:
+        """Number of the round of each touch in the data set, shape (len,), int64."""
+        return np.searchsorted(self._starts, self._row_numbers, side="right") - 1
+
+    @property
+    def touch_indices(self) -> NDArray[np.int64]:
+        """Number of each touch in its round, shape (len,), int64."""
+        indices: NDArray[np.int64] = self._row_numbers - self._starts[self.round_positions]
+        return indices
+
+    def int_column(self, name: str) -> NDArray[np.int64]:
+        """Read one column of integers of the rounds, shape (len,), int64."""
+        return self.dataset.int_column(name)[self.round_positions]
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class, in order of the label."""
+        return self.dataset.label_names
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Stored columns of the rounds, and ``touch_index``: those of :meth:`to_hf`."""
+        return (*self.dataset.column_names, _INDEX)
+
+    @property
+    def _plain_columns(self) -> tuple[str, ...]:
+        where = _POSITION if self.dataset.has_column("pos_in_cell") else ()
+        return (*self.dataset._plain_columns, _INDEX, *where)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Read one plain column, shape (len,): one of the rounds, ``touch_index``, or ``x_m`` or ``y_m``.
+
+        The last two are the intended position, metres, cell frame, NaN where none can be read.
+
+        Raises
+        ------
+        InputError
+            There is no such column.
+        """
+        if name == _INDEX:
+            return self.touch_indices
+        if name in _POSITION:
+            values: NDArray[Any] = self.dataset.known_positions_m()[self._row_numbers, _POSITION.index(name)]
+            return values
+        return self.dataset.column(name)[self.round_positions]
+
+    def to_hf(self) -> Any:
+        """Return the touches as a data set of the library `datasets`, one row each, with their features.
+
+        Columns with one entry per touch give that entry, all others are repeated, and ``touch_index`` is
+        added. Pictures and clips are not copied where the cache can be written; they stay as they are stored.
+
+        Returns
+        -------
+        datasets.Dataset
+
+        Raises
+        ------
+        IntegrityError
+            A file is damaged, or a column has not one entry per touch.
+        """
+        import pyarrow as pa
+        from datasets import Dataset, DatasetInfo, Features
+
+        places = self.round_positions
+        # Of no touches, the first round has the columns.
+        rounds = np.unique(places).tolist() or list(range(min(1, len(self.dataset))))
+        if not rounds:
+            return Dataset.from_dict({})
+        rows = [self.dataset[place]._row for place in rounds]
+        first, total = flat_row(rows[0]), touch_total(rows[0])
+        names = [
+            each.name
+            for each in first.schema
+            if is_per_touch(each.name, each.type) and len(first.column(each.name).chunk(0).flatten()) == total
+        ]
+        parts = [_row_of_each_touch(row, names) for row in rows]
+        features = Features.from_arrow_schema(parts[0].schema)
+        for name, feature in Features.from_arrow_schema(rows[0].group.table.schema).flatten().items():
+            features[name] = feature.feature if name in names else feature
+        # Its own fingerprint would be that of all bytes.
+        content = repr([self.dataset.identity, rounds, places.tobytes(), self._row_numbers.tobytes()])
+        whole = Dataset(
+            pa.concat_tables(parts),
+            info=DatasetInfo(features=features),
+            fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16],
+        )
+        starts = np.cumsum([0, *map(len, parts)])
+        return whole.select(starts[np.searchsorted(rounds, places)] + self.touch_indices)
+
+    def _places_of_id(self, id: Any) -> NDArray[np.int64]:
+        name, _, touch = str(id).rpartition("_")
+        wanted = int(touch) if touch.isdecimal() else -1
+        return np.flatnonzero((self.column("id") == name) & (self.touch_indices == wanted))
+
+    def _near_ids(self, id: Any) -> list[str]:
+        ids, name = self.column("id").tolist(), str(id).rpartition("_")[0]
+        rounds = {name} & set(ids) or nearest(ids, name)
+        numbered = zip(ids, self.touch_indices.tolist(), strict=True)
+        return nearest((touch_id(each, touch) for each, touch in numbered if each in rounds), str(id))
+
+    @property
+    def object_ids(self) -> NDArray[np.int64]:
+        """Object of each touch, shape (len,), int64; reads that column only."""
+        return self.int_column("object_id")
+
+    def heights_m(self, recalibrate_z: bool = True) -> NDArray[np.float64]:
+        """Return how high above the plate the gel stopped in each touch, shape (len,), metres.
+
+        Reads the poses only. See :func:`realtouch.contact.contact_heights_m`; all touches of a round take
+        part in finding its plate, whatever was selected here; where `realtouch select` took touches out of
+        the files, the plate that it stored is taken. Of touches that `tactile-sim generate` made, the height
+        of the plate is known and always taken.
+
+        Raises
+        ------
+        IntegrityError
+            The height of a touch of this view cannot be read; names file, row and touch.
+        """
+        z_m, starts = self.dataset.known_contact_z_m()
+        plates_m = self.dataset.plates_z_m()
+        rules = self.dataset.contact_rules()
+        heights = np.full(int(self._starts[-1]), np.nan)
+        for position, row in enumerate(self.dataset.row_numbers):
+            touched_m = z_m[starts[row] : starts[row + 1]]
+            of_round = heights[self._starts[position] : self._starts[position + 1]]
+            known = ~np.isnan(touched_m)
+            above_plate = recalibrate_z or rules[position].plate == "known"
+            of_round[known] = contact_heights_m(touched_m[known], above_plate, plates_m[row])
+        chosen = heights[self._row_numbers]
+        unknown = np.isnan(chosen)
+        if unknown.any():
+            position, touch = self.locate(int(np.argmax(unknown)))
+            touch_contact_z_m(self.dataset[position]._row, self.dataset.kind, touch)  # says what is wrong
+        return chosen
+
+    def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
+        """Return the touches in which the gel stopped on an object; see :meth:`in_contact`."""
+        return self[self.in_contact(min_height_m, recalibrate_z)]
+
+    def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> NDArray[np.bool_]:
+        """Return of each touch whether the gel stopped on an object, shape (len,).
+
+        Parameters
+        ----------
+        min_height_m : float, optional
+            Height above the plate from which a touch counts, metres. By default that of the publisher's own
+            viewer, 6 mm; of touches that `tactile-sim generate` made, any height above the plate.
+        recalibrate_z : bool
+            Take the deepest touch of each round as the plate, where its height is not known: the zero of z
+            drifts by up to 3 mm.
+
+        Raises
+        ------
+        IntegrityError
+            As :meth:`heights_m`.
+        """
+        heights_m = self.heights_m(recalibrate_z)
+        if min_height_m is not None:
+            return heights_m >= min_height_m
+        least_m = np.array([rule.min_height_m for rule in self.dataset.contact_rules()])
+        return np.asarray(heights_m >= least_m[self.round_positions])
+
+    def objects(self, *wanted: int | Iterable[int]) -> Touches[R]:
+        """Return the touches of some objects, by ``object_id``, given as numbers or as sequences of them.
+
+        Raises
+        ------
+        InputError
+            Something else than integers is given.
+        """
+        numbers = list(map(plain_number, flattened(wanted)))
+        if not is_whole(*numbers):
+            raise InputError(f"{wanted!r} was given; expected object ids as integers")
+        ids = self.object_ids
+        return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
+
+    def sample(
+        self,
+        n: int | None = None,
+        seed: int = 0,
+        *,
+        empties: float | None = None,
+        contact: NDArray[np.bool_] | None = None,
+    ) -> Self:
+        """Return touches drawn at random without repetition, or those with contact and a share of the rest.
+
+        Parameters
+        ----------
+        n : int, optional
+            How many; with ``empties`` all that there are by default.
+        seed : int
+            From 0.
+        empties : float, optional
+            Share of touches without contact in what is returned, 0 to below 1, as far as there are any. Which
+            ones follows from the seed, the id of the round and the touch's number alone, whatever else is
+            selected and in whatever order. They stay where they are among the others.
+        contact : ndarray of bool, shape (len,), optional
+            Which touches have contact; by default those that :meth:`with_contact` keeps. See also
+            :func:`realtouch.find_contacts`.
+
+        Raises
+        ------
+        InputError
+            There are fewer touches, or a number, share or mask is none.
+        """
+        if empties is None:
+            return super().sample(len(self) if n is None else n, seed)
+        mask = self.in_contact() if contact is None else contact
+        chosen = self._select(with_empties(self, mask, empties, seed))
+        return chosen if n is None else super(Touches, chosen).sample(n, seed)
+
+    def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
+        """Return the touches but some, given as stored row and number in the round."""
+        rows = self.dataset.row_numbers[self.round_positions].tolist()
+        # By stored row: places in a view change with each filter.
+        gone = set(lost)
+        pairs = zip(rows, self.touch_indices.tolist(), strict=True)
+        return self[np.array([pair not in gone for pair in pairs], bool)]
+
+    def images(self, index: Any = slice(None), *, threads: int = 1, out: Pixels | None = None) -> Pixels:
+        """Decode the images of several touches of a ``single`` set into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which touches, in any order.
+        threads : int
+            How many images to decode at a time.
+        out : ndarray, shape (n, H, W, 3), uint8, optional
+            Where to put them.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        InputError
+            ``out`` is not a writable array of that shape and dtype, each image C-contiguous.
+        IntegrityError
+            An image is damaged or of another size; names file, row and touch.
+        """
+        wanted = [self.locate(each) for each in positions(index, len(self)).tolist()]
+        if not wanted:
+            has_any = len(self.dataset) and self.dataset[0].touch_count
+            size = self._images_of(0).size() if has_any else (0, 0)
+            return room_for(0, size) if out is None else out
+        size = self._images_of(wanted[0][0]).size(wanted[0][1])
+        out = np.empty((len(wanted), *size, 3), np.uint8) if out is None else out
+        room_for(len(wanted), size, out)
+        start = 0
+        for position, of_round in groupby(wanted, key=itemgetter(0)):
+            touches = [touch for _, touch in of_round]
+            stop = start + len(touches)
+            self._images_of(position).decode_into(out[start:stop], touches, threads=threads)
+            start = stop
+        return out
+
+    def _images_of(self, position: int) -> SensorImages:
+        record = self.dataset[position]
+        if not isinstance(record, TouchSingleRound):
+            raise missing_column(record._row, "sensor_image")
+        return record.sensor_image
+
+    def _stored(self, row: int) -> Touch:
+        place, touch = self._located(row)
+        return Touch(self.dataset[place], touch)
+
+    def _joined(self, other: Self) -> Self:
+        if self.dataset is other.dataset:
+            return self._view(np.concatenate([self._row_numbers, other._row_numbers]))
+        moved = other._row_numbers + self._starts[-1]
+        return type(self)(self.dataset + other.dataset, np.concatenate([self._row_numbers, moved]))
+
+    @property
+    def identity(self) -> str:
+        """What distinguishes these touches from all others, also from later ones of the same files."""
+        rounds = hashlib.sha256(self.dataset._row_numbers.tobytes()).hexdigest()
+        return f"{self.dataset.identity} {rounds}"
+
+    def _candidates(self, item: Any) -> Iterable[int]:
+        rounds = list(self.dataset._candidates(item.round)) if isinstance(item, Touch) else []
+        if not rounds:
+            return ()
+        places = np.isin(self.round_positions, rounds) & (self.touch_indices == item.touch_index)
+        return np.flatnonzero(places).tolist()
+
+    def _each(self) -> Iterator[tuple[int, Touch]]:
+        touches = self.touch_indices.tolist()
+        by_round: dict[int, list[int]] = {}
+        for index, place in enumerate(self.round_positions.tolist()):
+            by_round.setdefault(place, []).append(index)
+        for place, record in self.dataset._each():
+            for index in by_round.get(place, ()):
+                yield index, Touch(record, touches[index])
+
+    def _stored_parts(self) -> StoredParts:
+        rounds = self.dataset._stored_parts()
+        if rounds.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
+            return StoredParts.of(self._starts[rounds.starts])
+        turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
+        if rounds.order is not None:
+            turn[rounds.order] = np.arange(len(turn))
+        turns = turn[self.round_positions]
+        order = np.lexsort((self.touch_indices, turns))
+        return StoredParts.of(np.searchsorted(turns[order], rounds.starts), order)
+
+    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+        return self.dataset._row_groups(np.unique(self.round_positions[chosen]))
+
+    def _description(self) -> list[str]:
+        of_rounds, *further = self.dataset._description()
+        return [f"{counted(len(self), self.things)} of {of_rounds}", *further]
+
+
+def with_empties(
+    touches: Touches[Any], contact: NDArray[np.bool_], share: float, seed: int
+) -> NDArray[np.int64]:
+    """Return the places of all touches with contact, and of so many without that they are a share of both.
+
+    Raises InputError for a share, a seed or a mask that is none.
+    """
+    wanted, number, mask = plain_number(share, float), whole_number(seed, "the seed"), np.asarray(contact)
+    if not isinstance(wanted, float) or not 0 <= wanted < 1:
+        raise InputError(f"empties is {share!r}; expected 0 to below 1")
+    if mask.dtype != bool or mask.shape != (len(touches),):
+        found = f"contact is {mask.dtype} of shape {mask.shape}"
+        raise InputError(f"{found}; expected bool of shape ({len(touches)},)")
+    (empty,) = np.nonzero(~mask)
+    count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
+    if not count:
+        return np.flatnonzero(mask)
+    ids = touches.dataset.column("id")[touches.round_positions[empty]].tolist()
+    texts = zip(ids, touches.touch_indices[empty].tolist(), strict=True)
+    drawn = [
+        hashlib.blake2b(f"{number} {name} {touch}".encode(), digest_size=16).digest() for name, touch in texts
+    ]
+    order = sorted(range(len(drawn)), key=drawn.__getitem__)[:count]
+    return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
+
+
+def _row_of_each_touch(row: Row, per_touch: Collection[str]) -> Any:
+    """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
+    import pyarrow as pa
+
+    table, count = flat_row(row), touch_total(row)
+    columns = {}
+    for name in table.column_names:
+        array = table.column(name).chunk(0)
+        if name in per_touch:
+            entries_of(row, name)  # refuses a round with more or less of them
+            columns[name] = array.flatten()
+        else:
+            columns[name] = array.take(pa.array(np.zeros(count, np.int64)))
+    return pa.table({**columns, _INDEX: np.arange(count)})
