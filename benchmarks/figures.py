@@ -67,7 +67,7 @@ BENCHMARKS = {
     ),
     "starstruck": Benchmark(("starstruck_gen", *_STORE)),
     "real_touches": Benchmark(
-        ("realtouch/media", "realtouch/columns", "realtouch/touches.py", "tactile_toolkit/touch", *_READ)
+        ("realtouch/clips.py", "realtouch/images.py", "realtouch/dataset.py", "tactile_toolkit/touch", *_READ)
     ),
     "exchange": Benchmark(
         (

@@ -1,4 +1,4 @@
-"""How fast environments get their assets: height maps of digits, made and from disk, measured in one run.
+"""How fast environments get their assets: height maps of digits, measured in one run.
 
 python benchmarks/height_maps.py [--assets DIR] [--count 40] [--repeats 7] [--pitch-mm 0.2]
 
@@ -25,7 +25,7 @@ from figures import tell
 
 import env_assets
 from mnist3d.dataset import MeshRecord
-from tactile_toolkit.mesh.height_map import HeightCache, HeightMap, content_key, top_surface
+from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 
 
 def main() -> None:
@@ -44,7 +44,7 @@ def main() -> None:
         provider = env_assets.AssetProvider(options.assets or folder, generate=True, per_class=per_class)
         digits = list(provider.meshes("mnist3d", "test")[: options.count])
         describe(digits, options.pitch_mm / 1000)
-        height_table(digits, options.pitch_mm / 1000, options.repeats, Path(folder))
+        height_table(digits, options.pitch_mm / 1000, options.repeats)
 
 
 def describe(digits: Sequence[MeshRecord], pitch_m: float) -> None:
@@ -59,19 +59,12 @@ def describe(digits: Sequence[MeshRecord], pitch_m: float) -> None:
     )
 
 
-def height_table(digits: Sequence[MeshRecord], pitch_m: float, repeats: int, folder: Path) -> None:
-    """Print milliseconds per map: made, made and stored, found on disk, and by every-triangle search."""
-    cache = HeightCache(folder / "heights")
+def height_table(digits: Sequence[MeshRecord], pitch_m: float, repeats: int) -> None:
+    """Print milliseconds per map: made, and by every-triangle search."""
     made = [best_ms(lambda d=digit: top_surface(d, pitch_m), repeats) for digit in digits]
-    stored = [best_ms(lambda d=digit: cache.get(d, pitch_m), 1) for digit in digits]
-    found = [best_ms(lambda d=digit: cache.get(d, pitch_m), repeats) for digit in digits]
-    named = [best_ms(lambda d=digit: content_key(d, pitch_m), repeats) for digit in digits]
     boxes = [best_ms(lambda d=digit: by_boxes(d, top_surface(d, pitch_m)), 1) for digit in digits[:8]]
     for name, times in (
         ("made", made),
-        ("made and stored", stored),
-        ("found on disk", found),
-        ("naming the mesh for it", named),
         ("triangle by triangle", boxes),
     ):
         ninety = float(np.percentile(times, 90))

@@ -179,7 +179,7 @@ def preview_touches(
     Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
     realtouch preview real-seq --kind all --touch 12
     """
-    from realtouch.show.previews import TouchPreviewSpec, plan_previews
+    from realtouch.previews import TouchPreviewSpec, plan_previews
 
     plan = plan_previews(name, TouchPreviewSpec(tuple(kind), split, row, touches, touch, revision))
     pictures.write(sink, plan, "previews" if kind else "touches.png")
@@ -208,7 +208,7 @@ class Page:
         out, nouns, workers = self.out, gallery.nouns[1], process_count(self.workers)
         if self.dry_run:
             view = forecast_site(gallery, str(out), workers, overwrite=self.overwrite)
-            sink.document(asdict(view))
+            sink.document(view.to_dict())
             sink.table(("split", nouns), list(view.splits.items()))
             sink.line(
                 f"would make {out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "
@@ -268,7 +268,7 @@ def gallery_of_touches(
 
     Example: realtouch gallery real-single-64x64 --out site --split test
     """
-    from realtouch.show.gallery import RoundChoice, plan_gallery
+    from realtouch.gallery import RoundChoice, plan_gallery
 
     choice = RoundChoice(name, **chosen.given(), touches=touches, revision=revision)
     page.make(sink, plan_gallery(choice))

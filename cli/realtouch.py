@@ -19,8 +19,8 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
-    from realtouch.integrity.verify import TouchVerification
     from realtouch.summary import Summary
+    from realtouch.verification import TouchVerification
 
 
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
@@ -61,14 +61,14 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
     """
     from realtouch.convert.plan import Source
     from realtouch.dataset import dataset_of
-    from realtouch.integrity.agreement import folder_meant
     from realtouch.summary import summarise
+    from tactile_toolkit.catalog.locate import folder_named
     from tactile_toolkit.store.job import manifest_so_far
     from tactile_toolkit.store.manifest import MANIFEST_FILE
     from tactile_toolkit.store.typed_json import typed
 
     sink = Sink(as_json)
-    folder = folder_meant(name)
+    folder = folder_named(name)
     manifest = None if folder is None else manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
         sink.document({"name": name, "complete": False, "splits": manifest.split_table()})
@@ -79,7 +79,7 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
         return
     announce_fetching(sink, name, split)
     source = Source.open(name, revision, split)
-    summaries = {each: summarise(dataset_of(shards, source.kind)) for each, shards in source.shards.items()}
+    summaries = {each: summarise(dataset_of(shards)) for each, shards in source.shards.items()}
     sink.document(
         {
             "name": name,
@@ -142,13 +142,11 @@ def reproduce(*, name: TouchSet, revision: Revision = None, sink: Sink) -> None:
     """
     from realtouch.convert.plan import Source
     from realtouch.dataset import dataset_of
-    from realtouch.reproduce import paper_numbers
+    from realtouch.summary import paper_numbers
 
     announce_fetching(sink, name, None)
     source = Source.open(name, revision, None)
-    numbers = paper_numbers(
-        {split: dataset_of(shards, source.kind) for split, shards in source.shards.items()}
-    )
+    numbers = paper_numbers({split: dataset_of(shards) for split, shards in source.shards.items()})
     sink.document([number.to_dict() for number in numbers])
     rows = [(each.what, each.paper, each.found, "yes" if each.agrees else "NO") for each in numbers]
     sink.table(("what", "paper", "data", "agrees"), rows)
@@ -159,7 +157,7 @@ def reproduce(*, name: TouchSet, revision: Revision = None, sink: Sink) -> None:
 def _verified(
     sink: Sink, name: str, split: str | None, revision: str | None, workers: int = 0, *, quick: bool
 ) -> TouchVerification:
-    from realtouch.integrity.verify import verify as check
+    from realtouch.verification import verify as check
 
     count = process_count(workers)
     with sink.progress("checking", "rounds") as update:

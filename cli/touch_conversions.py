@@ -11,14 +11,14 @@ import typer
 
 from cli.application import command
 from cli.making import make_with_progress, print_converted
-from cli.options import Limit, Split, TouchSet, Work, place_of_data
+from cli.options import Limit, PerClass, Split, TouchSet, Work, parse_ids, place_of_data
 from cli.output import Sink
 from realtouch.kind import KIND
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch.contact import contact_height_option, size_option
-from tactile_toolkit.wording import is_count, listed
+from tactile_toolkit.wording import listed
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.manifest import Manifest
@@ -40,12 +40,6 @@ def _frame() -> Any:
         help="Frame of a clip: last or first of contact, of the deepest press, most unlike the median, or "
         "that of the best contact score.",
     )
-
-
-def _object_ids(words: str) -> list[int]:
-    if not all(map(is_count, listed(words))):
-        raise InputError(f"--ids has {words!r}; expected integers, such as 12,408")
-    return [int(each) for each in listed(words)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,10 +122,15 @@ class Select(_Conversion):
         name="--recalibrate/--as-recorded",
         help="Take each round's deepest touch as the plate, where its height is not known.",
     )
-    labels: tuple[str, ...] = text((), metavar="3,5", read=listed, help="Only these classes.")
-    objects: tuple[int, ...] = text(
-        (), name="--ids", metavar="ID,ID", read=_object_ids, help="Only these objects."
+    objects: tuple[Any, ...] = text(
+        (),
+        name="--ids",
+        metavar="3,17,40-60",
+        read=parse_ids,
+        help="Only the objects with these ids.",
     )
+    labels: tuple[str, ...] = text((), metavar="3,7", read=listed, help="Only the objects of these classes.")
+    per_class: PerClass = None
 
     def arguments(self) -> dict[str, Any]:
         """Return what the function takes; InputError for options that would have no effect."""
@@ -253,7 +252,7 @@ def _print_made(sink: Sink, manifest: Manifest, out: str, _elapsed_s: float | No
 
 def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
     """Print what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
-    from tactile_toolkit.catalog.kinds import place_of
+    from tactile_toolkit.catalog.published import place_of
     from tactile_toolkit.hub.repository import hub_name
     from tactile_toolkit.store.files import expanded
 
@@ -270,9 +269,9 @@ def import_touches(
     source: Annotated[
         str, typer.Argument(metavar="DIR", help="Folder of images and a CSV table, or of tars.")
     ],
-    file_format: Literal["folder", "webdataset", "fota", "sparsh", "anytouch"] = choice(
+    file_format: Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"] = choice(
         MISSING,
-        ("folder", "webdataset", "fota", "sparsh", "anytouch"),
+        ("folder", "webdataset", "replay", "fota", "sparsh", "anytouch"),
         name="--format",
         help="How the images lie.",
     ),

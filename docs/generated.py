@@ -37,10 +37,8 @@ API = (
 SHARED = (
     "env_assets.wrench.spec.WIDTHS_ACROSS_FLATS_MM",
     "realtouch.contact.CLOCK_TOLERANCE_S",
-    "realtouch.contact.changed_area",
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
-    "realtouch.contact.most_changed_frame",
     "starstruck_gen.spec.COLLISION_RULES",
     "tactile_sim.sensor.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.files.FORMATS",

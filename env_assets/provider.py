@@ -18,7 +18,7 @@ from env_assets.missing import FOREIGN, KINDS, AssetMaker, require_integer
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh.height_map import HeightCache, HeightMap
+from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 from tactile_toolkit.mesh.mesh import as_mesh
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.files import expanded, is_there
@@ -98,7 +98,6 @@ class AssetProvider:
         self._generate = generate
         require_integer("cache_meshes", cache_meshes, 0)
         self._memory = MemoryCache[Any, Any](cache_meshes)
-        self._heights = HeightCache()
         self._opened: dict[tuple[str, str, str], Any] = {}
 
     @property
@@ -167,7 +166,7 @@ class AssetProvider:
             As :meth:`meshes`.
         """
         from realtouch.opening import load
-        from tactile_toolkit.catalog.kinds import place_of
+        from tactile_toolkit.catalog.published import place_of
 
         name = fspath(name)
         opened = self._opened.get(("touches", name, split))
@@ -197,7 +196,7 @@ class AssetProvider:
         return kept.volumes_m3
 
     def height_map(self, record: Any, pitch_m: float = 0.0002) -> HeightMap:
-        """Return the top surface of a mesh as a grid, kept on disk for the next time.
+        """Return the top surface of a mesh as a grid.
 
         Parameters
         ----------
@@ -211,7 +210,7 @@ class AssetProvider:
         InputError
             No mesh, or a pitch that is not positive or makes the grid too large.
         """
-        return self._heights.get(record, pitch_m)
+        return top_surface(record, pitch_m)
 
     def bounds(self, record: Any) -> NDArray[np.float64]:
         """Return lowest and highest corner of a mesh, shape (2, 3), metres, in its own frame.
@@ -291,7 +290,7 @@ class AssetProvider:
         """Name the command that makes what is missing; damaged data keeps its own message."""
         if isinstance(error, IntegrityError):
             return error
-        found = error.what if self._maker.place(name).is_dir() else "it is not there"
+        found = str(error).partition("; next: ")[0] if self._maker.place(name).is_dir() else "it is not there"
         message = (
             f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}; next: "
             f"{self._maker.next_step(name, split)}"
@@ -300,7 +299,7 @@ class AssetProvider:
 
 
 def _held_places(places: object) -> dict[str, str]:
-    from realtouch.names import SHORT_NAMES
+    from realtouch.opening import SHORT_NAMES
 
     known = (*KINDS, *FOREIGN, *SHORT_NAMES)
     if not isinstance(places, Mapping):

@@ -10,9 +10,9 @@ from realtouch.dataset import (
 from realtouch.exchange.api import export as export
 from realtouch.exchange.importing import import_images as import_images
 from realtouch.exchange.items import ImportColumns as ImportColumns
-from realtouch.integrity.verify import verify as verify
-from realtouch.media.clips import TouchClip as TouchClip
-from realtouch.names import SHORT_NAMES as SHORT_NAMES
+from realtouch.verification import verify as verify
+from realtouch.clips import TouchClip as TouchClip
+from realtouch.opening import SHORT_NAMES as SHORT_NAMES
 from realtouch.opening import load as load
 from realtouch.poses import Poses as Poses, PoseSequences as PoseSequences
 from realtouch.preprocess import (
@@ -21,10 +21,10 @@ from realtouch.preprocess import (
     best_frame as best_frame,
     find_contacts as find_contacts,
 )
-from realtouch.changes import difference as difference
-from realtouch.changes import contact_score as contact_score
-from realtouch.changes import ContactScore as ContactScore
-from realtouch.changes import ContactRule as ContactRule
+from realtouch.contact import difference as difference
+from realtouch.contact import contact_score as contact_score
+from realtouch.contact import ContactScore as ContactScore
+from realtouch.contact import ContactRule as ContactRule
 from realtouch.rounds import (
     TouchRound as TouchRound,
     TouchSeqRound as TouchSeqRound,
@@ -32,6 +32,6 @@ from realtouch.rounds import (
 )
 from realtouch.summary import Summary as Summary, summarise as summarise
 from realtouch.touch import Touch as Touch
-from realtouch.touches import Touches as Touches
+from realtouch.dataset import Touches as Touches
 
 __version__: str

@@ -13,8 +13,8 @@ from typing import Any, Literal, NamedTuple, TypeVar
 import numpy as np
 
 from realtouch.dataset import dataset_of
+from realtouch.images import contact_sheet, evenly_spaced
 from realtouch.kind import KIND
-from realtouch.media.sheets import contact_sheet, evenly_spaced
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from realtouch.touch import Touch
 from tactile_toolkit.cards.card import (
@@ -52,6 +52,7 @@ _TILE_WIDTH = 96
 _ROUNDS_SEEN = 4
 
 _CELL = "m, cell frame"
+_WINDOW = "18.88 x 14.16 mm of gel"
 _FAMILIES: dict[str, Column] = {"info.": ("", "metadata of the round, as recorded")}
 
 COLUMNS: dict[str, Column] = {
@@ -147,10 +148,8 @@ def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
         content = _stored_content(facts, kind, rule, manifest, words["kinds"][kind])
         content.columns["object_id"] = ("", of_origin["object_id"])
         heights = [of_origin.get("drift"), words["plates"][rule.plate]]
-    # Rendered touches may show less of the gel; their source knows how much.
-    is_known = not (origin == "synthetic" and (is_plain or rule.plate == "known"))
-    window = "18.88 x 14.16 mm of gel" if is_known else "the window of its source"
-    in_cell = " ".join(filter(None, [words["frames"]["cell"].replace("$window", window), *heights]))
+    cell = words["frames"]["cell"].replace("$window", of_origin.get("window", _WINDOW))
+    in_cell = " ".join(filter(None, [cell, *heights]))
     limits = [*of_origin["limits"], *(content.words.get("limits", ()) if origin == "real" else ())]
     title = f"{of_origin['title']} {content.words['title']}"
     is_clips = template == "seq"
@@ -288,7 +287,7 @@ def _split_figures(split: SplitFacts, kind: Kind) -> _SplitFigures:
     """Count one split; reads small columns, no image or clip."""
     if not split.rows:
         return _SplitFigures(0, None, 0, None)
-    dataset = dataset_of(split.shards, kind)
+    dataset = dataset_of(split.shards)
     return _SplitFigures(
         _or_none(lambda: int(dataset.touch_counts.sum())),
         _or_none(lambda: (int(dataset.touch_counts.min()), int(dataset.touch_counts.max()))),

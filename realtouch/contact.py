@@ -1,33 +1,52 @@
-"""Which frame of a clip shows the contact: by time, by pose, or by the picture.
+"""Contact, by time, by the gel's height, and by the picture; arrays only.
 
-Every choice here states what happens on a tie: the earlier frame wins.
+Which frames of a clip show contact follows from the registered times (:func:`contact_window`), as in the
+paper. Whether a touch met an object follows from the height at which the gel stopped
+(:func:`contact_heights_m`), the rule of the paper's authors; or from what changed in the picture against the
+median (:class:`ContactRule`), which is ours. On a tie the earlier frame wins.
+
+Grey is what OpenCV and JPEG call luma (ITU-R BT.601), in integers: (4899 R + 9617 G + 1868 B + 8192) >>
+14. Everything here is exact and gives the same numbers on every machine.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Literal, get_args
+import warnings
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch.jpeg import Pixels
 
-ContactMethod = Literal["contact_start", "contact_end", "peak", "median", "best"]
+ContactMethod = Literal["contact_start", "contact_end", "peak", "best"]
 CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
-"""Names of the ways to choose one frame: see :meth:`realtouch.media.clips.TouchClip.contact_index`."""
-
-DEFAULT_MIN_CHANGE = 12.0
-"""Grey levels by which a pixel must differ from the clip's median to count as changed."""
-
-DEFAULT_MIN_AREA = 0.005
-"""Share of changed pixels from which a frame counts as contact."""
+"""Names of the ways to choose one frame: see :meth:`realtouch.TouchClip.contact_index`."""
 
 CLOCK_TOLERANCE_S = 1e-4
 """Times so close count as one, seconds: what single precision rounds off in a clock's first half hour."""
 
-# Of the published 58 to 90 frames every fifth: most show the gel at rest, and a median sorts them all.
-_MEDIAN_FRAMES = 15
+DifferenceForm = Literal["signed", "grey", "absolute"]
+DIFFERENCE_FORMS: tuple[DifferenceForm, ...] = get_args(DifferenceForm)
+
+_PIXELS_AT_ONCE = 1 << 13
+"""Values of a picture that are compared at a time: with 90 frames of a clip, what a core keeps at hand."""
+
+
+def require_method(method: str) -> ContactMethod:
+    """Return the method of that name; InputError when there is none."""
+    if method == "median":
+        warnings.warn("'median' is deprecated, and chooses as 'best' does", DeprecationWarning, stacklevel=3)
+        return "best"
+    for known in CONTACT_METHODS:
+        if known == method:
+            return known
+    raise InputError(f"unknown frame method {method!r}; expected one of {', '.join(CONTACT_METHODS)}")
 
 
 def contact_window(time_s: NDArray[np.float64], start_s: float, end_s: float) -> slice:
@@ -66,47 +85,6 @@ def contact_windows(
     return starts, stops
 
 
-def deepest_frame(z_m: NDArray[np.floating]) -> int:
-    """Return the frame of the deepest press, the lowest gel; the earliest of equally low ones."""
-    return int(np.argmin(z_m))
-
-
-def changed_area(
-    frames: NDArray[np.uint8], min_change: float = DEFAULT_MIN_CHANGE
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Compare each frame of a clip, shape (N, H, W, 3), uint8, with the clip's median.
-
-    The median of each pixel and channel is taken over up to 15 frames, evenly spaced from first to last. A
-    pixel counts as changed when it differs by ``min_change`` grey levels, averaged over the channels. Returns
-    the share of changed pixels, 0 to 1, and the mean difference of all pixels, grey levels, each of shape
-    (N,).
-    """
-    chosen = np.unique(np.linspace(0, len(frames) - 1, _MEDIAN_FRAMES).round().astype(int))
-    median = np.median(frames[chosen], axis=0).astype(np.int16)
-    # Summed over the channels: a third of the threshold's work, and integers throughout.
-    differences = [np.abs(frame - median).sum(axis=-1, dtype=np.int32) for frame in frames]
-    area = np.array([np.count_nonzero(each > 3 * min_change) / each.size for each in differences])
-    return area, np.array([each.mean() / 3 for each in differences])
-
-
-def most_changed_frame(
-    frames: NDArray[np.uint8],
-    *,
-    min_change: float = DEFAULT_MIN_CHANGE,
-    min_area: float = DEFAULT_MIN_AREA,
-) -> int | None:
-    """Return the frame that differs most from the clip's median, see :func:`changed_area`.
-
-    That is the one with the largest changed area; among equal ones that of the largest mean difference, then
-    the earliest. None when no frame reaches ``min_area``, a share of 0 to 1: the clip shows no contact.
-    """
-    if len(frames) == 0:
-        return None
-    area, change = changed_area(frames, min_change)
-    best = int(np.lexsort((np.arange(len(frames)), -change, -area))[0])
-    return best if area[best] >= min_area else None
-
-
 def contact_heights_m(
     z_m: NDArray[np.floating], recalibrate_z: bool = True, plate_z_m: float = math.nan
 ) -> NDArray[np.float64]:
@@ -123,9 +101,240 @@ def contact_heights_m(
     return heights - (np.fmin.reduce(heights) if math.isnan(plate_z_m) else plate_z_m)
 
 
-def require_method(method: str) -> ContactMethod:
-    """Return the method of that name; InputError when there is none."""
-    for known in CONTACT_METHODS:
-        if known == method:
-            return known
-    raise InputError(f"no way {method!r} to choose a frame; expected one of {', '.join(CONTACT_METHODS)}")
+def median_in_memory(pictures: Pixels) -> Pixels:
+    """Return the median picture of some in memory, shape (n, H, W, 3), n at least 1; as :func:`median_of`.
+
+    Bit by bit and a few pixels at a time, which takes an eighth of the time of counting every value.
+    """
+    values = pictures.reshape(len(pictures), -1)
+    starts = range(0, values.shape[1], _PIXELS_AT_ONCE)
+    parts = (values[:, start : start + _PIXELS_AT_ONCE] for start in starts)
+    found: list[Any] = [_values_in_the_middle([[part]] * 8, 1) for part in parts]
+    return np.concatenate(found).reshape(pictures.shape[1:])
+
+
+def median_of(batches: Callable[[], Iterable[Pixels]]) -> Pixels | None:
+    """Return the median picture of batches, shape (n, H, W, 3), that can be read twice; None without any.
+
+    Exact; of an even number of pictures the mean of the two in the middle, rounded down.
+    """
+    # Four bits at a time: 15 counts of each value of a 320 x 240 picture are 14 MB, 255 would be 235.
+    return _values_in_the_middle((batches() for _ in range(2)), 4)
+
+
+def _values_in_the_middle(passes: Iterable[Iterable[Pixels]], bits: int) -> Pixels | None:
+    """Return the median of each pixel: some of its bits by each pass over all pictures, the highest first.
+
+    The value of a rank is the greatest that no more pictures than that lie below.
+    """
+    found: list[NDArray[np.uint8]] = []  # of the one rank in the middle, or of both
+    for number, batches in enumerate(passes, 1):
+        steps = (np.arange(1, 1 << bits) << (8 - number * bits)).astype(np.uint8)
+        total = 0
+        below: NDArray[Any] = np.zeros(0, np.int32)
+        for batch in batches:
+            if not found:
+                found = [np.zeros(batch.shape[1:], np.uint8)]
+            if not total:
+                below = np.zeros((len(found), len(steps), *batch.shape[1:]), np.int32)
+            elif below.shape[2:] != batch.shape[1:]:
+                (first_height, first_width), (height, width) = below.shape[2:4], batch.shape[1:3]
+                raise InputError(
+                    f"pictures of {first_width} x {first_height} and of {width} x {height} pixels have no "
+                    "common background; expected one size"
+                )
+            total += len(batch)
+            counted = np.min_scalar_type(len(batch))
+            for counts, value in zip(below, found, strict=True):
+                for count, step in zip(counts, steps, strict=True):
+                    count += (batch < value + step).sum(axis=0, dtype=counted)
+        if not found:
+            return None
+        ranks = sorted({(total - 1) // 2, total // 2})
+        # After the first pass one value became two, where there are two ranks in the middle.
+        found = [
+            found[-place] + ((below[-place] <= rank).sum(axis=0) << (8 - number * bits)).astype(np.uint8)
+            for place, rank in enumerate(ranks)
+        ]
+    return ((found[0].astype(np.int64) + found[-1]) // 2).astype(np.uint8)
+
+
+def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> Pixels:
+    """Return an array of so many dimensions, three channels and uint8; InputError for any other."""
+    found = np.asarray(pictures)
+    if found.dtype != np.uint8 or found.ndim not in dimensions or found.shape[-1] != 3:
+        expected = " or ".join("(N, H, W, 3)" if each == 4 else "(H, W, 3)" for each in dimensions)
+        raise InputError(
+            f"pictures are an array of shape {found.shape}, {found.dtype}; expected {expected}, uint8, or a "
+            "clip, a round or touches"
+        )
+    return found
+
+
+def _with_background(pictures: Any, background: Any) -> tuple[Pixels, Pixels]:
+    """Return one picture or several, and a background of their size; InputError for any other."""
+    found, base = as_pictures(pictures, (3, 4)), as_pictures(background, (3,))
+    if found.shape[-3:] != base.shape:
+        raise InputError(
+            f"the background has the shape {base.shape}; expected {found.shape[-3:]}, as the pictures"
+        )
+    return found, base
+
+
+def difference(pictures: Pixels, background: Pixels, form: DifferenceForm = "signed") -> NDArray[Any]:
+    """Return what changed against a background.
+
+    Parameters
+    ----------
+    pictures : ndarray, shape (H, W, 3) or (N, H, W, 3), uint8
+        One picture, or several.
+    background : ndarray, shape (H, W, 3), uint8
+        Such as :func:`background` gives.
+    form : str
+        ``"signed"``: picture - background; ``"grey"``: (picture - background + 256) // 2, where 128 is equal
+        and half of each difference is kept; ``"absolute"``: its absolute value.
+
+    Returns
+    -------
+    ndarray, the shape of ``pictures``; int16 if signed, else uint8
+
+    Raises
+    ------
+    InputError
+        Arrays of other shapes or types, or another form.
+    """
+    if form not in DIFFERENCE_FORMS:
+        raise InputError(f"no difference {form!r}; expected one of {', '.join(DIFFERENCE_FORMS)}")
+    found, base = _with_background(pictures, background)
+    signed = found.astype(np.int16) - base
+    if form == "signed":
+        return signed
+    return (np.abs(signed) if form == "absolute" else (signed + 256) // 2).astype(np.uint8)
+
+
+@dataclass(frozen=True)
+class ContactRule:
+    """When a picture shows contact.
+
+    Attributes
+    ----------
+    min_change : int
+        Grey levels above which a pixel has changed: grey of the absolute difference from the background.
+    min_area_px : int
+        Changed pixels from which a picture may show contact.
+    min_intensity : float
+        Mean grey of the changed pixels from which it does, levels.
+    crop : float
+        Share of height and width around the middle that is looked at, over 0 to 1.
+
+    Notes
+    -----
+    The defaults are those of a known consumer of the published clips (median background of each clip, central
+    half of the picture); see :func:`find_contacts`.
+    """
+
+    min_change: int = integer(10, 0, 255)
+    min_area_px: int = integer(40, 0, 1 << 40)
+    min_intensity: float = real(12.0, 0, 255)
+    crop: float = real(0.5, 1e-6, 1)
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the contact rule")
+
+    def holds(self, score: ContactScore) -> Any:
+        """Return whether pictures of such scores show contact: bool, or an array of them."""
+        return (score.area_px >= self.min_area_px) & (score.intensity >= self.min_intensity)
+
+    def window(self, height: int, width: int) -> tuple[slice, slice]:
+        """Return rows and columns that are looked at."""
+        # At least a pixel or two stay, however small the crop.
+        margins = [min(round(size * (1 - self.crop) / 2), (size - 1) // 2) for size in (height, width)]
+        return slice(margins[0], height - margins[0]), slice(margins[1], width - margins[1])
+
+
+@dataclass(frozen=True, eq=False)
+class ContactScore:
+    """How much of a picture changed, and by how much; numbers, or arrays of shape (N,) for N pictures.
+
+    Attributes
+    ----------
+    area_px : int64
+        Changed pixels.
+    intensity : float64
+        Mean grey of the changed pixels, levels; 0 where none has changed.
+    """
+
+    area_px: Any
+    intensity: Any
+
+    @property
+    def total_change(self) -> Any:
+        """Grey levels of all changed pixels together: the picture of the greatest shows the contact best."""
+        return np.rint(self.area_px * self.intensity)
+
+    @property
+    def weight(self) -> Any:
+        """The former name of :attr:`total_change`."""
+        warnings.warn("'weight' is deprecated; use 'total_change'", DeprecationWarning, stacklevel=2)
+        return self.total_change
+
+
+def contact_score(pictures: Pixels, background: Pixels, rule: ContactRule | None = None) -> ContactScore:
+    """Score how clearly pictures show contact.
+
+    Parameters
+    ----------
+    pictures : ndarray, shape (H, W, 3) or (N, H, W, 3), uint8
+        One picture, or several.
+    background : ndarray, shape (H, W, 3), uint8
+        What they look like without contact.
+    rule : ContactRule, optional
+        Threshold of a changed pixel, and crop.
+
+    Returns
+    -------
+    ContactScore
+
+    Raises
+    ------
+    InputError
+        As :func:`difference`.
+    """
+    rule = rule or ContactRule()
+    found, base = _with_background(pictures, background)
+    rows, columns = rule.window(*base.shape[:2])
+    score = _score(found.reshape(-1, *base.shape)[:, rows, columns], base[rows, columns], rule.min_change)
+    return score if found.ndim == 4 else ContactScore(int(score.area_px[0]), float(score.intensity[0]))
+
+
+def _score(pictures: Pixels, base: Pixels, min_change: int) -> ContactScore:
+    area, total = np.zeros(len(pictures), np.int64), np.zeros(len(pictures), np.int64)
+    for number, picture in enumerate(pictures):
+        # The greater less the smaller stays within eight bits.
+        change = (np.maximum(picture, base) - np.minimum(picture, base)).astype(np.int32)
+        grey = (4899 * change[..., 0] + 9617 * change[..., 1] + 1868 * change[..., 2] + 8192) >> 14
+        changed = grey[grey > min_change]
+        area[number], total[number] = changed.size, changed.sum()
+    return ContactScore(area, total / np.maximum(area, 1))
+
+
+def best_of(
+    frames: Pixels, rule: ContactRule | None = None, base: Pixels | None = None
+) -> tuple[int, ContactScore]:
+    """Return the frame of a clip, shape (N, H, W, 3), of the greatest total change, and its score.
+
+    The earliest of equals. Without a background ``base`` it is the median of the clip. Raises InputError
+    where there is no frame.
+    """
+    rule = rule or ContactRule()
+    if not len(frames):
+        raise InputError("the clip holds no frame; expected at least one")
+    if base is None:
+        # Only what the rule looks at is needed of it.
+        rows, columns = rule.window(*frames.shape[1:3])
+        seen = np.ascontiguousarray(frames[:, rows, columns])
+        scores = _score(seen, median_in_memory(seen), rule.min_change)
+    else:
+        scores = contact_score(frames, base, rule)
+    best = int(np.argmax(scores.total_change))
+    return best, ContactScore(int(scores.area_px[best]), float(scores.intensity[best]))

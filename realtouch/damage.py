@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
-from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import column_names
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 
@@ -62,26 +62,28 @@ def damaged(row: Row, field: str, problem: str, touch: int | None = None) -> Dam
     return DamagedRoundError(Damage(row.path, row.number, touch, field, problem))
 
 
+@contextmanager
+def naming(row: Row, field: str, touch: int | None = None, where: str = "") -> Iterator[None]:
+    """Turn a ValueError into damage of a field of a row."""
+    try:
+        yield
+    except ValueError as error:
+        raise damaged(row, field, f"{where}{error}", touch) from error
+
+
 def missing_column(row: Row, field: str) -> InputError:
     """Return the error for a column that was asked for and that the data set does not have."""
-    names = row.group.names
-    if "://" not in row.path:  # else asking would take a download; a row may have been read with few columns
-        with suppress(IntegrityError):
-            names = column_names(Shard(row.path).schema)
-    there = ", ".join(names)
     return InputError(
-        f"{row.path!r} has no column {field!r} (it has {there}); next: use a data set that has it, such as "
-        "the `seq` or the `single` form of the same touches"
+        f"{row.path!r} has no column {field!r}",
+        next="use a data set that has it, such as the `seq` or the `single` form of the same touches",
     )
 
 
-def unreadable_file(path: str, error: IntegrityError) -> Damage:
+def unreadable_file(path: str, error: ToolkitError) -> Damage:
     """Return the damage of an entire file, from the error that opening it raised."""
     words = _cause(path, error)
-    named = re.fullmatch(r"field '(?P<field>[^']+)': (?P<problem>.*)", words)
-    if named is None:
-        return Damage(path, None, None, "", words)
-    return Damage(path, None, None, named["field"], named["problem"])
+    named = re.fullmatch(r"field '([^']+)': (.*)", words)
+    return Damage(path, None, None, *(named.groups() if named else ("", words)))
 
 
 def unreadable_rows(shard: Shard, index: int, error: IntegrityError) -> Damage:
@@ -92,7 +94,7 @@ def unreadable_rows(shard: Shard, index: int, error: IntegrityError) -> Damage:
     return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
 
 
-def _cause(path: str, error: IntegrityError) -> str:
+def _cause(path: str, error: ToolkitError) -> str:
     """Return what an error says, without the file and the next step, which a list names once for all."""
     words = " ".join(str(error).split()).partition("; next: ")[0]
     return words.removeprefix(repr(path)).lstrip(",: ")

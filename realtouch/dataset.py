@@ -1,29 +1,51 @@
-"""Data sets and streams of rounds: lazy sequences of typed records, with the flat view of their touches."""
+"""Data sets and streams of rounds, and the flat view of their touches with random access and filters."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, ClassVar, Self, TypeVar
+import hashlib
+import warnings
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from functools import partial
+from itertools import groupby
+from operator import itemgetter
+from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.poses import touch_contact_z_m
-from realtouch.damage import Damage, unreadable_rows
-from realtouch.integrity.agreement import stated_class_names
-from realtouch.integrity.check_round import check_round
-from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.touches import Rounds, Touches
+from realtouch.clip_columns import contact_z_m
+from realtouch.columns import entries_of, intended_positions, readable, stored_rows, touch_total
+from realtouch.contact import contact_heights_m
+from realtouch.damage import Damage, missing_column
+from realtouch.images import SensorImages
+from realtouch.integrity import check_round, readable_rows, stated_class_names, stored_touch_counts
+from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
+from realtouch.touch import Touch, touch_id
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
+from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.touch.schema import CLASS_NAMES, Kind
-from tactile_toolkit.wording import counted
+from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, nearest, positions
+from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
+from tactile_toolkit.touch.jpeg import Pixels, room_for
+from tactile_toolkit.touch.schema import (
+    CLASS_NAMES,
+    MEDIA_COLUMN,
+    POSE_COLUMN,
+    Kind,
+    flat_row,
+    is_per_touch,
+    kind_of,
+)
+from tactile_toolkit.wording import counted, is_whole, plain_number, whole_number
+
+_INDEX = "touch_index"
+_POSITION = ("x_m", "y_m")
 
 R = TypeVar("R", bound=TouchRound)
 
 
-class TouchDataset(Rounds[R]):
+class TouchDataset(RecordDataset[R]):
     """A lazy sequence of rounds; see :class:`tactile_toolkit.read.dataset.RecordDataset`.
 
     Parameters
@@ -36,6 +58,7 @@ class TouchDataset(Rounds[R]):
     """
 
     things = "rounds"
+    kind: Kind
 
     def __init__(
         self,
@@ -63,16 +86,13 @@ class TouchDataset(Rounds[R]):
     @property
     def _lost_touches(self) -> frozenset[tuple[int, int]]:
         """Stored row and number in the round of each touch that was left out."""
-        lost = set()
-        for row, damage in self._skipped:
-            if row is not None and damage.touch is not None:
-                lost.add((row, damage.touch))
-        return frozenset(lost)
+        places = ((row, damage.touch) for row, damage in self._skipped)
+        return frozenset((row, touch) for row, touch in places if row is not None and touch is not None)
 
     def contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Read the height of the gel at the deepest press of every stored touch.
 
-        Opens no image or clip, but where a set states no lengths of padded clips: those are counted then.
+        Opens no image or clip.
 
         Returns
         -------
@@ -92,30 +112,125 @@ class TouchDataset(Rounds[R]):
         for position, row in enumerate(self.row_numbers.tolist() if unknown.any() else ()):
             for touch in np.flatnonzero(unknown[starts[row] : starts[row + 1]]).tolist():
                 if (row, touch) not in lost:
-                    touch_contact_z_m(self[position]._row, self.kind, touch)  # says what is wrong
+                    contact_z_m(self[position]._row, self.kind, touch)  # states what is wrong
         return z_m, starts
-
-    def __eq__(self, other: object) -> bool:
-        """Return whether both hold equal rounds in the same order, and left out the same touches of them."""
-        equal = super().__eq__(other)
-        if not isinstance(other, TouchDataset) or equal is NotImplemented:
-            return NotImplemented
-        return equal and self._lost_places() == other._lost_places()
-
-    __hash__ = RecordDataset.__hash__
-
-    def _lost_places(self) -> set[tuple[int, int]]:
-        lost: dict[int, list[int]] = {}
-        for row, touch in self._lost_touches:
-            lost.setdefault(row, []).append(touch)
-        rows = enumerate(self.row_numbers.tolist()) if lost else ()
-        return {(place, touch) for place, row in rows for touch in lost.get(row, ())}
 
     def _joined(self, other: Self) -> Self:
         joined, offset = super()._joined(other), int(self._starts[-1])
         moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
         joined._skipped = (*self._skipped, *moved)
         return joined
+
+    @property
+    def touch_counts(self) -> NDArray[np.int64]:
+        """T of each round, shape (len,), int64; reads at most the column of intended positions."""
+        return self._stored_counts[self.row_numbers]
+
+    @property
+    def _stored_counts(self) -> NDArray[np.int64]:
+        def counts(shard: Shard) -> list[NDArray[np.int64]]:
+            return [stored_touch_counts(shard, index) for index in range(shard.metadata.num_row_groups)]
+
+        return np.concatenate([table.per_shard("touches", counts) for table in self._tables])
+
+    @property
+    def _shards(self) -> list[Shard]:
+        return [shard for table in self._tables for shard in table.shards]
+
+    @property
+    def row_numbers(self) -> NDArray[np.int64]:
+        """Number of each round in the stored tables, shape (len,), int64."""
+        return np.asarray(self._rows, np.int64)
+
+    def has_column(self, name: str) -> bool:
+        """Return whether the data set has a column, by dotted name."""
+        return all(name in table.shards[0].types for table in self._tables)
+
+    def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Return what :meth:`contact_z_m` does; NaN wherever a height cannot be read."""
+        columns = ["pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
+
+        def known_z_m(row: Row) -> NDArray[np.float64]:
+            return readable(row, lambda row, touch: contact_z_m(row, self.kind, touch))
+
+        z_m = self._per_touch("contact z", columns, known_z_m)
+        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
+        if len(z_m) != starts[-1]:
+            raise IntegrityError(
+                f"{len(z_m):,} poses of touches for {starts[-1]:,} touches; expected one each",
+                next="run `realtouch verify`, which names the rounds",
+            )
+        return z_m, starts
+
+    def known_positions_m(self) -> NDArray[np.float64]:
+        """Read where each touch of these rounds was meant to be, NaN where that cannot be read.
+
+        Shape (touches of all rounds of the view, in order, 2), metres, cell frame; reads that column only.
+        """
+        known = partial(readable, read=intended_positions, shape=(2,))
+        positions_m = self._per_touch("positions", ["pos_in_cell"], known).reshape(-1, 2)
+        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
+        wanted = [np.arange(starts[row], starts[row + 1]) for row in self.row_numbers.tolist()]
+        of_view: NDArray[np.float64] = positions_m[np.concatenate(wanted or [np.zeros(0, np.int64)])]
+        return of_view
+
+    def _per_touch(
+        self, key: str, columns: Sequence[str], known: Callable[[Row], NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        """Join what is known of the touches of each stored row, of a few columns."""
+
+        def of_shard(shard: Shard) -> list[NDArray[np.float64]]:
+            groups = shard.all_blocks(columns)
+            return [known(Row(group, index)) for group in groups for index in range(len(group.table))]
+
+        return np.concatenate([table.per_shard(key, of_shard) for table in self._tables])
+
+    def plates_z_m(self) -> NDArray[np.float64]:
+        """Return the height of the plate of every stored row, shape (stored rows,), metres, cell frame.
+
+        NaN where it is neither known nor stored, as in the published sets: the deepest touch shows it there.
+        """
+        plates: list[NDArray[np.float64]] = []
+        for shard in self._shards:
+            rule = ContactHeight.of(shard.types)
+            if rule.plate == "stored":
+                stored = ShardedTable((shard,)).column(PLATE_COLUMN)
+                plates.append(np.asarray(stored, np.float64))
+            else:
+                plates.append(np.full(len(shard), PRESS_DEPTH_M if rule.plate == "known" else np.nan))
+        return np.concatenate(plates or [np.zeros(0)])
+
+    def contact_rules(self) -> list[ContactHeight]:
+        """Return the rule by which touches of each round count as contact; joined sets may have several."""
+        of_rows = [rule for shard in self._shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
+        return [of_rows[row] for row in self.row_numbers.tolist()]
+
+    def rounds_without_media(self) -> Iterator[tuple[int, R]]:
+        """Yield stored row number and round, row by row, without opening images or clips until asked for."""
+        number = 0
+        # Through the stored rows in their order: each block is read once, whatever the order of the view.
+        wanted = set(self.row_numbers.tolist())
+        media = MEDIA_COLUMN[self.kind]
+        for shard in self._shards:
+            columns = [name for name in shard.schema.names if name != media]
+            for index in range(shard.metadata.num_row_groups):
+                for block, group in enumerate(shard.blocks(index, columns)):
+                    rows = GroupWithoutMedia(
+                        group.table, group.path, group.first_row, shard=shard, index=index, block=block
+                    )
+                    for row in range(len(group.table)):
+                        if number + row in wanted:
+                            yield number + row, self.record_class(RowWithoutMedia(rows, row))
+                    number += len(group.table)
+
+    def _each(self) -> Iterator[tuple[int, R]]:
+        places: dict[int, list[int]] = {}
+        for place, row in enumerate(self.row_numbers.tolist()):
+            places.setdefault(row, []).append(place)
+        # A view may hold a round several times, at several places.
+        for row, record in self.rounds_without_media():
+            for place in places[row]:
+                yield place, record
 
 
 class TouchSingleDataset(TouchDataset[TouchSingleRound]):
@@ -132,18 +247,425 @@ class TouchSeqDataset(TouchDataset[TouchSeqRound]):
     kind = "seq"
 
 
+class Touches(LazySequence[Touch], Generic[R]):
+    """All touches of some rounds, or a selection of them; a view that copies nothing.
+
+    ``touches[i]`` gives a :class:`Touch`; a slice, ints or a boolean mask give a view. Filters give views too
+    and read only the columns that they need. :meth:`split` divides touches, so that parts share rounds and
+    objects: divide the rounds, or by :attr:`object_ids`, where they must not.
+
+    Parameters
+    ----------
+    dataset : TouchDataset
+        The rounds.
+    chosen : ndarray of int64, optional
+        Which touches, counted through all rounds of the data set; all by default.
+    """
+
+    things = "touches"
+
+    def __init__(self, dataset: TouchDataset[R], chosen: NDArray[np.int64] | None = None) -> None:
+        self.dataset = dataset
+        counts = dataset.touch_counts
+        self._starts = np.concatenate([[0], np.cumsum(counts)])
+        self._rows = range(int(self._starts[-1])) if chosen is None else chosen
+        # Rounds of one length, the common case, are found by a division.
+        self._per_round = int(counts[0]) if len(counts) and (counts == counts[0]).all() else 0
+
+    def __iter__(self) -> Iterator[Touch]:
+        last, current = -1, None
+        for flat in self._rows:
+            position, touch = self._located(int(flat))
+            # Neighbours share a round, whose columns are then resolved once.
+            if position != last or current is None:
+                last, current = position, self.dataset[position]
+            yield Touch(current, touch)
+
+    def locate(self, index: int) -> tuple[int, int]:
+        """Return the number of a touch's round in the data set, and its own in the round.
+
+        Raises
+        ------
+        IndexError
+            There is no such touch.
+        """
+        return self._located(int(self._rows[checked_index(index, len(self), "index", self.things)]))
+
+    def _located(self, flat: int) -> tuple[int, int]:
+        if self._per_round:
+            return divmod(flat, self._per_round)
+        place = int(np.searchsorted(self._starts, flat, side="right")) - 1
+        return place, flat - int(self._starts[place])
+
+    @property
+    def round_positions(self) -> NDArray[np.int64]:
+        """Number of the round of each touch in the data set, shape (len,), int64."""
+        return np.searchsorted(self._starts, self._row_numbers, side="right") - 1
+
+    @property
+    def touch_indices(self) -> NDArray[np.int64]:
+        """Number of each touch in its round, shape (len,), int64."""
+        indices: NDArray[np.int64] = self._row_numbers - self._starts[self.round_positions]
+        return indices
+
+    def int_column(self, name: str) -> NDArray[np.int64]:
+        """Read one column of integers of the rounds, shape (len,), int64."""
+        return self.dataset.int_column(name)[self.round_positions]
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class, in order of the label."""
+        return self.dataset.label_names
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """Stored columns of the rounds, and ``touch_index``: those of :meth:`to_hf`."""
+        return (*self.dataset.column_names, _INDEX)
+
+    @property
+    def _plain_columns(self) -> tuple[str, ...]:
+        where = _POSITION if self.dataset.has_column("pos_in_cell") else ()
+        return (*self.dataset._plain_columns, _INDEX, *where)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Read one plain column, shape (len,): one of the rounds, ``touch_index``, or ``x_m`` or ``y_m``.
+
+        The last two are the intended position, metres, cell frame, NaN where none can be read.
+
+        Raises
+        ------
+        InputError
+            There is no such column.
+        """
+        if name == _INDEX:
+            return self.touch_indices
+        if name in _POSITION:
+            values: NDArray[Any] = self.dataset.known_positions_m()[self._row_numbers, _POSITION.index(name)]
+            return values
+        return self.dataset.column(name)[self.round_positions]
+
+    def to_hf(self) -> Any:
+        """Return the touches as a data set of the library `datasets`, one row each, with their features.
+
+        Columns with one entry per touch give that entry, all others are repeated, and ``touch_index`` is
+        added. Pictures and clips are not copied where the cache can be written; they stay as they are stored.
+
+        Returns
+        -------
+        datasets.Dataset
+
+        Raises
+        ------
+        IntegrityError
+            A file is damaged, or a column has not one entry per touch.
+        """
+        import pyarrow as pa
+        from datasets import Dataset, DatasetInfo, Features
+
+        places = self.round_positions
+        # Of no touches, the first round has the columns.
+        rounds = np.unique(places).tolist() or list(range(min(1, len(self.dataset))))
+        if not rounds:
+            return Dataset.from_dict({})
+        rows = [self.dataset[place]._row for place in rounds]
+        first, total = flat_row(rows[0]), touch_total(rows[0])
+        names = [
+            each.name
+            for each in first.schema
+            if is_per_touch(each.name, each.type) and len(first.column(each.name).chunk(0).flatten()) == total
+        ]
+        parts = [_row_of_each_touch(row, names) for row in rows]
+        features = Features.from_arrow_schema(parts[0].schema)
+        for name, feature in Features.from_arrow_schema(rows[0].group.table.schema).flatten().items():
+            features[name] = feature.feature if name in names else feature
+        # Its own fingerprint would be that of all bytes.
+        content = repr([self.dataset.identity, rounds, places.tobytes(), self._row_numbers.tobytes()])
+        whole = Dataset(
+            pa.concat_tables(parts),
+            info=DatasetInfo(features=features),
+            fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16],
+        )
+        starts = np.cumsum([0, *map(len, parts)])
+        return whole.select(starts[np.searchsorted(rounds, places)] + self.touch_indices)
+
+    def _places_of_id(self, id: Any) -> NDArray[np.int64]:
+        name, _, touch = str(id).rpartition("_")
+        wanted = int(touch) if touch.isdecimal() else -1
+        return np.flatnonzero((self.column("id") == name) & (self.touch_indices == wanted))
+
+    def _near_ids(self, id: Any) -> list[str]:
+        ids, name = self.column("id").tolist(), str(id).rpartition("_")[0]
+        rounds = {name} & set(ids) or nearest(ids, name)
+        numbered = zip(ids, self.touch_indices.tolist(), strict=True)
+        return nearest((touch_id(each, touch) for each, touch in numbered if each in rounds), str(id))
+
+    @property
+    def object_ids(self) -> NDArray[np.int64]:
+        """Object of each touch, shape (len,), int64; reads that column only."""
+        return self.int_column("object_id")
+
+    def heights_m(self, recalibrate_z: bool = True) -> NDArray[np.float64]:
+        """Return how high above the plate the gel stopped in each touch, shape (len,), metres.
+
+        Reads the poses only. See :func:`realtouch.contact.contact_heights_m`; all touches of a round take
+        part in finding its plate, whatever was selected here; where `realtouch select` took touches out of
+        the files, the plate that it stored is taken. Of touches that `tactile-sim generate` made, the height
+        of the plate is known and always taken.
+
+        Raises
+        ------
+        IntegrityError
+            The height of a touch of this view cannot be read; names file, row and touch.
+        """
+        z_m, starts = self.dataset.known_contact_z_m()
+        plates_m = self.dataset.plates_z_m()
+        rules = self.dataset.contact_rules()
+        heights = np.full(int(self._starts[-1]), np.nan)
+        for position, row in enumerate(self.dataset.row_numbers):
+            touched_m = z_m[starts[row] : starts[row + 1]]
+            of_round = heights[self._starts[position] : self._starts[position + 1]]
+            known = ~np.isnan(touched_m)
+            above_plate = recalibrate_z or rules[position].plate == "known"
+            of_round[known] = contact_heights_m(touched_m[known], above_plate, plates_m[row])
+        chosen = heights[self._row_numbers]
+        unknown = np.isnan(chosen)
+        if unknown.any():
+            position, touch = self.locate(int(np.argmax(unknown)))
+            contact_z_m(self.dataset[position]._row, self.dataset.kind, touch)  # states what is wrong
+        return chosen
+
+    def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
+        """Return the touches in which the gel stopped on an object; see :meth:`in_contact`."""
+        return self[self.in_contact(min_height_m, recalibrate_z)]
+
+    def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> NDArray[np.bool_]:
+        """Return of each touch whether the gel stopped on an object, shape (len,).
+
+        Parameters
+        ----------
+        min_height_m : float, optional
+            Height above the plate from which a touch counts, metres. By default that of the publisher's own
+            viewer, 6 mm; of touches that `tactile-sim generate` made, any height above the plate.
+        recalibrate_z : bool
+            Take the deepest touch of each round as the plate, where its height is not known: the zero of z
+            drifts by up to 3 mm.
+
+        Raises
+        ------
+        IntegrityError
+            As :meth:`heights_m`.
+        """
+        heights_m = self.heights_m(recalibrate_z)
+        if min_height_m is not None:
+            return heights_m >= min_height_m
+        least_m = np.array([rule.min_height_m for rule in self.dataset.contact_rules()])
+        return np.asarray(heights_m >= least_m[self.round_positions])
+
+    def objects(self, *wanted: int | Iterable[int]) -> Touches[R]:
+        """Return the touches of some objects, by ``object_id``, given as numbers or as sequences of them.
+
+        Raises
+        ------
+        InputError
+            Something else than integers is given.
+        """
+        numbers = list(map(plain_number, flattened(wanted)))
+        if not is_whole(*numbers):
+            raise InputError(f"{wanted!r} was given; expected object ids as integers")
+        ids = self.object_ids
+        return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
+
+    def sample(
+        self,
+        n: int | None = None,
+        seed: int = 0,
+        *,
+        no_contact_fraction: float | None = None,
+        contact: NDArray[np.bool_] | None = None,
+        empties: float | None = None,
+    ) -> Self:
+        """Return touches drawn at random without repetition, or those with contact and a share of the rest.
+
+        Parameters
+        ----------
+        n : int, optional
+            How many; with ``no_contact_fraction`` all that there are by default.
+        seed : int
+            From 0.
+        no_contact_fraction : float, optional
+            Share of touches without contact in what is returned, 0 to below 1, as far as there are any. Which
+            ones follows from the seed, the id of the round and the touch's number alone, whatever else is
+            selected and in whatever order. They stay where they are among the others.
+        contact : ndarray of bool, shape (len,), optional
+            Which touches have contact; by default those that :meth:`with_contact` keeps. See also
+            :func:`realtouch.find_contacts`.
+        empties : float, optional
+            The former name of ``no_contact_fraction``.
+
+        Raises
+        ------
+        InputError
+            There are fewer touches, or a number, share or mask is none.
+        """
+        fraction = renamed_fraction(no_contact_fraction, empties)
+        if fraction is None:
+            return super().sample(len(self) if n is None else n, seed)
+        mask = self.in_contact() if contact is None else contact
+        chosen = self._select(with_no_contact(self, mask, fraction, seed))
+        return chosen if n is None else super(Touches, chosen).sample(n, seed)
+
+    def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
+        """Return the touches but some, given as stored row and number in the round."""
+        # By stored row: places in a view change with each filter.
+        rows = self.dataset.row_numbers[self.round_positions].tolist()
+        gone = set(lost)
+        pairs = zip(rows, self.touch_indices.tolist(), strict=True)
+        return self[np.array([pair not in gone for pair in pairs], bool)]
+
+    def images(self, index: Any = slice(None), *, threads: int = 1, out: Pixels | None = None) -> Pixels:
+        """Decode the images of several touches of a ``single`` set into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which touches, in any order.
+        threads : int
+            How many images to decode at a time.
+        out : ndarray, shape (n, H, W, 3), uint8, optional
+            Where to put them.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        InputError
+            ``out`` is not a writable array of that shape and dtype, each image C-contiguous.
+        IntegrityError
+            An image is damaged or of another size; names file, row and touch.
+        """
+        wanted = [self.locate(each) for each in positions(index, len(self)).tolist()]
+        first, number = wanted[0] if wanted else (0, 0)
+        has_any = wanted or (len(self.dataset) and self.dataset[0].touch_count)
+        size = self._images_of(first).size(number) if has_any else (0, 0)
+        out = np.empty((len(wanted), *size, 3), np.uint8) if out is None else room_for(len(wanted), size, out)
+        start = 0
+        for position, of_round in groupby(wanted, key=itemgetter(0)):
+            touches = [touch for _, touch in of_round]
+            stop = start + len(touches)
+            self._images_of(position).decode_into(out[start:stop], touches, threads=threads)
+            start = stop
+        return out
+
+    def _images_of(self, position: int) -> SensorImages:
+        record = self.dataset[position]
+        if not isinstance(record, TouchSingleRound):
+            raise missing_column(record._row, "sensor_image")
+        return record.sensor_image
+
+    def _stored(self, row: int) -> Touch:
+        place, touch = self._located(row)
+        return Touch(self.dataset[place], touch)
+
+    def _joined(self, other: Self) -> Self:
+        if self.dataset is other.dataset:
+            return self._view(np.concatenate([self._row_numbers, other._row_numbers]))
+        moved = other._row_numbers + self._starts[-1]
+        return type(self)(self.dataset + other.dataset, np.concatenate([self._row_numbers, moved]))
+
+    @property
+    def identity(self) -> str:
+        """What distinguishes these touches from all others, also from later ones of the same files."""
+        rounds = hashlib.sha256(self.dataset._row_numbers.tobytes()).hexdigest()
+        return f"{self.dataset.identity} {rounds}"
+
+    def _each(self) -> Iterator[tuple[int, Touch]]:
+        touches = self.touch_indices.tolist()
+        by_round: dict[int, list[int]] = {}
+        for index, place in enumerate(self.round_positions.tolist()):
+            by_round.setdefault(place, []).append(index)
+        for place, record in self.dataset._each():
+            for index in by_round.get(place, ()):
+                yield index, Touch(record, touches[index])
+
+    def _stored_parts(self) -> StoredParts:
+        rounds = self.dataset._stored_parts()
+        if rounds.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
+            return StoredParts.of(self._starts[rounds.starts])
+        turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
+        if rounds.order is not None:
+            turn[rounds.order] = np.arange(len(turn))
+        turns = turn[self.round_positions]
+        order = np.lexsort((self.touch_indices, turns))
+        return StoredParts.of(np.searchsorted(turns[order], rounds.starts), order)
+
+    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+        return self.dataset._row_groups(np.unique(self.round_positions[chosen]))
+
+    def _description(self) -> list[str]:
+        of_rounds, *further = self.dataset._description()
+        return [f"{counted(len(self), self.things)} of {of_rounds}", *further]
+
+
+def renamed_fraction(fraction: float | None, empties: float | None) -> float | None:
+    """Return a fraction of touches without contact, which may be given by its former name."""
+    if empties is not None:
+        warnings.warn("'empties' is deprecated; use 'no_contact_fraction'", DeprecationWarning, stacklevel=3)
+    return fraction if empties is None else empties
+
+
+def with_no_contact(
+    touches: Touches[Any], contact: NDArray[np.bool_], fraction: float, seed: int
+) -> NDArray[np.int64]:
+    """Return the places of all touches with contact, and of so many without that they are a share of both.
+
+    Raises InputError for a fraction, a seed or a mask that is none.
+    """
+    wanted, number, mask = plain_number(fraction, float), whole_number(seed, "the seed"), np.asarray(contact)
+    if not isinstance(wanted, float) or not 0 <= wanted < 1:
+        raise InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
+    if mask.dtype != bool or mask.shape != (len(touches),):
+        found = f"contact is {mask.dtype} of shape {mask.shape}"
+        raise InputError(f"{found}; expected bool of shape ({len(touches)},)")
+    (empty,) = np.nonzero(~mask)
+    count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
+    if not count:
+        return np.flatnonzero(mask)
+    ids = touches.dataset.column("id")[touches.round_positions[empty]].tolist()
+    texts = zip(ids, touches.touch_indices[empty].tolist(), strict=True)
+    keys = [f"{number} {name} {touch}".encode() for name, touch in texts]
+    drawn = [hashlib.blake2b(key, digest_size=16).digest() for key in keys]
+    order = sorted(range(len(drawn)), key=drawn.__getitem__)[:count]
+    return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
+
+
+def _row_of_each_touch(row: Row, per_touch: Collection[str]) -> Any:
+    """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
+    import pyarrow as pa
+
+    table, count = flat_row(row), touch_total(row)
+    columns = {}
+    for name in table.column_names:
+        array = table.column(name).chunk(0)
+        if name in per_touch:
+            entries_of(row, name)  # refuses a round with more or less of them
+            columns[name] = array.flatten()
+        else:
+            columns[name] = array.take(pa.array(np.zeros(count, np.int64)))
+    return pa.table({**columns, _INDEX: np.arange(count)})
+
+
 def dataset_of(
     shards: Sequence[Shard],
-    kind: Kind,
     rows: NDArray[np.int64] | None = None,
     skipped: Sequence[tuple[int | None, Damage]] = (),
 ) -> TouchSeqDataset | TouchSingleDataset:
     """Return the data set of some shards of one kind: of all rows, or those that are not skipped."""
-    stated = stated_class_names(shards)
-    names = CLASS_NAMES if stated is None else stated
-    if kind == "seq":
-        return TouchSeqDataset([ShardedTable(tuple(shards))], rows, names, skipped)
-    return TouchSingleDataset([ShardedTable(tuple(shards))], rows, names, skipped)
+    names = stated_class_names(shards) or CLASS_NAMES
+    is_seq = kind_of(shards[0].schema, shards[0].path) == "seq"
+    dataset = TouchSeqDataset if is_seq else TouchSingleDataset
+    return dataset([ShardedTable(tuple(shards))], rows, names, skipped)
 
 
 class TouchStream:
@@ -217,35 +739,27 @@ class TouchStream:
             raise InputError(
                 "a stream that skips damage has no numbered touches", next="load it without streaming"
             )
-        return dataset_of(self.shards, self.kind).touches()
+        return dataset_of(self.shards).touches()
 
     def __iter__(self) -> Iterator[TouchRound]:
         """Yield rounds; a bounded block of rows is in memory at a time."""
         # In place: who holds the list sees what this pass leaves out.
         self.skipped[:] = self._left_out
         record = TouchSingleRound if self.kind == "single" else TouchSeqRound
-        for shard in self.shards:
-            for index in range(shard.metadata.num_row_groups):
-                try:
-                    for group in shard.blocks(index):
-                        for row in range(len(group.table)):
-                            yield from self._undamaged(record(Row(group, row)))
-                except IntegrityError as error:
-                    if not self.skip_damage:
-                        raise
-                    self.skipped.append(unreadable_rows(shard, index, error))
-
-    def _undamaged(self, record: TouchRound) -> Iterator[TouchRound]:
-        """Yield a round, or what is intact of it; nothing where it is damaged as a whole."""
         if not self.skip_damage:
-            yield record
+            yield from map(record, stored_rows(self.shards))
             return
-        found = check_round(record._row, self._expected_touches, class_names=self._stated_names)
-        self.skipped += found
-        lost = {damage.touch for damage in found}
-        if None not in lost:
-            kept = [touch for touch in range(record.touch_count) if touch not in lost]
-            yield record.with_touches(kept) if lost else record
+        for found in readable_rows(self.shards):
+            damage = [found] if isinstance(found, Damage) else self._check(found)
+            self.skipped += damage
+            lost = {each.touch for each in damage}
+            if isinstance(found, Row) and None not in lost:
+                intact = record(found)
+                kept = [touch for touch in range(intact.touch_count) if touch not in lost]
+                yield intact.with_touches(kept) if lost else intact
+
+    def _check(self, row: Row) -> list[Damage]:
+        return check_round(row, self._expected_touches, class_names=self._stated_names)
 
     def __repr__(self) -> str:
         words = with_origins(counted(len(self.shards), "shards"), [ShardedTable(self.shards)])

@@ -60,7 +60,7 @@ KIND = DatasetKind(
     made_by="realtouch select",
     card_template="touch_{}.md",
     write_card=lazy("realtouch.card:write_card"),
-    check=lazy("realtouch.integrity.verify:check_folder"),
+    check=lazy("realtouch.verification:check_folder"),
     needs_manifest=False,
     loader=_loader,
     extra_files=("images/*/*/*.png", "images/*/*/*.jpg", "index.csv", *_EXCHANGED),
@@ -68,6 +68,6 @@ KIND = DatasetKind(
         *(tactile_mnist_set(*each, licence="CC BY 2.0", aliases=_ALIASES.get(each[0], ())) for each in _REAL),
         *(tactile_mnist_set(*each) for each in _RENDERED),
     ),
-    plan_previews=lazy("realtouch.show.previews:plan_previews"),
-    plan_gallery=lazy("realtouch.show.gallery:plan_gallery"),
+    plan_previews=lazy("realtouch.previews:plan_previews"),
+    plan_gallery=lazy("realtouch.gallery:plan_gallery"),
 )

@@ -3,27 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.changes import (
+from realtouch.clips import TouchClip
+from realtouch.contact import (
     ContactRule,
     ContactScore,
     as_pictures,
     best_of,
-    contact_rule,
     contact_score,
     median_in_memory,
     median_of,
 )
-from realtouch.media.clips import TouchClip
-from realtouch.media.images import in_parallel
-from realtouch.rounds import TouchRound, TouchSingleRound
-from realtouch.touches import Touches, with_empties
+from realtouch.dataset import Touches, renamed_fraction, with_no_contact
+from realtouch.images import in_parallel
+from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
 
@@ -71,10 +70,9 @@ def _batches(pictures: Any) -> Iterator[Pixels]:
         yield from _pieces(len(pictures), pictures.size, pictures.frames)
     elif isinstance(pictures, TouchSingleRound):
         images = pictures.sensor_image
-        if len(images):
-            yield from _pieces(len(images), images.size(), images.batch)
-    elif isinstance(pictures, TouchRound):
-        for clip in pictures.sensor_video:  # type: ignore[attr-defined]
+        yield from _pieces(len(images), images.size() if len(images) else (1, 1), images.batch)
+    elif isinstance(pictures, TouchSeqRound):
+        for clip in pictures.sensor_video:
             yield from _batches(clip)
     elif isinstance(pictures, Touches) and len(pictures):
         if isinstance(pictures[0].round, TouchSingleRound):
@@ -111,7 +109,7 @@ def best_frame(
     Returns
     -------
     frame : int
-        The one with most :attr:`ContactScore.weight`, the earliest of equals.
+        The one with the greatest :attr:`ContactScore.total_change`, the earliest of equals.
     score : ContactScore
 
     Raises
@@ -149,29 +147,28 @@ class Contacts:
     def __len__(self) -> int:
         return len(self.touches)
 
-    def select(self, empties: float = 0.0, seed: int = 0) -> Contacts:
+    def select(
+        self, no_contact_fraction: float = 0.0, seed: int = 0, *, empties: float | None = None
+    ) -> Contacts:
         """Return the touches with contact, and some without; see :meth:`Touches.sample`.
 
         Parameters
         ----------
-        empties : float
+        no_contact_fraction : float
             Share of touches without contact in what is returned, 0 to below 1, as far as there are any.
         seed : int
             Decides which.
+        empties : float, optional
+            The former name of ``no_contact_fraction``.
 
         Raises
         ------
         InputError
             A share or seed that is none.
         """
-        chosen = with_empties(self.touches, self.contact, empties, seed)
-        return Contacts(
-            self.touches[chosen],
-            self.frame[chosen],
-            self.area_px[chosen],
-            self.intensity[chosen],
-            self.contact[chosen],
-        )
+        fraction = renamed_fraction(no_contact_fraction, empties) or 0.0
+        chosen = with_no_contact(self.touches, self.contact, fraction, seed)
+        return Contacts(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
     def picture(self, index: int) -> Pixels:
         """Decode the best picture of one touch, shape (H, W, 3), uint8."""
@@ -185,7 +182,7 @@ def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, thr
     """Find the best picture of each touch, and tell by it whether there was contact.
 
     The background is the median of each clip; of images, which stand alone, the median of the round's images
-    that are among these touches. With the defaults, ``find_contacts(touches).select(empties=0.015)`` is the
+    that are among these touches. With the defaults, ``find_contacts(touches).select(0.015)`` is the
     selection of a known consumer, which kept 30,956 of the 153,600 touches.
 
     Parameters
@@ -214,7 +211,7 @@ def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, thr
             f"contacts were asked for of a {type(given).__name__}; expected touches, such as "
             "`realtouch.load(...).touches()`"
         )
-    rule, count = contact_rule(rule), len(touches)
+    rule, count = rule or ContactRule(), len(touches)
     frame, area = np.zeros(count, np.int64), np.zeros(count, np.int64)
     intensity = np.zeros(count)
     places = touches.round_positions

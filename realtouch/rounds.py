@@ -5,22 +5,19 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.info import read_info
-from realtouch.columns.per_frame import clip_lengths, frame_times, touch_durations
-from realtouch.columns.per_touch import entries_of, int_value, intended_positions, plain_value, touch_total
-from realtouch.columns.poses import pose_sequences, poses
+from realtouch.clip_columns import clip_lengths, frame_times, pose_sequences, poses, touch_durations
+from realtouch.clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
+from realtouch.columns import entries_of, int_value, intended_positions, plain_value, read_info, touch_total
 from realtouch.contact import require_method
-from realtouch.damage import missing_column
-from realtouch.media.images import SensorImages, in_parallel
-from realtouch.media.round_clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
+from realtouch.images import SensorImages, in_parallel
 from realtouch.poses import Poses, PoseSequences
-from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
+from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup, column_names
 from tactile_toolkit.read.dataset import Record, Row
 from tactile_toolkit.read.parquet import Shard
@@ -122,7 +119,7 @@ class TouchRound(Record):
         chosen = take_touches(table, touches, self.touch_count)
         return type(self)(Row(RowGroup(chosen, row.path, row.number), 0))
 
-    def shown(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
+    def describe_field(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
         """Return a plain field in words, for people, whatever it holds; None when there is no such column."""
         try:
             return in_words(getattr(self, name))
@@ -132,30 +129,26 @@ class TouchRound(Record):
             return "unreadable"
 
     def __repr__(self) -> str:
-        named = ((name, self.shown(name)) for name in ("id", "label"))
+        named = ((name, self.describe_field(name)) for name in ("id", "label"))
         words = [f"{name}={value}" for name, value in named if value is not None]
-        words.append(f"{self.shown('touch_count')} touches")
+        words.append(f"{self.describe_field('touch_count')} touches")
         return f"{type(self).__name__}({', '.join(words)})"
 
     def _repr_html_(self) -> str:
         """Show touches in a notebook; what is not stored and pictures that are damaged are left out."""
-        from realtouch.media.sheets import MOST_TILES, evenly_spaced, round_html
+        from realtouch.images import MOST_TILES, evenly_spaced, round_html
 
-        named = {"label": self.shown("label", str), "object": self.shown("object_id", str)}
+        named = {"label": self.describe_field("label", str), "object": self.describe_field("object_id", str)}
         words = [f"{word} {value}" for word, value in named.items() if value is not None]
-        pictures: list[tuple[str, Pixels | None]] = []
-        for touch in evenly_spaced(self.touch_count, MOST_TILES):
-            try:
-                pictures.append((f"{touch}", self._contact_image(touch)))
-            except IntegrityError:
-                pictures.append((f"{touch}", None))
-        title = self.shown("id", str) or "Round"
+        touches = evenly_spaced(self.touch_count, MOST_TILES)
+        pictures = [(f"{touch}", partial(self._contact_image, touch)) for touch in touches]
+        title = self.describe_field("id", str) or "Round"
         return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
     def _tile_html(self) -> str:
-        from realtouch.media.sheets import touch_html
+        from realtouch.images import touch_html
 
-        label = self.shown("label", str)
+        label = self.describe_field("label", str)
         words = [*([] if label is None else [f"label {label}"]), f"{self.touch_count} touches"]
         return touch_html(self._contact_image(self.touch_count // 2), ", ".join(words))
 
@@ -203,10 +196,7 @@ class TouchSeqRound(TouchRound):
     @property
     def video_length_frames(self) -> NDArray[np.int64]:
         """Number of frames of each clip, shape (T,), int64."""
-        lengths = clip_lengths(self._row)
-        if lengths is None:
-            raise missing_column(self._row, "video_length_frames")
-        return lengths
+        return clip_lengths(self._row)
 
     @property
     def gel_pose_cell_frame_seq(self) -> PoseSequences:
@@ -258,15 +248,11 @@ class TouchSeqRound(TouchRound):
         ndarray, shape (T, H, W, 3), uint8
         """
         clips, chosen = self.sensor_video, require_method(method)
-        pixels = clips.room(len(clips), out)
-        if chosen in ("median", "best"):
-            # Chosen by the pictures: each clip is decoded whole.
-            in_parallel(
-                lambda touch: clips[touch].contact_into(pixels[touch], chosen), len(clips), _cores(threads)
-            )
+        pixels, cores = clips.room(len(clips), out), _cores(threads)
+        if chosen == "best":  # by the pictures: each clip is decoded whole
+            in_parallel(lambda touch: clips[touch].contact_into(pixels[touch], "best"), len(clips), cores)
         else:
-            frames = contact_frames_of(clips, chosen)
-            decode_frames(clips, range(len(clips)), frames, pixels, _cores(threads))
+            decode_frames(clips, range(len(clips)), contact_frames_of(clips, chosen), pixels, cores)
         return pixels
 
     def contact_windows(

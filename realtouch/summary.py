@@ -1,18 +1,27 @@
-"""What a data set of touches holds, in numbers."""
+"""What a data set of touches holds, in numbers, also next to those of the Tactile MNIST paper."""
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import accumulate, pairwise
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from realtouch.columns.per_frame import clip_length
-from realtouch.dataset import TouchDataset
-from realtouch.touches import Touches
+from realtouch.clip_columns import clip_length
+from realtouch.dataset import TouchDataset, Touches
+from realtouch.rounds import TouchRound
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.schema import POSE_COLUMN
+
+# Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
+_HALF_CELL_M = 0.06
+_ROUNDS = {"train": 500, "test": 100}
+_TOUCHES_OF_A_GEL = 76_800
+_SIZES = ((320, 240), (64, 64))
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,16 +118,116 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
 
 def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
     dataset = touches.dataset
-    if dataset.kind == "single" or not dataset.has_column("video_length_frames"):
+    if dataset.kind == "single":
         return None
-    shown: dict[int, list[int]] = {}
     rows = dataset.row_numbers[touches.round_positions].tolist()
-    for row, touch in zip(rows, touches.touch_indices.tolist(), strict=True):
-        shown.setdefault(row, []).append(touch)
+    shown = set(zip(rows, touches.touch_indices.tolist(), strict=True))
     lengths = [
         clip_length(record._row, touch)
         for row, record in dataset.rounds_without_media()
-        for touch in shown.get(row, ())
+        for touch in range(record.touch_count)
+        if (row, touch) in shown
     ]
-    known = [length for length in lengths if length is not None]
-    return min(known), int(np.median(known)), max(known)
+    return min(lengths), int(np.median(lengths)), max(lengths)
+
+
+@dataclass(frozen=True, slots=True)
+class PaperNumber:
+    """One statement of the paper, and what the data say.
+
+    Attributes
+    ----------
+    what : str
+        What is counted or measured.
+    paper, found : str
+        As the paper states it, and as it is in the data.
+    agrees : bool
+        Whether they are the same.
+    """
+
+    what: str
+    paper: str
+    found: str
+    agrees: bool
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return asdict(self)
+
+
+def paper_numbers(splits: Mapping[str, TouchDataset[Any]]) -> list[PaperNumber]:
+    """Measure what the paper states of the real touches; reads no picture but one.
+
+    Parameters
+    ----------
+    splits : mapping of str to TouchDataset
+        The splits of one set.
+
+    Returns
+    -------
+    list of PaperNumber
+        In the order of the paper.
+
+    Raises
+    ------
+    InputError
+        The set is empty, or has no labels, objects or positions.
+    IntegrityError
+        What is read is damaged.
+    """
+    # Ids begin with the time of recording, so that their order is that of the gels.
+    rounds = sorted(
+        (
+            (str(record.id), record.touch_count, dict(record.info).get("gel_id"), _reach_m(record))
+            for data in splits.values()
+            for _, record in data.rounds_without_media()
+        ),
+        key=itemgetter(0),
+    )
+    if not rounds:
+        raise InputError("the set holds no rounds", next="name one that does, such as real-single-64x64")
+    _, counts, gels, reaches_m = zip(*rounds, strict=True)
+    objects = [set(data.int_column("object_id").tolist()) for data in splits.values()]
+    different = len(set().union(*objects))
+    labels = {split: splits[split].labels.tolist() if split in splits else [] for split in _ROUNDS}
+    size = next(data[0] for data in splits.values() if len(data))._picture_size(0)
+    replaced, ends = _gel_replacements(gels, counts)
+    reach = f"at most {1e3 * max(reaches_m):.1f} mm from the middle"
+    counted = [
+        ("rounds", "600", f"{len(rounds):,}"),
+        ("touches", "153,600", f"{sum(counts):,}"),
+        ("touches of a round", "256", ", ".join(map(str, sorted(set(counts))))),
+        *((f"rounds in {split}", f"{count}", f"{len(labels[split]):,}") for split, count in _ROUNDS.items()),
+        *(
+            (f"classes in {split}", f"10 of {count // 10} rounds", _class_text(labels[split]))
+            for split, count in _ROUNDS.items()
+        ),
+        ("objects", "600", f"{different:,}"),
+        ("objects in two splits", "none", "none" if sum(map(len, objects)) == different else "some"),
+    ]
+    gel = f"{_TOUCHES_OF_A_GEL:,} touches, once"
+    picture = f"{size[0]} x {size[1]} pixels"
+    return [
+        *(PaperNumber(what, paper, found, paper == found) for what, paper, found in counted),
+        PaperNumber("intended positions", "within 12 x 12 cm", reach, max(reaches_m) <= _HALF_CELL_M),
+        PaperNumber("gel replaced after", gel, replaced, ends == [_TOUCHES_OF_A_GEL]),
+        PaperNumber("picture", "320 x 240 or 64 x 64 pixels", picture, size in _SIZES),
+    ]
+
+
+def _reach_m(record: TouchRound) -> float:
+    return float(np.abs(record.pos_in_cell_m).max(initial=0.0))
+
+
+def _class_text(labels: Sequence[int]) -> str:
+    counts = Counter(labels)
+    return f"{len(counts)} of {' or '.join(map(str, sorted(set(counts.values())))) or 'no'} rounds"
+
+
+def _gel_replacements(gels: Sequence[Any], counts: Sequence[int]) -> tuple[str, list[int]]:
+    """Return after how many touches the gel was replaced, rounds in the order in which they were recorded."""
+    if any(gel is None for gel in gels):
+        return "not stated", []
+    done = accumulate(counts)
+    ends = [end for end, (before, after) in zip(done, pairwise(gels), strict=False) if before != after]
+    return f"{' and '.join(f'{end:,}' for end in ends) or 'never'} of {sum(counts):,}", ends

@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from realtouch.contact import require_method
-from realtouch.dataset import TouchDataset, TouchStream
+from realtouch.dataset import TouchDataset, Touches, TouchStream
 from realtouch.rounds import TouchSingleRound
 from realtouch.touch import Touch
-from realtouch.touches import Touches
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.read.torch import TrainingBatches

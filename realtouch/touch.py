@@ -8,12 +8,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns.per_frame import clip_times, touch_times
-from realtouch.columns.per_touch import intended_position
-from realtouch.columns.poses import clip_poses, touch_pose
+from realtouch.clip_columns import clip_poses, clip_times, poses, times_of_touches
+from realtouch.clips import TouchClip
+from realtouch.columns import intended_positions
 from realtouch.contact import contact_window
 from realtouch.damage import missing_column
-from realtouch.media.clips import TouchClip
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
@@ -79,7 +78,8 @@ class Touch:
     @property
     def pos_in_cell_m(self) -> NDArray[np.floating]:
         """Intended position, shape (2,), metres, cell frame."""
-        return intended_position(self.round._row, self._index_in_row)
+        position: NDArray[np.floating] = intended_positions(self.round._row, self._index_in_row)[0]
+        return position
 
     @property
     def gel_pose(self) -> Pose:
@@ -89,11 +89,12 @@ class Touch:
         """
         row, touch = self.round._row, self._index_in_row
         if isinstance(self.round, TouchSingleRound):
-            return touch_pose(row, touch)
-        if not (row.has("time_stamp_rel_seq") and row.has("video_length_frames")):
+            return poses(row, touch)[0]
+        if not row.has("time_stamp_rel_seq"):
             return self.clip.poses[self.clip.contact_index("contact_end")]
         times = clip_times(row, touch)
-        window = contact_window(np.empty(0) if times is None else times, *touch_times(row, touch))
+        start_s, end_s = times_of_touches(row, touch)
+        window = contact_window(np.empty(0) if times is None else times, float(start_s[0]), float(end_s[0]))
         return clip_poses(row, touch)[int(window.stop) - 1]
 
     @property
@@ -139,18 +140,18 @@ class Touch:
 
     def __repr__(self) -> str:
         shown = {
-            "round_id": self.round.shown("id"),
+            "round_id": self.round.describe_field("id"),
             "touch_index": f"{self.touch_index}",
-            "label": self.round.shown("label"),
+            "label": self.round.describe_field("label"),
         }
         words = [f"{name}={value}" for name, value in shown.items() if value is not None]
         return f"Touch({', '.join(words)})"
 
     def _repr_html_(self) -> str:
         """Show the picture of the contact in a notebook."""
-        from realtouch.media.sheets import touch_html
+        from realtouch.images import touch_html
 
-        label = self.round.shown("label", str)
+        label = self.round.describe_field("label", str)
         words = [*([] if label is None else [f"label {label}"]), f"touch {self.touch_index}"]
         with suppress(InputError):  # without positions
             x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)

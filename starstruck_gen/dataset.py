@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from starstruck_gen.kind import KIND
 from starstruck_gen.placement import Placement
 from starstruck_gen.scene import Scene
-from tactile_toolkit.catalog.kinds import place_of
 from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
 from tactile_toolkit.read.columns import column_names

@@ -73,7 +73,7 @@ class SceneTable(ShardedTable):
         rows = make_rows(self.spec, self.split, self.seed, start, count)
         return table_of(rows, scene_schema(self.spec.class_names))
 
-    def column(self, name: str) -> NDArray[Any]:
+    def column(self, name: str, _: Any = None) -> NDArray[Any]:
         """Return one column of all rows, of those that need no scene."""
         return self.known(name, range(self.size))
 

@@ -10,13 +10,9 @@ from starstruck_gen.picture import draw_scene
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.choose import Choice
-from tactile_toolkit.gallery.items import (
+from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows
+from tactile_toolkit.gallery.packing import (
     THUMBNAIL_PX,
-    Facet,
-    Gallery,
-    Item,
-    Measure,
-    gallery_of_rows,
     packed_mesh,
     require_mesh,
     size_text,

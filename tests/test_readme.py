@@ -25,6 +25,7 @@ PAGES = (
     "docs/howto/scenes.md",
     "docs/howto/training.md",
     "docs/howto/exchange.md",
+    "docs/howto/libraries.md",
     "docs/howto/environments.md",
     "docs/howto/train_agent.md",
     "docs/howto/simulators.md",
@@ -36,7 +37,7 @@ PAGES = (
 NOT_RUN = ("docs/operators.md", "docs/install.md")
 """Pages whose code needs clusters, or installs."""
 
-NEEDED = {"env": "tactile_mnist", "torch": "torchdata", "simulators": "mujoco"}
+NEEDED = {"dev": "grain", "env": "tactile_mnist", "sim": "jax", "simulators": "mujoco", "torch": "torchdata"}
 """A package of each extra that blocks name."""
 
 

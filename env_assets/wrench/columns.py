@@ -7,7 +7,7 @@ from functools import cache
 import pyarrow as pa
 
 from env_assets.wrench.kind import KIND
-from tactile_toolkit.mesh.rows import MeshRow, mesh_schema
+from tactile_toolkit.mesh.columns import MeshRow, mesh_schema
 from tactile_toolkit.rows import column, row
 
 

@@ -8,27 +8,36 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
-from itertools import chain
-from os import PathLike, fspath
-from typing import Any, Literal, SupportsIndex
+from collections.abc import Iterable, Mapping
+from os import PathLike
+from typing import Any, Literal, SupportsIndex, Unpack
 
 import numpy as np
 
-from realtouch.card import origin_of, write_card
 from realtouch.contact import require_method
-from realtouch.convert.pictures import IMAGE_FOLDER, INDEX_FILE, WritePictures, repeated_ids, write_index
-from realtouch.convert.plan import Conversion, RowChoice, Source, plan_conversion
-from realtouch.convert.steps import KeepTouches, ResizeMedia, TakeContactFrames
+from realtouch.convert.plan import (
+    Conversion,
+    JobOptions,
+    RowChoice,
+    Source,
+    convert,
+    first_rows,
+    marked_repetitions,
+    require_limit,
+)
+from realtouch.convert.steps import (
+    IMAGE_FOLDER,
+    INDEX_FILE,
+    KeepTouches,
+    ResizeMedia,
+    TakeContactFrames,
+    WritePictures,
+    write_index,
+)
 from realtouch.dataset import dataset_of
-from realtouch.integrity.files import files_are_current
+from tactile_toolkit.catalog.choose import class_by_class
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.source import refuse_source
-from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import Progress, build
-from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import MIN_CONTACT_HEIGHT_M, ContactHeight, height_text
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
@@ -42,12 +51,7 @@ def to_single(
     source: str | PathLike[str],
     out: str | PathLike[str],
     frame: str = "contact_end",
-    *,
-    split: str | None = None,
-    limit: int | None = None,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    **job: Unpack[JobOptions],
 ) -> Manifest:
     """Make a ``single`` data set of a ``seq`` one: one frame of each clip, with the pose at that moment.
 
@@ -59,15 +63,14 @@ def to_single(
     out : str or path
         Folder to write, outside the source.
     frame : str
-        ``"contact_end"``, ``"contact_start"``, ``"peak"``, ``"median"`` or ``"best"``; see
-        :meth:`~realtouch.TouchClip.contact_index`. A clip in which ``"median"`` sees no contact gives
-        its last frame of registered contact.
+        ``"contact_end"``, ``"contact_start"``, ``"peak"`` or ``"best"``; see
+        :meth:`~realtouch.TouchClip.contact_index`.
     split : str, optional
         Only this split, of which alone files are fetched; all by default.
     limit : int, optional
         Only the first so many rounds of each split.
     workers : int or Runner
-        Number of local processes, or a runner of another kind.
+        Number of local processes, 1 by default, or a runner of another kind.
     overwrite : bool
         Start again in a folder that holds another data set of this toolkit. That set comes back when the new
         one fails before its first shard is finished.
@@ -93,19 +96,23 @@ def to_single(
         The folder cannot be written. What was finished stays.
     """
     method = require_method(frame)
-    opened = Source.open(source, split=split)
-    if opened.kind != "seq":
-        raise InputError(f"{opened.name!r} holds single images already; expected a data set of clips (seq)")
-    conversion = Conversion(
-        opened,
-        "to-single",
-        {"frame": method, "limit": limit},
-        TakeContactFrames(method),
-        first_rows(opened, limit),
-        rows_per_shard=_CONTACT_FRAME_ROWS,
-        rows_per_group=_CONTACT_FRAME_ROWS // 2,
-    )
-    return convert(conversion, out, workers, overwrite, on_progress)
+
+    def plan(opened: Source, limit: int | None) -> Conversion:
+        if opened.kind != "seq":
+            raise InputError(
+                f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
+            )
+        return Conversion(
+            opened,
+            "to-single",
+            {"frame": method, "limit": limit},
+            TakeContactFrames(method),
+            first_rows(opened, limit),
+            rows_per_shard=_CONTACT_FRAME_ROWS,
+            rows_per_group=_CONTACT_FRAME_ROWS // 2,
+        )
+
+    return convert(source, out, plan, **job)
 
 
 def resize(
@@ -115,11 +122,7 @@ def resize(
     height: int,
     *,
     quality: int = 95,
-    split: str | None = None,
-    limit: int | None = None,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    **job: Unpack[JobOptions],
 ) -> Manifest:
     """Write the same data set with images or clips of another size.
 
@@ -146,15 +149,13 @@ def resize(
             f"size {width} x {height} at quality {quality}; expected at least 1 x 1, at most "
             f"{MAX_IMAGE_PIXELS:,} pixels in all (4096 x 4096), and a quality of 1 to 100"
         )
-    opened = Source.open(source, split=split)
-    conversion = Conversion(
-        opened,
-        "resize",
-        {"width": width, "height": height, "quality": quality, "limit": limit},
-        ResizeMedia(width, height, quality),
-        first_rows(opened, limit),
-    )
-    return convert(conversion, out, workers, overwrite, on_progress)
+
+    def plan(opened: Source, limit: int | None) -> Conversion:
+        options = {"width": width, "height": height, "quality": quality, "limit": limit}
+        step = ResizeMedia(width, height, quality)
+        return Conversion(opened, "resize", options, step, first_rows(opened, limit))
+
+    return convert(source, out, plan, **job)
 
 
 def select(
@@ -165,12 +166,9 @@ def select(
     min_height_m: float | None = None,
     recalibrate_z: bool = True,
     labels: Iterable[int | str] = (),
-    objects: Iterable[int] = (),
-    split: str | None = None,
-    limit: int | None = None,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    objects: Iterable[int | tuple[int, int]] = (),
+    per_class: int | None = None,
+    **job: Unpack[JobOptions],
 ) -> Manifest:
     """Write some rounds and touches of a data set; images and clips pass through byte for byte.
 
@@ -183,13 +181,15 @@ def select(
         a column ``plate_z_m`` keeps the height of the plate, which the touches that went have shown.
     min_height_m : float, optional
         Height above the plate from which a touch counts as contact, metres; see
-        :meth:`~realtouch.touches.Touches.in_contact`.
+        :meth:`~realtouch.Touches.in_contact`.
     recalibrate_z : bool
         Take the deepest touch of each round as the plate, where its height is not known.
     labels : iterable of int or str
         Only these classes.
-    objects : iterable of int
-        Only these objects, by ``object_id``.
+    objects : iterable of int, or of pairs of them
+        Only these objects, by ``object_id``; a pair stands for all from its first to its last.
+    per_class : int, optional
+        Only the first so many rounds of each class of each split.
     limit : int, optional
         Only the first so many rounds of each split, of those that are left in the end.
 
@@ -204,36 +204,42 @@ def select(
     """
     if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
         raise InputError(f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}")
-    opened = Source.open(source, split=split)
-    if min_height_m is None:
-        rule = ContactHeight.of(column_types(opened.schema))
-        min_height_m = rule.min_height_m if contact else MIN_CONTACT_HEIGHT_M
-    options: dict[str, Any] = {
-        "contact": contact,
-        "min_height_m": float(min_height_m),
-        "recalibrate_z": recalibrate_z,
+    chosen: dict[str, Any] = {
         "labels": [str(label) for label in labels],
-        "objects": [_object_id(each) for each in objects],
-        "limit": _require_limit(limit),
+        "objects": [_object_ids(each) for each in objects],
+        **({} if require_limit(per_class, "per_class") is None else {"per_class": per_class}),
     }
-    choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
-    if contact and not any(map(len, choices.values())):
-        highest_m = max(
-            float(dataset_of(shards, opened.kind).touches().heights_m().max(initial=-math.inf))
-            for shards in opened.shards.values()
-        )
-        raise InputError(
-            f"no touch that was chosen of {opened.name!r} counts as contact (it does where "
-            f"{height_text(min_height_m)}); the highest of all touches is {1e3 * highest_m:.1f} mm above it; "
-            "next: a smaller --min-height-mm, or fewer filters"
-        )
-    conversion = Conversion(opened, "select", options, KeepTouches(contact), choices)
-    return convert(conversion, out, workers, overwrite, on_progress)
+
+    def plan(opened: Source, limit: int | None) -> Conversion:
+        rule = ContactHeight.of(column_types(opened.schema))
+        default_m = rule.min_height_m if contact else MIN_CONTACT_HEIGHT_M
+        height_m = default_m if min_height_m is None else float(min_height_m)
+        options = {
+            "contact": contact,
+            "min_height_m": height_m,
+            "recalibrate_z": recalibrate_z,
+            **chosen,
+            "limit": limit,
+        }
+        choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
+        if contact and not any(map(len, choices.values())):
+            highest_m = max(
+                float(dataset_of(shards).touches().heights_m().max(initial=-math.inf))
+                for shards in opened.shards.values()
+            )
+            raise InputError(
+                f"no touch that was chosen of {opened.name!r} counts as contact (it does where "
+                f"{height_text(height_m)}); the highest of all touches is {1e3 * highest_m:.1f} mm above it",
+                next="a smaller --min-height-mm, or fewer filters",
+            )
+        return Conversion(opened, "select", options, KeepTouches(contact), choices)
+
+    return convert(source, out, plan, **job)
 
 
 def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list[RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
-    dataset, limit = dataset_of(source.shards[split], source.kind), options["limit"]
+    dataset, limit = dataset_of(source.shards[split]), options["limit"]
     if options["labels"]:
         known = dataset.label_names
         dataset = dataset.filter_labels(
@@ -245,7 +251,12 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
                 f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'",
                 next="choose by --labels, or import it again with --object-column",
             )
-        dataset = dataset[np.isin(dataset.column("object_id"), options["objects"])]
+        numbers = dataset.int_column("object_id")
+        ranges = (each if isinstance(each, tuple) else (each, each) for each in options["objects"])
+        inside = [(low <= numbers) & (numbers <= high) for low, high in ranges]
+        dataset = dataset[np.logical_or.reduce(inside).astype(bool)]
+    if "per_class" in options and len(dataset):
+        dataset = dataset[np.sort(class_by_class(dataset, (), options["per_class"]))]
     rows = dataset.row_numbers.tolist()
     if not options["contact"]:
         return list(map(RowChoice, rows))[:limit]
@@ -256,6 +267,13 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
     return [RowChoice(rows[position], tuple(kept[position])) for position in sorted(kept)][:limit]
 
 
+def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> int | tuple[int, ...]:
+    try:
+        return tuple(map(operator.index, value)) if isinstance(value, tuple) else operator.index(value)
+    except TypeError as error:
+        raise InputError(f"objects holds {value!r}; expected integers, such as 12") from error
+
+
 def frames(
     source: str | PathLike[str],
     out: str | PathLike[str],
@@ -263,11 +281,7 @@ def frames(
     frame: str = "contact_end",
     *,
     difference: Literal["grey", "absolute"] | None = None,
-    split: str | None = None,
-    limit: int | None = None,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    **job: Unpack[JobOptions],
 ) -> Manifest:
     """Write touches as plain image files with an index in CSV and Parquet.
 
@@ -300,70 +314,19 @@ def frames(
     if difference not in (None, "grey", "absolute"):
         raise InputError(f"no difference {difference!r} that a picture can show; expected grey or absolute")
     method = require_method(frame)
-    opened = Source.open(source, split=split)
-    choices = first_rows(opened, limit)
-    options: dict[str, Any] = {
-        "kind": kind,
-        "frame": method if opened.kind == "seq" else None,
-        "limit": limit,
-    }
-    if difference is not None:
-        options["difference"] = difference
-    conversion = Conversion(
-        opened,
-        "frames",
-        options,
-        WritePictures(kind, method, difference, repeated_ids(opened, choices), class_names(opened.schema)),
-        choices,
-        rows_per_shard=_INDEX_ROWS,
-        rows_per_group=1 << 16,
-        extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
-        is_current=files_are_current,
-        write_files=write_index,
-    )
-    return convert(conversion, out, workers, overwrite, on_progress)
 
+    def plan(opened: Source, limit: int | None) -> Conversion:
+        options = {"kind": kind, "frame": method if opened.kind == "seq" else None, "limit": limit}
+        return Conversion(
+            opened,
+            "frames",
+            {**options, **({} if difference is None else {"difference": difference})},
+            WritePictures(kind, method, difference, class_names(opened.schema)),
+            marked_repetitions(opened, first_rows(opened, limit)),
+            rows_per_shard=_INDEX_ROWS,
+            rows_per_group=1 << 16,
+            extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
+            write_files=write_index,
+        )
 
-def convert(
-    conversion: Conversion,
-    out: str | PathLike[str],
-    workers: int | Runner,
-    overwrite: bool,
-    on_progress: Callable[[Progress], None],
-) -> Manifest:
-    """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped."""
-    folder = DataFolder(fspath(out))
-    source = conversion.source
-    refuse_source(folder, source.name, chain.from_iterable(source.shards.values()))
-    origin = origin_of(source.schema, source.manifest())
-    # The terms are those of the source; columns of rounds say by themselves that they were rendered.
-    if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
-        conversion = replace(conversion, options={**conversion.options, "touches": origin})
-    return build(
-        folder,
-        plan_conversion(conversion),
-        runner_for(workers),
-        overwrite=overwrite,
-        on_progress=on_progress,
-        write_card=write_card,
-    )
-
-
-def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
-    """Choose the first so many rows of each split; all for None. InputError for a limit below 1."""
-    most = _require_limit(limit)
-    counts = {split: sum(map(len, shards)) for split, shards in source.shards.items()}
-    return {split: list(map(RowChoice, range(count)[:most])) for split, count in counts.items()}
-
-
-def _require_limit(limit: int | None) -> int | None:
-    if limit is not None and limit < 1:
-        raise InputError(f"the limit is {limit}; expected an integer of at least 1")
-    return None if limit is None else operator.index(limit)
-
-
-def _object_id(value: SupportsIndex) -> int:
-    try:
-        return operator.index(value)
-    except TypeError as error:
-        raise InputError(f"objects holds {value!r}; expected integers, such as 12") from error
+    return convert(source, out, plan, **job)

@@ -6,29 +6,34 @@ and makes one shard. See :mod:`tactile_toolkit.store.build` for resuming and byt
 
 from __future__ import annotations
 
+import operator
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate, chain
 from os import PathLike, fspath
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, TypedDict
 
 import pyarrow as pa
 
-from realtouch.columns.per_touch import require_touches
-from realtouch.names import open_shards
-from tactile_toolkit.catalog.kinds import place_of
+from realtouch.card import origin_of, write_card
+from realtouch.columns import require_touches
+from realtouch.damage import damaged
+from realtouch.dataset import dataset_of
+from realtouch.opening import open_shards, place_of
 from tactile_toolkit.catalog.locate import splits_of
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.source import file_fingerprint, manifest_beside
+from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
+from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.parquet import ParquetStyle, is_unchanged, sha256_hex
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
 from tactile_toolkit.touch.schema import (
@@ -66,9 +71,9 @@ class Source:
 
         Reads footers. Raises as :func:`realtouch.load`.
         """
-        name = fspath(name)
-        splits = (split,) if split is not None else splits_of(place_of(name), revision=revision)
-        shards = {each: open_shards(name, each, revision=revision) for each in splits}
+        place = place_of(name := fspath(name))
+        splits = (split,) if split is not None else splits_of(str(place), revision=revision)
+        shards = {each: open_shards(place, each, revision=revision) for each in splits}
         for found in shards.values():
             deque(in_threads(require_types, found, _READERS), maxlen=0)
         return cls(name, shards, kind_of(shards[splits[0]][0].schema, name))
@@ -118,14 +123,24 @@ def _count_and_bytes(shard: Shard, column: str) -> tuple[int, int]:
 
 
 class RowChoice(NamedTuple):
-    """A row that a conversion takes: its number in the split, and which touches (None: all)."""
+    """A row that a conversion takes: its number in the split, and which touches (None: all).
+
+    ``is_repeated``: its id stands in a row before it, so that files of both would have one name.
+    """
 
     row: int
     touches: tuple[int, ...] | None = None
+    is_repeated: bool = False
 
+
+Choices = Mapping[str, Sequence[RowChoice]]
+"""The rows of each split that a conversion takes, in order."""
 
 Made = tuple[pa.Table, Mapping[str, bytes]]
 """New rows, and the files that lie next to them, by path."""
+
+Pack = Callable[[ShardName, pa.Table, Sequence[Skipped]], Made]
+"""What makes files of all new rows of a shard, and an index of them, which the shard keeps; picklable."""
 
 
 class Step(Protocol):
@@ -138,20 +153,8 @@ class Step(Protocol):
     def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
         """Return the new rows as a table of that schema, with files where it makes some.
 
-        A row that raises IntegrityError or ItemError is left out and listed.
+        A row that raises IntegrityError is left out and listed.
         """
-        ...
-
-
-class Pack(Protocol):
-    """What an exchange format does to all new rows of a shard at once; small and picklable."""
-
-    def schema(self, rows: pa.Schema) -> pa.Schema:
-        """Return the schema of what the shard keeps, for that of the new rows."""
-        ...
-
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
-        """Return what the shard keeps, an index, with the files of the foreign format."""
         ...
 
 
@@ -159,22 +162,19 @@ class Pack(Protocol):
 class Conversion:
     """A conversion, decided down to its rows.
 
-    ``options`` are JSON values, ``choices`` the rows of each split in order; the layout follows from the size
-    of the source's rows where it is None. ``extra_dirs`` names where the step's files lie, ``is_current``
-    says whether those of a finished shard are unchanged; ``write_files`` writes what follows from all rows,
-    see :class:`tactile_toolkit.store.plan.BuildPlan`. ``pack`` gets the new rows of a whole shard, where they
-    are not what the shard keeps.
+    ``options`` are JSON values; the layout follows from the size of the source's rows where it is None.
+    ``extra_dirs`` names where files next to the rows lie; ``write_files`` writes what follows from all rows,
+    see :class:`tactile_toolkit.store.plan.BuildPlan`.
     """
 
     source: Source
     operation: str
     options: Mapping[str, Any]
     step: Step
-    choices: Mapping[str, Sequence[RowChoice]]
+    choices: Choices
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
     extra_dirs: tuple[str, ...] = ()
-    is_current: Callable[[DataFolder, ShardRecord, bool], bool] | None = field(default=None, repr=False)
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
     )
@@ -207,18 +207,20 @@ class _ConvertShard:
         files: dict[str, bytes] = {}
         for choice, row in self._rows():
             try:
+                if choice.is_repeated:
+                    problem = f"{row.value('id')!r} stands in an earlier round of split {self.shard.split!r}"
+                    raise damaged(row, "id", f"{problem} too; expected ids that differ")
                 # Here for all steps: one that copies a column would pass on what it never looked at.
                 require_touches(row)
                 made, beside = self.step.apply(row, choice, self.shard.split)
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
                 tables.append(made.cast(self.schema))
                 files |= beside
-            except (IntegrityError, ItemError) as error:
-                reason, message = error.args if isinstance(error, ItemError) else (DAMAGED, str(error))
-                skipped.append(Skipped(choice.row, reason, self._without_folders(message)))
+            except IntegrityError as error:
+                skipped.append(Skipped(choice.row, DAMAGED, self._without_folders(str(error))))
         kept = pa.concat_tables(tables)
         if self.pack is not None:
-            kept, packed = self.pack.apply(self.shard, kept, skipped)
+            kept, packed = self.pack(self.shard, kept, skipped)
             files |= packed
         return ShardContent(kept.combine_chunks(), tuple(skipped), files=files)
 
@@ -251,7 +253,6 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
     source, step = conversion.source, conversion.step
     names = class_names(source.schema)
     schema = with_features(step.schema(flat_schema(source.schema)), names)
-    stored = schema if conversion.pack is None else with_features(conversion.pack.schema(schema), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MOST_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))
@@ -280,9 +281,10 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         "source": source.fingerprint(),
     }
     # JPEG does not compress again, and a dictionary or statistics of pictures would only take space.
-    media = [name for name in MEDIA_COLUMN.values() if stored.get_field_index(name) >= 0]
-    encodings = tuple((f"{name}.list.element.bytes", "PLAIN") for name in media)
-    encodings += tuple((f"{field.name}.bytes", "PLAIN") for field in stored if field.type == MEDIA_TYPE)
+    stored = schema.names if conversion.pack is None else ()
+    media = [f"{name}.list.element" for name in MEDIA_COLUMN.values() if name in stored]
+    media += [name for name in stored if schema.field(name).type == MEDIA_TYPE]
+    encodings = tuple((f"{name}.bytes", "PLAIN") for name in media)
     return BuildPlan(
         KIND,
         spec,
@@ -290,7 +292,116 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         tuple(tasks),
         ParquetStyle(per_group, compression_level=3, encodings=encodings),
         extra_dirs=conversion.extra_dirs,
-        is_current=conversion.is_current,
+        is_current=files_are_current,
         libraries=("numpy", "pillow", "pyarrow", "simplejpeg"),
         write_files=conversion.write_files,
     )
+
+
+class JobOptions(TypedDict, total=False):
+    """How any conversion is done; see :func:`realtouch.to_single`."""
+
+    split: str | None
+    limit: int | None
+    workers: int | Runner
+    overwrite: bool
+    on_progress: Callable[[Progress], None]
+
+
+def convert(
+    source: str | PathLike[str],
+    out: str | PathLike[str],
+    plan: Callable[[Source, int | None], Conversion],
+    *,
+    split: str | None = None,
+    limit: int | None = None,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped.
+
+    ``plan`` takes the source and the number of rounds of each split to take at most.
+    """
+    opened, folder = Source.open(source, split=split), DataFolder(fspath(out))
+    conversion = plan(opened, require_limit(limit))
+    refuse_source(folder, opened.name, chain.from_iterable(opened.shards.values()))
+    origin = origin_of(opened.schema, opened.manifest())
+    # The terms are those of the source; columns of rounds say by themselves that they were rendered.
+    if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
+        conversion = replace(conversion, options={**conversion.options, "touches": origin})
+    return build(
+        folder,
+        plan_conversion(conversion),
+        runner_for(workers),
+        overwrite=overwrite,
+        on_progress=on_progress,
+        write_card=write_card,
+    )
+
+
+def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
+    """Choose the first so many rows of each split; all for None."""
+    counts = {split: sum(map(len, shards)) for split, shards in source.shards.items()}
+    return {split: list(map(RowChoice, range(count)[:limit])) for split, count in counts.items()}
+
+
+def require_limit(limit: int | None, name: str = "limit") -> int | None:
+    """Return a limit; InputError where it is below 1."""
+    if limit is not None and limit < 1:
+        raise InputError(f"the {name} is {limit}; expected an integer of at least 1")
+    return None if limit is None else operator.index(limit)
+
+
+def marked_repetitions(source: Source, choices: Choices) -> Choices:
+    """Mark the rows of each split whose id stands in a row before them; reads the column of ids only."""
+    marked = {}
+    for split, chosen in choices.items():
+        ids = dataset_of(source.shards[split]).ids
+        first: dict[Any, int] = {}
+        rows = (first.setdefault(ids[each.row], each.row) for each in chosen)
+        marked[split] = [
+            each._replace(is_repeated=row != each.row) for each, row in zip(chosen, rows, strict=True)
+        ]
+    return marked
+
+
+_PREFIXES = ("", "meta_")
+"""Of the columns ``file`` and ``sha256`` of an index, which name up to two files for each row."""
+
+
+def with_files(index: pa.Table, files: dict[str, bytes]) -> Made:
+    """Return the files of a shard with its index, in each row of which they are named."""
+    for prefix, (path, content) in zip(_PREFIXES, files.items(), strict=False):
+        for name, value in (("file", path), ("sha256", sha256_hex(content))):
+            index = index.append_column(f"{prefix}{name}", pa.array([value] * len(index), pa.string()))
+    return index, files
+
+
+def files_of(folder: DataFolder, record: ShardRecord) -> dict[str, str]:
+    """Return the checksum of each file that the index of a finished shard names, by path."""
+    shard = Shard(folder.address(record.shard.data_path))
+    found: dict[str, str] = {}
+    for prefix in _PREFIXES:
+        names = [f"{prefix}file", f"{prefix}sha256"]
+        if all(name in shard.types for name in names):
+            paths, digests = (column.to_pylist() for column in shard.read(columns=names).columns)
+            found |= dict(zip(paths, digests, strict=True))
+    return found
+
+
+def files_are_current(folder: DataFolder, record: ShardRecord, reads: bool) -> bool:
+    """Return whether every file that a finished shard names is there and, if read, unchanged."""
+    return all(is_unchanged(folder, *file, reads) for file in files_of(folder, record).items())
+
+
+def checksums(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+    """Return the checksum of each file that the shards name, for the manifest."""
+    return {path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record).items()}
+
+
+def write_changed(folder: DataFolder, path: str, content: bytes) -> str:
+    """Write a file only where it differs: a run over a finished set changes nothing. Return its checksum."""
+    if not folder.exists(path) or folder.read_bytes(path) != content:
+        folder.write_bytes(path, content)
+    return sha256_hex(content)

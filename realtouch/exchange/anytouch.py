@@ -7,15 +7,14 @@ Facts of the format: images lie in ``touch_and_go/FOLDER/gelsight_frame``, their
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from functools import cache
+from functools import cache, partial
 from itertools import groupby
 
 import pyarrow as pa
 
-from realtouch.convert.plan import Made
-from realtouch.exchange.items import HERE, ImportColumns, Item, Reason, size_below
-from realtouch.exchange.rows import IMAGE, RowsFormat, as_jpeg, background_of
-from realtouch.integrity.files import write_changed
+from realtouch.convert.plan import Made, write_changed
+from realtouch.exchange.flat import IMAGE, as_jpeg, background_of, plan_rows
+from realtouch.exchange.items import HERE, ImportColumns, Item, size_below
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
@@ -62,10 +61,10 @@ def _write_lists(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
     return {path: write_changed(folder, path, content) for path, content in paths.items()}
 
 
-FORMAT = RowsFormat(_FOLDER, _pack, 2, _write_lists)
+plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_lists)
 
 
-def items_of_lists(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each line of the lists (or one, by its name); of a file that is not there, why."""
     lists = [name for name in home.sizes() if name.endswith(_LIST_END) and table in (None, name)]
     if not lists:
@@ -80,8 +79,7 @@ def items_of_lists(home: DataFolder, columns: ImportColumns, table: str | None) 
             problem, size, split = None, 0, each.removesuffix(_LIST_END)
             try:
                 if label == _LEFT_OUT:
-                    words = "the list leaves it out: its label is -1"
-                    raise ItemError(Reason.label, words)
+                    raise ItemError("label", "the list leaves it out: its label is -1")
                 size = size_below(home, name, sizes)
             except ItemError as error:
                 problem = error

@@ -1,31 +1,39 @@
-"""Writing touches in the formats of others."""
+"""Writing touches in the formats of others, and finding what reads and writes each.
+
+A format is one module, which knows no other. Its ``plan`` plans an export, of source, rows, frame of a clip
+and options; its ``items`` reads a folder, columns and a table, and yields what is to be imported.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
+from importlib import import_module
 from os import PathLike
-from typing import Literal
+from typing import Any, Literal, Unpack, get_args
 
 from realtouch.contact import require_method
-from realtouch.convert.api import convert, first_rows
-from realtouch.convert.plan import Source
-from realtouch.exchange.formats import EXPORTS, format_of
-from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Progress
+from realtouch.convert.plan import Conversion, JobOptions, Source, convert, first_rows
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.manifest import Manifest
+
+Layout = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
+ImportLayout = Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"]
+
+
+def format_of(layout: str, known: Sequence[str]) -> Any:
+    """Return the module of a format; InputError where none of those known has that name."""
+    if layout not in known:
+        raise InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
+    return import_module(f"realtouch.exchange.{layout}")
 
 
 def export(
     source: str | PathLike[str],
     out: str | PathLike[str],
-    layout: Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"],
+    layout: Layout,
     *,
     frame: str = "contact_end",
-    split: str | None = None,
-    limit: int | None = None,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    **job: Unpack[JobOptions],
 ) -> Manifest:
     """Write touches in the format of another library; stored JPEGs are copied, never encoded again.
 
@@ -63,9 +71,11 @@ def export(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    plan = format_of(EXPORTS, layout)
-    method = require_method(frame)
-    opened = Source.open(source, split=split)
-    options = {"layout": layout, "limit": limit}
-    conversion = plan(opened, first_rows(opened, limit), method, options)
-    return convert(conversion, out, workers, overwrite, on_progress)
+    plan, method = format_of(layout, get_args(Layout)).plan, require_method(frame)
+
+    def planned(opened: Source, limit: int | None) -> Conversion:
+        options = {"layout": layout, "limit": limit}
+        conversion: Conversion = plan(opened, first_rows(opened, limit), method, options)
+        return conversion
+
+    return convert(source, out, planned, **job)

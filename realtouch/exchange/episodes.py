@@ -6,7 +6,7 @@ before they are read.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,28 +14,35 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.columns.per_frame import clip_times
-from realtouch.columns.per_touch import entries_of, int_value, intended_positions, plain_value, touch_total
-from realtouch.columns.poses import clip_poses, poses
-from realtouch.convert.plan import Made, RowChoice, Source
-from realtouch.damage import damaged
+from realtouch.clip_columns import clip_poses, clip_times, poses
+from realtouch.clips import TouchClip
+from realtouch.columns import (
+    entries_of,
+    int_value,
+    intended_positions,
+    label_value,
+    plain_value,
+    stored_rows,
+    touch_total,
+)
+from realtouch.convert.plan import Choices, Made, RowChoice, Source
+from realtouch.damage import naming
 from realtouch.dataset import dataset_of
-from realtouch.exchange.rows import image_column, known_label, require_intact
-from realtouch.media.clips import TouchClip
-from realtouch.media.images import SensorImages
+from realtouch.exchange.flat import image_column, require_intact
+from realtouch.images import SensorImages
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import encode_image
-from tactile_toolkit.touch.schema import MEDIA_TYPE, POSE_COLUMN, class_names, column_type
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, class_names, column_type
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 
 
-def only_split(source: Source, choices: Mapping[str, Sequence[RowChoice]], what: str) -> str:
+def only_split(source: Source, choices: Choices, what: str) -> str:
     """Return the one split that is exported; InputError for several."""
     if len(choices) > 1:
         raise InputError(
@@ -45,49 +52,43 @@ def only_split(source: Source, choices: Mapping[str, Sequence[RowChoice]], what:
     return next(iter(choices))
 
 
-@dataclass(frozen=True)
-class Numbering:
-    """The numbers of episodes and frames: of the first of each shard, and of one more."""
+def numbered_starts(
+    source: Source, split: str, chosen: Sequence[RowChoice], rows_per_shard: int
+) -> list[list[int]]:
+    """Return the numbers of the first episode and frame of each shard, and of one more.
 
-    starts: list[list[int]]
+    InputError where there is none.
+    """
+    counts = _episode_lengths(source, split)[[each.row for each in chosen]]
+    if not counts.sum():
+        raise InputError(f"{source.name!r} has no touches in split {split!r}", next="choose another split")
+    ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
+    starts: list[list[int]] = ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist()
+    return starts
 
-    @classmethod
-    def of(
-        cls, source: Source, choices: Mapping[str, Sequence[RowChoice]], rows_per_shard: int, what: str
-    ) -> tuple[str, Numbering]:
-        """Count the frames of the one split that is exported; InputError for several, or none."""
-        split = only_split(source, choices, what)
-        chosen = choices[split]
-        counts = _episode_lengths(source, split)[[row for row, _ in chosen]]
-        if not counts.sum():
-            raise InputError(
-                f"{source.name!r} has no touches in split {split!r}", next="choose another split"
-            )
-        ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
-        return split, cls(ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist())
 
-    def of_shard(
-        self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-        """Return the number of each episode of a shard, of its first frame, and how many frames it has.
+def numbers_of_shard(
+    starts: Sequence[Sequence[int]], shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]
+) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+    """Return the number of each episode of a shard, of its first frame, and how many frames it has.
 
-        Raises IntegrityError where a round was left out, or lengths were not as stated.
-        """
-        if skipped:
-            raise IntegrityError(
-                f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
-                "nothing of this file was written",
-                next="leave the round out first (`realtouch select`)",
-            )
-        episode, frame = self.starts[shard.index]
-        starts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
-        if self.starts[shard.index + 1] != [episode + len(starts), frame + len(rows)]:
-            raise IntegrityError(
-                f"{shard}: {len(starts):,} episodes of {len(rows):,} frames in all, other than "
-                "'video_length_frames' stated when the export was planned; nothing of this file was written; "
-                "next: run `realtouch verify` on the source"
-            )
-        return episode + np.arange(len(starts)), frame + starts, np.diff([*starts, len(rows)])
+    Raises IntegrityError where a round was left out, or lengths were not as stated.
+    """
+    if skipped:
+        raise IntegrityError(
+            f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
+            "nothing of this file was written",
+            next="leave the round out first (`realtouch select`)",
+        )
+    episode, frame = starts[shard.index]
+    firsts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
+    if starts[shard.index + 1] != [episode + len(firsts), frame + len(rows)]:
+        raise IntegrityError(
+            f"{shard}: {len(firsts):,} episodes of {len(rows):,} frames in all, other than "
+            "'video_length_frames' stated when the export was planned; nothing of this file was written",
+            next="run `realtouch verify` on the source",
+        )
+    return episode + np.arange(len(firsts)), frame + firsts, np.diff([*firsts, len(rows)])
 
 
 @dataclass(frozen=True)
@@ -127,7 +128,7 @@ class Episodes:
 
     def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
-        name, label = str(plain_value(row, "id")), known_label(row, self.names)
+        name, label = str(plain_value(row, "id")), label_value(row, self.names)
         object_id = int_value(row, "object_id") if row.has("object_id") else 0
         places = intended_positions(row) if row.has("pos_in_cell") else None
         schema = self.schema(row.group.table.schema)
@@ -175,16 +176,12 @@ class Episodes:
                 yield touch, [encode_image(pixels) for pixels in clip.frames()], columns
 
     def _require_size(self, row: Row, touch: int, image: bytes | memoryview) -> None:
-        try:
-            size = require_intact(image)
-        except ValueError as error:
-            name = "sensor_image" if row.has("sensor_image") else "sensor_video"
-            raise damaged(row, name, str(error), touch) from error
-        if size != self.size:
-            (height, width), (first_height, first_width) = size, self.size
+        with naming(row, MEDIA_COLUMN["single" if row.has("sensor_image") else "seq"], touch):
+            height, width = require_intact(image)
+        if (height, width) != self.size:
             raise InputError(
                 f"{row.path!r}, row {row.number}, touch {touch}: an image of {width} x {height} pixels; "
-                f"expected {first_width} x {first_height} as in the first touch: episodes have images of "
+                f"expected {self.size[1]} x {self.size[0]} as in the first touch: episodes have images of "
                 "one size",
                 next="make them alike with `realtouch resize`",
             )
@@ -202,31 +199,20 @@ def _vectors(values: NDArray[Any]) -> pa.Array:
 def _episode_lengths(source: Source, split: str) -> NDArray[np.int64]:
     """Return the number of episodes and of frames of each row, shape (n, 2)."""
     if source.kind == "single":
-        counts = dataset_of(source.shards[split], "single").touch_counts
+        counts = dataset_of(source.shards[split]).touch_counts
         return np.column_stack([counts > 0, counts]).astype(np.int64)
     found = []
     for shard in source.shards[split]:
         if "video_length_frames" not in shard.types:
-            raise InputError(
-                f"{shard.path!r} has no column 'video_length_frames', by which frames are numbered ahead; "
-                "next: make single images of it first (`realtouch to-single`)"
-            )
-        for index in range(shard.metadata.num_row_groups):
-            lengths = shard.read(columns=["video_length_frames"], groups=[index]).column(0)
-            rows = [np.asarray(each, np.int64) for each in lengths.to_pylist()]
-            found += [(len(each), int(each.sum())) for each in rows]
+            raise InputError(f"{shard.path!r} has no column 'video_length_frames'")
+        lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
+        found += [(len(each), sum(each)) for each in lengths]
     return np.array(found, np.int64).reshape(-1, 2)
 
 
 def _first_image(shards: Sequence[Shard]) -> tuple[tuple[int, int], int]:
     """Return height and width of the first image, and the frames per second; 1 of single images."""
-    groups = (
-        group
-        for shard in shards
-        for index in range(shard.metadata.num_row_groups)
-        for group in shard.blocks(index)
-    )
-    rows = (Row(group, number) for group in groups for number in range(len(group.table)))
+    rows = stored_rows(shards)
     row = next(row for row in rows if touch_total(row))  # there is one: touches were counted
     if row.has("sensor_image"):
         return SensorImages(row).size(0), 1

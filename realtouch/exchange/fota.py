@@ -9,16 +9,16 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pyarrow as pa
 
-from realtouch.convert.pictures import POSE_COLUMNS
-from realtouch.convert.plan import Made
+from realtouch.convert.plan import Made, checksums, with_files, write_changed
+from realtouch.convert.steps import POSE_COLUMNS
+from realtouch.exchange.flat import IMAGE, as_jpeg, plan_rows
 from realtouch.exchange.items import ImportColumns, Item
-from realtouch.exchange.rows import IMAGE, RowsFormat, as_jpeg
 from realtouch.exchange.tars import items_of_tars, tar_of
-from realtouch.integrity.files import checksums, with_files, write_changed
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -64,10 +64,10 @@ def _write_counts(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
     return files
 
 
-FORMAT = RowsFormat(_FOLDER, _pack, write_files=_write_counts)
+plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_counts)
 
 
-def items_of_fota(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each sample of the tars of one split; the folder's name is that of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
     for item in items_of_tars(home, columns, table):

@@ -10,19 +10,18 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
-from functools import cache
 from os import PathLike, fspath
 from pathlib import Path, PurePosixPath
-from typing import Any, Literal
+from typing import Any, get_args
 
 import numpy as np
 import pyarrow as pa
 
 from realtouch.card import write_card
 from realtouch.convert.plan import KIND
-from realtouch.exchange.formats import IMPORTS, format_of
-from realtouch.exchange.items import ImportColumns, Item, Reason, contents_of
-from realtouch.exchange.rows import require_intact
+from realtouch.exchange.api import ImportLayout, format_of
+from realtouch.exchange.flat import require_intact
+from realtouch.exchange.items import ImportColumns, Item, contents_of
 from realtouch.poses import bad_pose
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.printable import printable
@@ -51,16 +50,18 @@ _GROUP_BYTES = 32 << 20
 _POSE = "gel_pose_cell_frame"
 _OF_ROUND = ("label", "object_id")
 _NUMBERED = "label"
-_JPEG_START, _APP1 = b"\xff\xd8", b"\xff\xe1"
 _ORIENTATION = 0x0112
 _TURNED = range(2, 9)
 _MOST_FIELDS = 100
+
+Rounds = tuple[tuple[str, tuple[Item, ...]], ...]
+"""The touches of some rounds, each with its name."""
 
 
 def import_images(
     source: str | PathLike[str],
     out: str | PathLike[str],
-    layout: Literal["folder", "webdataset", "fota", "sparsh", "anytouch"],
+    layout: ImportLayout,
     columns: ImportColumns | None = None,
     *,
     table: str | None = None,
@@ -79,10 +80,11 @@ def import_images(
         as ``s3://BUCKET/FOLDER``, which is listed once and read as it is needed.
     out : str or path
         Folder to write, outside the source.
-    layout : "folder", "webdataset", "fota", "sparsh" or "anytouch"
+    layout : "folder", "webdataset", "replay", "fota", "sparsh" or "anytouch"
         As :func:`realtouch.export` writes them; of ``"fota"`` and ``"sparsh"`` the folder of one split, whose
         name is that of the split. In tars, the fields are those of the JSON file of each sample, and the text
-        of other files by their endings, such as ``cls``.
+        of other files by their endings, such as ``cls``. Of ``"replay"`` (extra ``zarr``), an episode is a
+        round, a frame is a touch, and its pixels become a PNG.
     columns : ImportColumns, optional
         Which columns hold what; those of our own exports are found without.
     table : str, optional
@@ -115,16 +117,17 @@ def import_images(
     RemoteError
         A store cannot be reached, or refuses.
     """
-    home, chosen = DataFolder(fspath(source)), columns or ImportColumns()
-    read = format_of(IMPORTS, layout)
+    home, folder = DataFolder(fspath(source)), DataFolder(fspath(out))
+    read = format_of(layout, get_args(ImportLayout)).items
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
-    folder = DataFolder(fspath(out))
     _refuse_inside(folder, home)
-    items, columns = _listed(read(home, chosen, table), chosen)
+    chosen = columns or ImportColumns()
+    items = [_with_used_fields(item, chosen) for item in read(home, chosen, table)]
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected images")
-    plan = _plan(items, columns, tuple(classes), split, layout)
+    known = dict.fromkeys(name for item in items for name in item.fields)
+    plan = _plan(items, chosen.found_in(known), tuple(classes), split, layout)
     return build(
         folder,
         plan,
@@ -135,27 +138,16 @@ def import_images(
     )
 
 
-def _listed(found: Iterable[Item], chosen: ImportColumns) -> tuple[list[Item], ImportColumns]:
-    """Return all items, each with the fields that are used, and the columns that hold those."""
-
-    @cache  # most have the same fields
-    def used(fields: tuple[str, ...]) -> list[str]:
-        names = chosen.found_in(fields).names()
-        return names + [_NUMBERED] * (chosen.label is None and _NUMBERED not in names)
-
-    items: list[Item] = []
-    known: dict[str, None] = {}
-    for item in found:
-        fields = tuple(name for name, value in item.values.items() if name and value not in (None, ""))
-        known |= dict.fromkeys(fields)
-        values = {name: item.values[name] for name in used(fields) if name in item.values}
-        odd = [name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value)]
-        problem = item.problem
-        if odd and problem is None:
-            problem = ItemError(Reason.json, f"its field {odd[0]!r} holds text that is not Unicode")
-        values = {name: value for name, value in values.items() if name not in odd}
-        items.append(replace(item, values=values, problem=problem, fields=fields))
-    return items, chosen.found_in(known)
+def _with_used_fields(item: Item, chosen: ImportColumns) -> Item:
+    """Return an item with the names of all of its fields, and the values of those that may be used."""
+    fields = tuple(name for name, value in item.values.items() if name and value not in (None, ""))
+    used = {*chosen.found_in(fields).names(), *([] if chosen.label else [_NUMBERED])}
+    values = {name: item.values[name] for name in item.values if name in used}
+    odd = [name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value)]
+    problem = item.problem
+    if odd and problem is None:
+        problem = ItemError("json", f"its field {odd[0]!r} holds text that is not Unicode")
+    return replace(item, values={} if odd else values, problem=problem, fields=fields)
 
 
 def _is_unicode(text: str) -> bool:
@@ -181,25 +173,21 @@ def _refuse_inside(folder: DataFolder, home: DataFolder) -> None:
 
 
 def _plan(
-    items: Sequence[Item],
-    columns: ImportColumns,
-    classes: tuple[str, ...],
-    split: str | None,
-    layout: str,
+    items: Sequence[Item], columns: ImportColumns, classes: tuple[str, ...], split: str | None, layout: str
 ) -> BuildPlan:
     """Divide the touches into splits, rounds and shards. InputError where nothing can be imported."""
     names = classes or _class_names(items, columns.label)
-    if len(set(map(_whole, classes))) < len(classes):
+    if len(set(map(_integer_text, classes))) < len(classes):
         raise InputError(f"the classes are {', '.join(names)}; expected each once")
     rounds = _rounds(items, columns, split)
-    size = _first_size(items)
+    size = _first_size(items, layout)
     schema = _schema(columns, names)
-    tasks = []
+    tasks: dict[str, _ImportShard] = {}
     for each, found in rounds.items():
         parts = _divided(found)
         for index, part in enumerate(parts):
             shard = ShardName(each, index, len(parts))
-            tasks.append(_ImportShard(shard, part, columns, names, size, schema))
+            tasks[str(shard)] = _ImportShard(shard, part, layout, columns, names, size, schema)
     listing = [(item.name, item.start, item.size, item.values) for item in items]
     spec = {
         "operation": "import",
@@ -217,26 +205,22 @@ def _plan(
     }
     per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // (sum(item.size for item in items) // len(items) + 1))
     per_round = max(1, len(items) // sum(map(len, rounds.values())))
-    style = ParquetStyle(
-        max(1, per_group // per_round),
-        compression_level=3,
-        encodings=(("sensor_image.list.element.bytes", "PLAIN"),),
-    )
-    by_shard = {str(task.shard): task for task in tasks}
+    encodings = (("sensor_image.list.element.bytes", "PLAIN"),)
+    style = ParquetStyle(max(1, per_group // per_round), compression_level=3, encodings=encodings)
 
     def is_current(_folder: DataFolder, record: ShardRecord, _reads: bool) -> bool:
         # Names and sizes would not tell whether the source still gives the same: the images are read again.
-        content = by_shard[str(record.shard)].make()
+        content = tasks[str(record.shard)].make()
         same = sha256_hex(encode_parquet(content.table, style)) == record.sha256
         return same and content.skipped == record.skipped
 
     libraries = ("numpy", "pyarrow")
     return BuildPlan(
-        KIND, spec, tuple(rounds), tuple(tasks), style, is_current=is_current, libraries=libraries
+        KIND, spec, tuple(rounds), tuple(tasks.values()), style, is_current=is_current, libraries=libraries
     )
 
 
-def _divided(rounds: Mapping[str, Sequence[Item]]) -> list[tuple[tuple[str, tuple[Item, ...]], ...]]:
+def _divided(rounds: Mapping[str, Sequence[Item]]) -> list[Rounds]:
     """Divide rounds into shards that a worker can hold."""
     shards: list[list[tuple[str, tuple[Item, ...]]]] = [[]]
     touches = size_bytes = 0
@@ -293,9 +277,16 @@ def _rounds(
     return found
 
 
-def _first_size(items: Sequence[Item]) -> tuple[int, int] | None:
+def _images(items: Iterable[Item], layout: str) -> Iterator[bytes | Exception]:
+    """Yield the bytes of the images of all items without a problem, in order, or why one cannot be read."""
+    read = getattr(format_of(layout, get_args(ImportLayout)), "contents", contents_of)
+    found: Iterator[bytes | Exception] = read(item for item in items if item.problem is None)
+    return found
+
+
+def _first_size(items: Sequence[Item], layout: str) -> tuple[int, int] | None:
     """Return height and width of the first image that is one."""
-    for content in contents_of(items):
+    for content in _images(items, layout):
         if isinstance(content, bytes):
             with suppress(ValueError):
                 return require_intact(content)
@@ -322,7 +313,8 @@ class _ImportShard:
     """Picklable: read the images of some rounds and check what is said of them."""
 
     shard: ShardName
-    rounds: tuple[tuple[str, tuple[Item, ...]], ...] = field(repr=False)
+    rounds: Rounds = field(repr=False)
+    layout: str
     columns: ImportColumns
     names: tuple[str, ...] = field(repr=False)
     image_size: tuple[int, int] | None
@@ -339,15 +331,18 @@ class _ImportShard:
         used = {*self.columns.names(), self.columns.image}
         used |= {_NUMBERED} if self.columns.label == f"{_NUMBERED}_name" else set()
         others = Counter[str]()
-        contents = contents_of(item for _, items in self.rounds for item in items)
+        contents = _images((item for _, items in self.rounds for item in items), self.layout)
         for name, items in self.rounds:
             touches: list[dict[str, Any]] = []
             for item in items:
                 try:
-                    touches.append(self._touch(item, contents, touches))
+                    touch = self._touch(item, contents)
+                    if touches and any(touch[each] != touches[0][each] for each in _OF_ROUND):
+                        raise ItemError("round", "another label or object than the first touch of its round")
+                    touches.append(touch)
                     others.update(name for name in item.fields if name not in used)
                 except ItemError as error:
-                    skipped.append(Skipped(item.number, str(error.reason), f"{item.name!r}: {error.message}"))
+                    skipped.append(Skipped(item.number, error.reason, f"{item.name!r}: {error.message}"))
             if touches:
                 of_round = {each: touches[0][each] for each in _OF_ROUND}
                 of_touch = {each: [touch[each] for touch in touches] for each in touches[0]}
@@ -357,39 +352,35 @@ class _ImportShard:
         table = pa.Table.from_pylist(rows, self.schema)
         return ShardContent(table, tuple(skipped), statistics=statistics)
 
-    def _touch(
-        self, item: Item, contents: Iterator[bytes | Exception], before: Sequence[dict[str, Any]]
-    ) -> dict[str, Any]:
+    def _touch(self, item: Item, contents: Iterator[bytes | Exception]) -> dict[str, Any]:
         """Return what the columns hold of a touch; ItemError where it cannot be used."""
         if item.problem is not None:
             raise item.problem
         image = next(contents)
         if isinstance(image, Exception):
-            raise ItemError(Reason.image, str(image)) from image
+            raise ItemError("image", str(image)) from image
         self._require_image(image)
         values, columns = item.values, self.columns
-        label = _text(values, columns.label)
-        label = label if label in self.names else _whole(label)
+        label, object_id = _text(values, columns.label), 0
+        label = label if label in self.names else _integer_text(label)
         if label not in self.names:
-            raise ItemError(Reason.label, f"the label {label[:_LONGEST_SHOWN]!r}; expected a class")
-        number, object_id = self.names.index(label), 0
+            raise ItemError("label", f"the label {label[:_LONGEST_SHOWN]!r}; expected a class")
         if columns.object_id:
-            text = _whole(_text(values, columns.object_id))
+            text = _integer_text(_text(values, columns.object_id))
             if not (text.isdecimal() and text.isascii() and len(text) < 19):
-                problem = f"the object {text[:_LONGEST_SHOWN]!r}; expected an integer"
-                raise ItemError(Reason.object, problem)
+                raise ItemError("object", f"the object {text[:_LONGEST_SHOWN]!r}; expected an integer")
             object_id = int(text)
-        if before and (number, object_id) != tuple(before[0][each] for each in _OF_ROUND):
-            problem = "another label or object than the first touch of its round"
-            raise ItemError(Reason.round, problem)
-        position = _numbers(values, columns.position, 2, Reason.position)
-        pose = _numbers(values, columns.pose, 7, Reason.pose)
+        position = _numbers(values, columns.position, 2, "position")
+        pose = _numbers(values, columns.pose, 7, "pose")
         wrong = bad_pose(np.array([pose[:3]]), np.array([pose[3:]])) if pose else None
         if wrong is not None:
-            raise ItemError(Reason.pose, wrong[1])
+            raise ItemError("pose", wrong[1])
         return {
-            **{"label": number, "object_id": object_id, "pos_in_cell": position},
-            **{f"{_POSE}.position": pose[:3], f"{_POSE}.quaternion": pose[3:]},
+            "label": self.names.index(label),
+            "object_id": object_id,
+            "pos_in_cell": position,
+            f"{_POSE}.position": pose[:3],
+            f"{_POSE}.quaternion": pose[3:],
             "sensor_image": {"bytes": image, "path": Path(item.name).name},
         }
 
@@ -398,20 +389,20 @@ class _ImportShard:
         try:
             size = require_intact(image)
         except ValueError as error:
-            raise ItemError(Reason.image, str(error)) from error
+            raise ItemError("image", str(error)) from error
         if _is_turned(image):
             problem = "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
-            raise ItemError(Reason.image, problem)
+            raise ItemError("image", problem)
         if self.image_size is not None and size != self.image_size:
             (height, width), (first_height, first_width) = size, self.image_size
             problem = f"{width} x {height} pixels; expected {first_width} x {first_height} as in the first"
-            raise ItemError(Reason.size, problem)
+            raise ItemError("size", problem)
 
 
 def _is_turned(image: bytes) -> bool:
     """Return whether readers that obey what an image states of itself turn it; Pillow knows all places."""
-    if image[:2] == _JPEG_START and _APP1 not in image:
-        return False  # both stand in such a segment, and to open an image takes a while
+    if image[:2] == b"\xff\xd8" and b"\xff\xe1" not in image:
+        return False  # both stand in such a segment of a JPEG, and to open an image takes a while
     from PIL import Image
 
     try:
@@ -428,14 +419,14 @@ def _text(values: Mapping[str, Any], name: str | None) -> str:
     return "" if is_none else str(value).strip()
 
 
-def _whole(text: str) -> str:
+def _integer_text(text: str) -> str:
     """Return ``"3"`` for ``"3.0"``: so tables have integers whose column lacks a value somewhere."""
     match = _NUMBER.fullmatch(text)
     return text if match is None else match[1]
 
 
 def _numbers(
-    values: Mapping[str, Any], names: Sequence[str] | None, count: int, what: Reason
+    values: Mapping[str, Any], names: Sequence[str] | None, count: int, reason: str
 ) -> tuple[float, ...]:
     """Return the numbers of some columns, or of one that holds all of them; none for no columns."""
     if not names:
@@ -445,10 +436,9 @@ def _numbers(
         found = found[0]
         if isinstance(found, str):
             found = found.replace(",", " ").strip("[]() ").split()
-    try:
+    numbers: tuple[float, ...] = ()
+    with suppress(TypeError, ValueError, OverflowError):
         numbers = tuple(float(value) for value in found)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ItemError(what, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} numbers") from error
     if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ItemError(what, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} finite numbers")
+        raise ItemError(reason, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} finite numbers")
     return numbers

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from enum import StrEnum
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from realtouch.convert.pictures import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit.errors import InputError, ItemError
+from realtouch.convert.steps import POSE_COLUMNS, POSITION_COLUMNS
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.address import is_remote
 from tactile_toolkit.store.folder import DataFolder, file_at
@@ -27,23 +28,6 @@ _FAR_READERS = 16
 """Images of a store that are asked for at a time: each answer takes long, and they are small."""
 
 
-class Reason(StrEnum):
-    """Why an image is left out; stable words for tables and manifests."""
-
-    missing = "missing"
-    name = "name"
-    duplicate = "duplicate"
-    columns = "columns"
-    json = "json"
-    image = "image"
-    size = "size"
-    label = "label"
-    object = "object"
-    round = "round"
-    position = "position"
-    pose = "pose"
-
-
 @dataclass(frozen=True, slots=True)
 class ImportColumns:
     """Which columns of a table, or fields of JSON files, hold what.
@@ -55,7 +39,8 @@ class ImportColumns:
     Attributes
     ----------
     image : str or None
-        Path of the image below the folder; of WebDataset, its ending, the first image of a sample if None.
+        Path of the image below the folder; of WebDataset, its ending, the first image of a sample if None; of
+        a replay buffer, its array of pixels.
     label : str or None
         Class: a number, or a name.
     round : str or None
@@ -107,8 +92,7 @@ class ImportColumns:
     def names(self) -> list[str]:
         """Return the columns that must be there."""
         plain = (self.label, self.round, self.object_id, self.split)
-        names = (*plain, *(self.position or ()), *(self.pose or ()))
-        return list(dict.fromkeys(filter(None, names)))
+        return list(dict.fromkeys(filter(None, (*plain, *(self.position or ()), *(self.pose or ())))))
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,17 +113,16 @@ class Item:
 
     def __post_init__(self) -> None:
         if self.problem is None and self.size > MAX_IMAGE_BYTES:
-            problem = ItemError(Reason.image, f"{self.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
+            problem = ItemError("image", f"{self.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
             object.__setattr__(self, "problem", problem)
 
 
 def contents_of(items: Iterable[Item]) -> Iterator[bytes | Exception]:
-    """Yield the bytes of each image without a problem, in order, or why it cannot be read.
+    """Yield the bytes of each image, in order, or why it cannot be read.
 
     A tar is opened once for all that follow each other in it.
     """
-    usable = (item for item in items if item.problem is None)
-    groups = [tuple(group) for _, group in groupby(usable, key=lambda item: item.path)]
+    groups = [tuple(group) for _, group in groupby(items, key=lambda item: item.path)]
     threads = _FAR_READERS if groups and is_remote(groups[0][0].path) else 1
     for found in in_threads(_contents, groups, threads):
         yield from found
@@ -158,18 +141,35 @@ def _contents(items: Sequence[Item]) -> list[bytes | Exception]:
     return found
 
 
+def read_table(home: DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return the columns and lines of a table; InputError where it cannot be read."""
+    path = home.address(name)
+    try:
+        text = home.read_bytes(name).decode("utf-8-sig")
+    except (IntegrityError, UnicodeDecodeError) as error:
+        raise InputError(
+            f"{path!r} cannot be read as UTF-8 text ({error}); expected a table with commas"
+        ) from error
+    lines = csv.DictReader(io.StringIO(text, newline=""), strict=True)
+    try:
+        return list(lines.fieldnames or ()), list(lines)
+    except csv.Error as error:
+        # Of a line that was not read it counts none; a quote that never ends reaches over all that follow.
+        raise InputError(
+            f"{path!r}, line {lines.line_num + 1}: {error}; expected a table with commas"
+        ) from error
+
+
 def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
     """Refuse columns that are not there, or there several times (InputError)."""
     for name in wanted:
-        if name not in known:
+        count = known.count(name)
+        if count != 1:
+            meant = did_you_mean(name, known)
+            found = f"{count} columns {name!r}; expected one" if count else f"no column {name!r}{meant}"
             raise InputError(
-                f"{where!r} has no column {name!r}{did_you_mean(name, known)}; found "
-                f"{', '.join(known) or 'none'}",
+                f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the columns with the options of `realtouch import`",
-            )
-        if known.count(name) > 1:
-            raise InputError(
-                f"{where!r} has {known.count(name)} columns {name!r}; expected one", next="name them apart"
             )
 
 
@@ -180,8 +180,7 @@ def size_below(home: DataFolder, name: str, sizes: Callable[[str], Mapping[str, 
     """
     words = problem_of_name(name)
     if words:
-        problem = f"the name {words}; expected a path below the folder"
-        raise ItemError(Reason.name, problem)
+        raise ItemError("name", f"the name {words}; expected a path below the folder")
     if not home.is_local:
         folder, _, base = name.rpartition("/")
         size = sizes(folder).get(base)
@@ -192,10 +191,8 @@ def size_below(home: DataFolder, name: str, sizes: Callable[[str], Mapping[str, 
         except (OSError, RuntimeError):  # links in a circle
             is_below = False
         if not is_below:
-            problem = "a link leads out of the folder; expected a path below it"
-            raise ItemError(Reason.name, problem)
+            raise ItemError("name", "a link leads out of the folder; expected a path below it")
         size = path.stat().st_size if path.is_file() else None
     if size is None:
-        problem = "there is no such file"
-        raise ItemError(Reason.missing, problem)
+        raise ItemError("missing", "there is no such file")
     return size

@@ -15,17 +15,18 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import Conversion, Made, RowChoice, Source
-from realtouch.exchange.episodes import IMAGE, Episodes, Numbering
-from realtouch.exchange.lerobot_statistics import columns_of_episodes, statistics_of_all
-from realtouch.integrity.files import (
+from realtouch.convert.plan import (
+    Conversion,
+    Made,
+    RowChoice,
+    Source,
     checksums,
-    file_fields,
-    files_are_current,
     files_of,
     with_files,
     write_changed,
 )
+from realtouch.exchange.episodes import IMAGE, Episodes, numbered_starts, numbers_of_shard, only_split
+from realtouch.exchange.lerobot_statistics import columns_of_episodes, statistics_of_all
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -50,7 +51,8 @@ def plan(
 ) -> Conversion:
     """Plan a LeRobotDataset; reads footers, lengths and one header. InputError for several splits."""
     rows_per_shard = max(1, _FILE_BYTES // source.row_bytes())
-    split, numbering = Numbering.of(source, choices, rows_per_shard, "LeRobotDataset")
+    split = only_split(source, choices, "LeRobotDataset")
+    starts = numbered_starts(source, split, choices[split], rows_per_shard)
     step = Episodes.of(source, split)
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
     image_bytes = source.media_bytes() if source.kind == "single" else source.media_bytes() // 64 or 1
@@ -63,9 +65,8 @@ def plan(
         rows_per_shard=rows_per_shard,
         rows_per_group=1 << 12,
         extra_dirs=(_FOLDER,),
-        is_current=files_are_current,
         write_files=_WriteMeta(split, step.fps, step.size, tasks),
-        pack=_PackEpisodes(numbering, tasks, max(1, _GROUP_BYTES // image_bytes)),
+        pack=_PackEpisodes(starts, tasks, max(1, _GROUP_BYTES // image_bytes)),
     )
 
 
@@ -73,20 +74,14 @@ def plan(
 class _PackEpisodes:
     """Packs the frames of a shard and what is to be known of its episodes; keeps an index of those."""
 
-    numbering: Numbering = field(repr=False)
-    tasks: tuple[str, ...] = ()
-    rows_per_group: int = 1
+    starts: Sequence[Sequence[int]] = field(repr=False)
+    tasks: tuple[str, ...]
+    rows_per_group: int
 
-    def schema(self, rows: pa.Schema) -> pa.Schema:
-        """Return the columns of the index."""
-        numbers = [(name, pa.int64()) for name in ("id", "first_frame", "frames")]
-        kept = [rows.field(name) for name in _OF_EPISODE if name in rows.names]
-        return pa.schema([*numbers, *kept, *file_fields(2)])
-
-    def apply(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+    def __call__(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
         """Return the frames and episodes of a shard, numbered over the whole data set."""
         rows = rows.combine_chunks()
-        episodes, firsts, lengths = self.numbering.of_shard(shard, rows, skipped)
+        episodes, firsts, lengths = numbers_of_shard(self.starts, shard, rows, skipped)
         starts = firsts - firsts[:1]
         index = {"id": episodes, "first_frame": firsts, "frames": lengths}
         frames = rows.drop_columns(

@@ -2,7 +2,8 @@
 
 Facts of the format (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
 length along time, ``meta/episode_ends`` the number of the frame behind each episode; images are pixels. What
-the buffer is made of stays in ``data``: a row a frame, its image as it was stored.
+the buffer is made of stays in ``data``: a row a frame, its image as it was stored. Writing needs no package;
+buffers of others, whose compressors are many, are read by Zarr itself.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import shutil
 import tempfile
 import zipfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import IO, Any
 
@@ -21,14 +22,19 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import Conversion, RowChoice, Source
+from realtouch.convert.plan import Choices, Conversion, Source
+from realtouch.convert.steps import POSE_COLUMNS, POSITION_COLUMNS
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
-from realtouch.exchange.rows import decoded
+from realtouch.exchange.flat import decoded
+from realtouch.exchange.items import ImportColumns, Item
+from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import is_unchanged
+from tactile_toolkit.touch.jpeg import encode_image
 
 _FOLDER = "replay"
 _FILE = f"{_FOLDER}/touches.zarr.zip"
@@ -41,7 +47,7 @@ _IN_MEMORY_BYTES = 64 << 20
 
 def plan(
     source: Source,
-    choices: Mapping[str, Sequence[RowChoice]],
+    choices: Choices,
     method: ContactMethod,
     options: Mapping[str, Any],
 ) -> Conversion:
@@ -100,10 +106,7 @@ class _WriteBuffer:
 
 def _images(shards: Sequence[Shard]) -> Any:
     """Yield the stored image of each frame, and its name."""
-    for shard in shards:
-        for index in range(shard.metadata.num_row_groups):
-            for group in shard.blocks(index, [IMAGE]):
-                yield from (image.as_py() for image in group.table[IMAGE])
+    yield from (row.group.table[IMAGE][row.index].as_py() for row in stored_rows(shards, [IMAGE]))
 
 
 def _numbers(column: pa.ChunkedArray) -> NDArray[Any]:
@@ -120,3 +123,67 @@ def _description(shape: Sequence[int], chunks: Sequence[int], dtype: str) -> byt
     stated = {"zarr_format": 2, "shape": list(shape), "chunks": list(chunks), "dtype": dtype, "order": "C"}
     stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
     return json.dumps(stated, indent=4).encode()
+
+
+def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+    """Yield a touch for each frame of the buffer; an episode is a round, other arrays are its fields."""
+    path = _path_of(home)
+    data, ends = _arrays(path)
+    pixels = _PIXELS.rpartition("/")[2] if columns.image in (None, "file") else str(columns.image)
+    if pixels not in data or data[pixels].ndim != 4:
+        raise InputError(
+            f"{path!r} has no array of pictures {pixels!r}; found {', '.join(data)}",
+            next="name it with --image-column",
+        )
+    fields = {name: array[:] for name, array in data.items() if name != pixels and array.ndim < 3}
+    size = int(np.prod(data[pixels].shape[1:]))
+    start = 0
+    for episode, end in enumerate(ends):
+        for number in range(start, int(end)):
+            values = {name: array[number].tolist() for name, array in fields.items()}
+            for name, names in (("state", POSE_COLUMNS), ("action", POSITION_COLUMNS)):
+                if np.shape(values.get(name, ())) == (len(names),):
+                    values |= dict(zip(names, values.pop(name), strict=True))
+            name = f"episode-{episode:06d}"
+            values.setdefault("round_id", name)
+            yield Item(number, f"{name}_{number - start:06d}.png", f"{path}#{pixels}", number, size, values)
+        start = int(end)
+
+
+def contents(items: Iterable[Item]) -> Iterator[bytes | Exception]:
+    """Yield the pixels of each frame as PNG, in order; a chunk of the array is unpacked once."""
+    name, last, chunk = "", -1, np.zeros(0, np.uint8)
+    array: Any = None
+    for item in items:
+        if item.path != name:
+            name, last = item.path, -1
+            path, _, pixels = name.rpartition("#")
+            array = _arrays(path)[0][pixels]
+        length = array.chunks[0]
+        if item.start // length != last:
+            last = item.start // length
+            chunk = array[last * length : (last + 1) * length]
+        yield encode_image(np.ascontiguousarray(chunk[item.start % length]), "png")
+
+
+def _path_of(home: DataFolder) -> str:
+    """Return the group that a folder is, or the only one that it holds."""
+    if home.exists(".zgroup") or home.address().endswith(".zip"):
+        return home.address()
+    found = [name for name in home.names() if name.endswith((".zarr", ".zarr.zip"))]
+    if len(found) != 1:
+        raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(found) or 'none'}")
+    return home.address(found[0])
+
+
+def _arrays(path: str) -> tuple[dict[str, Any], Any]:
+    """Open the arrays of a buffer and read the ends of its episodes."""
+    with needs_extra("importing a replay buffer", "zarr", "zarr"):
+        import zarr
+    try:
+        place: Any = zarr.storage.ZipStore(path, mode="r") if path.endswith(".zip") else path
+        group: Any = zarr.open_group(place, mode="r", zarr_format=2)
+        data = {name: array for name, array in group["data"].arrays() if array.shape}
+        return data, group["meta/episode_ends"][:]
+    except (KeyError, ValueError, OSError) as error:
+        raise InputError(f"{path!r} is not a replay buffer of Zarr 2 ({error})") from error

@@ -7,25 +7,23 @@ no place, lie in a CSV table of the same name.
 
 from __future__ import annotations
 
-import csv
 import io
 import pickle
 import pickletools
 from collections.abc import Iterator, Sequence
+from functools import partial
 from typing import Any
 
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from realtouch.convert.plan import Made
-from realtouch.exchange.items import ImportColumns, Item
-from realtouch.exchange.rows import IMAGE, RowsFormat, background_of
-from realtouch.integrity.files import checksums, with_files, write_changed
-from tactile_toolkit.errors import InputError, IntegrityError
+from realtouch.convert.plan import Made, checksums, with_files, write_changed
+from realtouch.exchange.flat import IMAGE, background_of, plan_rows
+from realtouch.exchange.items import ImportColumns, Item, read_table
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 
 _FOLDER = "sparsh"
 _BACKGROUND = "bgs/bg_gs.jpg"
@@ -33,7 +31,6 @@ _PROTOCOL = 4
 _MOST_IN_MEDIAN = 256
 _HEADER_BYTES = {"SHORT_BINBYTES": 2, "BINBYTES": 5, "BINBYTES8": 9}
 """How many bytes of an opcode come before the content."""
-_MOST_IN_LINE = 1 << 10
 _OF_LISTS = frozenset(
     ["PROTO", "FRAME", "EMPTY_LIST", "MARK", "MEMOIZE", "BINPUT", "LONG_BINPUT", "APPEND", "APPENDS", "STOP"]
 )
@@ -64,7 +61,7 @@ def _write_backgrounds(folder: DataFolder, manifest: Manifest) -> dict[str, str]
     return files
 
 
-FORMAT = RowsFormat(_FOLDER, _pack, 2, _write_backgrounds)
+plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_backgrounds)
 
 
 def _part(stream: io.IOBase | Any, start: int, size: int) -> bytes:
@@ -73,40 +70,21 @@ def _part(stream: io.IOBase | Any, start: int, size: int) -> bytes:
     return content
 
 
-class _Bounded:
-    """A stream for :mod:`pickletools`, which takes into memory as much as an opcode states."""
-
-    def __init__(self, stream: Any) -> None:
-        self._stream = stream
-        self.tell = stream.tell
-
-    def read(self, size: int) -> bytes:
-        if size > MAX_IMAGE_BYTES:
-            raise ValueError(f"a value of {size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
-        content: bytes = self._stream.read(size)
-        return content
-
-    def readline(self) -> bytes:
-        line: bytes = self._stream.readline(_MOST_IN_LINE)
-        return line
-
-
 def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
     """Yield place and size of each image in a pickled list; executes nothing of it."""
-    bounded: Any = _Bounded(stream)
     try:
-        for opcode, content, position in pickletools.genops(bounded):
+        for opcode, content, position in pickletools.genops(stream):
             if opcode.name in _HEADER_BYTES and content is not None and position is not None:
                 yield position + _HEADER_BYTES[opcode.name], len(content)
             elif opcode.name not in _OF_LISTS:
                 raise InputError(
                     f"{name!r} holds something else than a list of encoded images ({opcode.name})"
                 )
-    except ValueError as error:
-        raise InputError(f"{name!r} is not an intact pickle ({error})", next="fetch it again") from error
+    except (ValueError, OverflowError, MemoryError) as error:
+        raise InputError(f"{name!r} is not an intact pickle ({error!r})", next="fetch it again") from error
 
 
-def items_of_pickles(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
     split, number = home.address().rstrip("/").rpartition("/")[2], 0
     names = [name for name in home.sizes() if name.endswith(".pkl")]
@@ -115,7 +93,7 @@ def items_of_pickles(home: DataFolder, columns: ImportColumns, table: str | None
     for name in names:
         stem = name.removesuffix(".pkl")
         beside = table or f"{stem}.csv"
-        found = _lines(home, beside) if table or home.exists(beside) else None
+        found = read_table(home, beside)[1] if table or home.exists(beside) else None
         count = 0
         with home.open(name) as stream:
             for start, size in _places(stream, name):
@@ -126,14 +104,3 @@ def items_of_pickles(home: DataFolder, columns: ImportColumns, table: str | None
             raise InputError(
                 f"{beside!r} has {len(found):,} lines; expected {count:,}, one for each image of {name!r}"
             )
-
-
-def _lines(home: DataFolder, name: str) -> list[dict[str, Any]]:
-    """Return the lines of a table."""
-    try:
-        text = home.read_bytes(name).decode("utf-8-sig")
-        return list(csv.DictReader(io.StringIO(text, newline=""), strict=True))
-    except (IntegrityError, UnicodeDecodeError, csv.Error) as error:
-        raise InputError(
-            f"{home.address(name)!r} cannot be read ({error}); expected a table with commas, in UTF-8"
-        ) from error

@@ -11,13 +11,13 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from realtouch.exchange.items import HERE, IMAGE_ENDINGS, ImportColumns, Item, Reason, require_columns
+from realtouch.exchange.items import HERE, IMAGE_ENDINGS, ImportColumns, Item, require_columns
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.store.folder import DataFolder, file_at
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.touch.tars import files_of_tar
 
-_MOST_JSON_BYTES = 1 << 20
+_MOST_TEXT_BYTES = 1 << 20  # of a file with fields; of a longer one nothing is read
 
 
 def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, Any]]]) -> bytes:
@@ -42,7 +42,7 @@ def items_of_tars(home: DataFolder, columns: ImportColumns, table: str | None) -
         for key, members in groupby(_members(folder, name), key=lambda each: each[0]):
             item = _sample(folder.address(name), number, key, list(members), columns)
             if key in seen:
-                problem = ItemError(Reason.duplicate, f"the key {key!r} stands in an earlier sample")
+                problem = ItemError("duplicate", f"the key {key!r} stands in an earlier sample")
                 item = replace(item, problem=problem)
             seen.add(key)
             known |= dict.fromkeys(item.values)
@@ -75,7 +75,7 @@ def _members(folder: DataFolder, name: str) -> Iterator[_Member]:
                 directory, slash, base = HERE.sub("", member.name).rpartition("/")
                 stem, _, ending = base.partition(".")
                 content = b""
-                if not _is_image(ending) and member.size <= _MOST_JSON_BYTES:
+                if not _is_image(ending) and member.size <= _MOST_TEXT_BYTES:
                     stream.seek(start)
                     content = stream.read(member.size)
                 yield f"{directory}{slash}{stem}", ending.lower(), start, member.size, content
@@ -95,30 +95,28 @@ def _sample(path: str, number: int, key: str, members: Sequence[_Member], column
     """Put the files of one key together."""
     wanted = None if columns.image in (None, "file") else str(columns.image).lower()
     named = problem_of_name(key)
-    problem = ItemError(Reason.name, f"the key {named}") if named else None
+    problem = ItemError("name", f"the key {named}") if named else None
     images = [member for member in members if _is_image(member[1]) and wanted in (None, member[1])]
     if not images:
         expected = wanted or ", ".join(IMAGE_ENDINGS)
-        problem = problem or ItemError(Reason.missing, f"no image; expected one of {expected}")
+        problem = problem or ItemError("missing", f"no image; expected one of {expected}")
     values: dict[str, Any] = {}
-    for _, ending, _, size, content in members:
-        if size <= _MOST_JSON_BYTES and ending != "json" and not _is_image(ending):
-            values.setdefault(ending, content.decode(errors="replace").strip())
-        elif ending == "json":
+    for _, ending, _, _, content in members:
+        if ending == "json":
             try:
-                values |= _fields(content, size)
+                values |= _fields(content)
             except ItemError as error:
                 problem = problem or error
+        elif not _is_image(ending):
+            values.setdefault(ending, content.decode(errors="replace").strip())
     _, _, start, size, _ = images[0] if images else ("", "", 0, 0, b"")
     return Item(number, key, path, start, size, values, problem)
 
 
-def _fields(content: bytes, size: int) -> dict[str, Any]:
-    if size > _MOST_JSON_BYTES:
-        problem = f"its JSON file has {size:,} bytes; the limit is {_MOST_JSON_BYTES:,}"
-        raise ItemError(Reason.json, problem)
+def _fields(content: bytes) -> dict[str, Any]:
     try:
         return dict(json.loads(content))
     except (ValueError, TypeError, RecursionError) as error:
-        problem = f"its JSON file cannot be read ({error}); expected an object"
-        raise ItemError(Reason.json, problem) from error
+        raise ItemError(
+            "json", f"its JSON file cannot be read ({error}); expected an object of at most 1 MiB"
+        ) from error

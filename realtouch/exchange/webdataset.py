@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import pyarrow as pa
 
-from realtouch.convert.plan import Made
-from realtouch.exchange.rows import IMAGE, RowsFormat
-from realtouch.exchange.tars import tar_of
-from realtouch.integrity.files import with_files
+from realtouch.convert.plan import Made, with_files
+from realtouch.exchange.flat import IMAGE, plan_rows
+from realtouch.exchange.tars import items_of_tars, tar_of
 from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER = "webdataset"
+
+items = items_of_tars
 
 
 def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
@@ -27,4 +29,4 @@ def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
     return with_files(index, {path: tar_of(samples)} if len(rows) else {})
 
 
-FORMAT = RowsFormat(_FOLDER, _pack)
+plan = partial(plan_rows, folder=_FOLDER, pack=_pack)

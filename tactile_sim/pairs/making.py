@@ -23,8 +23,8 @@ from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_sim.source import SolidSplit
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit import making
-from tactile_toolkit.catalog.kinds import place_of
 from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.source import content_fingerprint, file_fingerprint, refuse_source
@@ -58,7 +58,7 @@ class PairsSpec:
         Share of touches that meet no object, 0 to 1. The paper reduces it and does not say to how much.
     min_height_m : float or None
         A gel that stops so far above the plate touched an object, metres; None: the rule of the real touches,
-        see :meth:`realtouch.touches.Touches.in_contact`, for both.
+        see :meth:`realtouch.dataset.Touches.in_contact`, for both.
     like : str
         ``"published"``: depth of the whole sensor, squashed into the size as the real touches are;
         ``"environment"``: the window that the environments show.

@@ -6,18 +6,14 @@ it nearly is. So the solid is cut by upright planes only, and where is decided o
 
 from __future__ import annotations
 
-import heapq
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
 
 _DIRECTIONS = [
     np.array([math.cos(angle), math.sin(angle)]) for angle in np.linspace(0, math.pi, 12, endpoint=False)
@@ -40,33 +36,23 @@ def convex_parts(
     Raises ItemError where the mesh bounds no solid.
     """
     solid = require_solid(mesh).manifold
-    parts: list[tuple[float, int, Any, Any]] = []
-    made = 0
-
-    def add(found: Any) -> None:
-        nonlocal made
-        for part in found.decompose():
-            if part.volume() > _LEAST_MM3:
-                hull = part.hull()
-                # The count decides between equals, as solids cannot be compared.
-                # Least first: the part to which its hull adds most.
-                heapq.heappush(parts, (part.volume() - hull.volume(), made, part, hull))
-                made += 1
-
-    add(solid)
-    whole_mm3 = solid.volume()
+    parts, whole_mm3 = _parts(solid), solid.volume()
     for _ in range(most):  # of so many cuts: one may split off a chip that is no part, time and again
         if len(parts) >= most or sum(hull.volume() for *_, hull in parts) <= excess * whole_mm3:
             break
-        _, _, part, _ = heapq.heappop(parts)
+        _, part, _ = parts.pop(int(np.argmax([added_mm3 for added_mm3, *_ in parts])))
         normal, offset_mm = _best_cut(part.project().simplify(_OUTLINE_MM))
         for half in part.split_by_plane((*normal.tolist(), 0.0), offset_mm):
-            add(half)
-    smooth = [
-        (hull, hull.simplify(tolerance_mm).hull()) for *_, hull in sorted(parts, key=lambda each: each[1])
-    ]
+            parts += _parts(half)
+    smooth = [(hull, hull.simplify(tolerance_mm).hull()) for *_, hull in parts]
     # Of a chip thinner than the tolerance, smoothing leaves nothing.
     return [Mesh.from_manifold(exact if simple.is_empty() else simple) for exact, simple in smooth]
+
+
+def _parts(found: Any) -> list[tuple[float, Any, Any]]:
+    """Return the bodies of a solid: what the hull of each adds, the body, and its hull."""
+    bodies = [(part, part.hull()) for part in found.decompose() if part.volume() > _LEAST_MM3]
+    return [(hull.volume() - part.volume(), part, hull) for part, hull in bodies]
 
 
 def _best_cut(outline: Any) -> tuple[NDArray[np.float64], float]:

@@ -10,21 +10,25 @@ of the rim of the triangle, may touch it or be the seam of a crossing: winding n
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.mesh.mesh import Indices, Numbers
 from tactile_toolkit.mesh.raster import positions_in_runs
-
-Numbers = NDArray[np.float64]
-Indices = NDArray[np.int64]
 
 _TOLERANCE = 2.0**-21
 # Each of them takes a pass over all faces.
 _MOST_ODD = 64
 # Each takes 26 winding numbers, every one over all faces.
 _DOUBTS_TRIED = 32
-# How many tolerances from a doubtful place the winding number is asked for.
+# How many tolerances from a doubtful place the winding number is asked for, in directions all around, none of
+# which lies in a plane that faces of things made by hand lie in.
 _ASIDE = 16.0
+_GRID = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
+_GRID += (0.137, 0.211, 0.293)
+_DIRECTIONS = _GRID / np.linalg.norm(_GRID, axis=1, keepdims=True)
 
 
 def tolerance_mm(vertices_mm: Numbers) -> float:
@@ -168,17 +172,6 @@ def _crossing_among(vertices_mm: Numbers, faces: Indices, suspects: Indices) -> 
         if ((winding > 1.25) | (winding < -0.25)).any():
             return np.asarray(place)
     return None
-
-
-def _directions() -> Numbers:
-    """Return directions all around, none in a plane that faces of things made by hand lie in."""
-    steps = np.array([-1.0, 0.0, 1.0])
-    grid = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
-    directions = grid[np.abs(grid).sum(axis=1) > 0] + np.array([0.137, 0.211, 0.293])
-    return np.asarray(directions / np.sqrt((directions * directions).sum(axis=1, keepdims=True)))
-
-
-_DIRECTIONS = _directions()
 
 
 def _winding_numbers(vertices_mm: Numbers, faces: Indices, points_mm: Numbers) -> Numbers:

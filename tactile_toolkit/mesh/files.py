@@ -4,26 +4,22 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import struct
 import zipfile
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
+from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, as_mesh, joined
-from tactile_toolkit.mesh.stated import require_bounded
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, as_mesh, joined
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.store.files import atomic_file, named_failures
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from tactile_toolkit.mesh.mesh import MeshLike
-
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
@@ -155,7 +151,7 @@ def _read_with_trimesh(data: bytes, ending: str) -> tuple[NDArray[np.float64], N
     if ending == ".stl":
         _require_whole_stl(data)
     try:
-        require_bounded(data, ending)
+        _require_bounded(data, ending)
         # Materials would be pictures and further files; only the surface is wanted.
         scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], process=False, skip_materials=True)
         mesh = scene.to_mesh()
@@ -167,25 +163,88 @@ def _read_with_trimesh(data: bytes, ending: str) -> tuple[NDArray[np.float64], N
     return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
 
 
-_STL_HEADER_BYTES, _STL_TRIANGLE_BYTES = 84, 50
-
-
 def _require_whole_stl(data: bytes) -> None:
     """Refuse a file that is cut short: trimesh takes what is left of it for the whole or for nothing."""
-    count = int.from_bytes(data[80:_STL_HEADER_BYTES], "little")
-    expected = _STL_HEADER_BYTES + count * _STL_TRIANGLE_BYTES
-    if len(data) == expected:
+    triangles = int.from_bytes(data[80:84], "little")
+    # By the length first: many programs begin binary files with "solid", too.
+    is_text = data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096]
+    if len(data) == 84 + 50 * triangles or (is_text and b"endsolid" in data.rsplit(b"endfacet", 1)[-1]):
         return
-    # After the length: many programs begin binary files with "solid", too.
-    if data.lstrip()[:5].lower() == b"solid" and b"facet" in data[:4096]:
-        if b"endsolid" in data.rsplit(b"endfacet", 1)[-1]:
-            return
-        message = "the text ends without 'endsolid'"
-    elif len(data) < _STL_HEADER_BYTES:
-        message = f"{len(data)} bytes; an STL file has at least {_STL_HEADER_BYTES}"
-    else:
-        message = f"{len(data)} bytes; a binary STL file of {count} triangles has {expected}"
-    raise ValueError(message)
+    whole = "a text that ends with 'endsolid'" if is_text else f"those of {triangles:,} triangles"
+    raise ValueError(f"{len(data):,} bytes; expected {whole}")
+
+
+# --- what files state of themselves, held against their size before trimesh makes anything of it ------
+
+# Memory that reading takes for each line of text or corner of a polygon, for each vertex or triangle that a
+# file of bytes states, and for each value or corner that a GLB does.
+_PER_LINE, _PER_ELEMENT, _PER_VALUE = 720, 240, 80
+_MOST_PARTS = 2_000
+"""Surfaces of one file: trimesh takes milliseconds for each."""
+_DEEPEST = 64
+# What ends a line for Python, and so for trimesh.
+_LINE_END = re.compile(rb"\r\n|[\n\r\x0b\x0c\x1c-\x1e\x85]|\xe2\x80[\xa8\xa9]")
+
+
+def _require_bounded(data: bytes, ending: str) -> None:
+    """Refuse a file that would take far more memory or time than its size suggests.
+
+    InputError beyond the limit, ValueError for too many surfaces.
+    """
+    lines = parts = 0
+    if ending == ".glb":
+        _bound_glb(data)
+    elif ending == ".ply":
+        head, _, body = data.partition(b"end_header")
+        stated = sum(abs(int(line.split()[2])) for line in head.splitlines() if line.startswith(b"element "))
+        require_unpackable(_PER_ELEMENT * stated, f"{stated:,} vertices and triangles", len(data))
+        if b"ascii" in head:
+            lines = sum(1 for _ in _LINE_END.finditer(body))
+    elif ending == ".obj":
+        parts = data.count(b"usemtl ")
+        # A polygon of n corners becomes n - 2 triangles.
+        lines = sum(max(1, len(line.split()) - 3) for line in io.BytesIO(data.replace(b"\\\n", b" ")))
+    elif parts := data.lower().count(b"endsolid"):
+        lines = data.lower().count(b"vertex")
+    require_unpackable(_PER_LINE * lines, f"text of {lines:,} lines and corners", len(data))
+    _require_few(parts)
+
+
+def _require_few(parts: int) -> None:
+    if parts > _MOST_PARTS:
+        raise ValueError(f"{parts:,} parts; expected one surface, or at most {_MOST_PARTS:,} parts")
+
+
+def _bound_glb(data: bytes) -> None:
+    text = data[20 : 20 + int.from_bytes(data[12:16], "little")]
+    entries = text.count(b"{") + text.count(b"[")
+    require_unpackable(_PER_ELEMENT * entries, f"JSON of {entries:,} objects and lists", len(data))
+    tree = json.loads(text)
+    accessors, nodes = tree.get("accessors", []), tree.get("nodes", [])
+    counts = [abs(each["count"]) for each in accessors]
+    surfaces = [
+        [
+            sum(counts[each] for each in (*one["attributes"].values(), one.get("indices", 0)))
+            for one in mesh["primitives"]
+        ]
+        for mesh in tree.get("meshes", [])
+    ]
+    # trimesh takes minutes for nodes that lie a thousand levels deep in others, or in a circle.
+    level = set(range(len(nodes)))
+    for _ in range(_DEEPEST):
+        level = {child for at in level for child in nodes[at].get("children", [])}
+    if level:
+        raise ValueError(f"nodes more than {_DEEPEST} deep, or in a circle")
+    edges = [root for scene in tree.get("scenes", []) for root in scene.get("nodes", [])]
+    edges += [child for node in nodes for child in node.get("children", [])]
+    # Each surface once, and once more wherever it is placed.
+    placed = surfaces + [surfaces[nodes[at]["mesh"]] for at in edges if "mesh" in nodes[at]]
+    _require_few(max(len(edges), len(nodes), sum(map(len, placed))))
+    # Several views, and accessors, of the same bytes are read several times; some have no bytes at all.
+    values = sum(counts) + sum(map(sum, placed))
+    view_bytes = sum(abs(view["byteLength"]) for view in tree.get("bufferViews", []))
+    what = f"{values:,} values of vertices and triangles"
+    require_unpackable(_PER_VALUE * values + view_bytes, what, len(data))
 
 
 def _pack_glb(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> bytes:

@@ -6,17 +6,13 @@ Where a map lies and what it means stands here; how triangles become pixels, in
 
 from __future__ import annotations
 
-import hashlib
-import zlib
 from dataclasses import dataclass
 from numbers import Real
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import as_mesh
 from tactile_toolkit.mesh.raster import highest_values
@@ -148,16 +144,9 @@ def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
         raise InputError(
             f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
         )
-    if not len(vertices_m):
-        raise InputError("a mesh without vertices has no height map")
-    # Column by column: numpy reduces short rows slowly.
-    low, high = (
-        np.array([reduce(column) for column in vertices_m.T[:2]], np.float64) for reduce in (np.min, np.max)
-    )
-    if not np.isfinite([low, high]).all():
-        raise InputError(
-            "a mesh with vertices that are NaN or infinite has no height map", next="make it again"
-        )
+    if not len(vertices_m) or not np.isfinite(vertices_m).all():
+        raise InputError("a mesh with no vertices, or NaN or infinite ones, has no height map")
+    low, high = vertices_m[:, :2].astype(np.float64).min(axis=0), vertices_m[:, :2].max(axis=0)
     with np.errstate(over="ignore", invalid="ignore"):  # of a tiny pitch, which is refused below
         # Counted from the origin and not from the mesh: two meshes of one frame share their pixels.
         first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
@@ -177,59 +166,3 @@ def _is_length(value: object) -> bool:
 
 def _centres_m(first: int, count: int, pitch_m: float) -> NDArray[np.float64]:
     return np.asarray((np.arange(first, first + count) + 0.5) * pitch_m)
-
-
-# Raised whenever the same mesh and pitch would give other heights than before.
-_VERSION = 1
-
-_CHECKSUM_BYTES = 4
-
-
-@dataclass
-class HeightCache(DiskCache):
-    """Height maps on disk, in ``heights`` of the cache folder by default.
-
-    A file holds the heights row by row as little-endian float32, and their CRC-32.
-    Damaged files are made again. They are not flushed to the disk, which would take longer than making the
-    map: the checksum tells what a power cut has spoiled.
-    """
-
-    folder: Path | str = "heights"
-    limit_bytes: int = 4 << 30
-    durable: bool = False
-
-    def get(self, mesh: Any, pitch_m: float) -> HeightMap:
-        """Return the height map of a mesh, from disk where it is there; raises as :func:`top_surface`."""
-        mesh = as_mesh(mesh)
-        window = window_of(mesh.vertices_m, pitch_m)
-        name = f"{content_key(mesh, pitch_m)}.heights"
-        heights_m = self._stored(self.path(name), window)
-        if heights_m is not None:
-            return HeightMap(heights_m, window)
-        made = top_surface(mesh, pitch_m)
-        values = made.heights_m.astype("<f4", copy=False).tobytes()
-        content = values + zlib.crc32(values).to_bytes(_CHECKSUM_BYTES, "little")
-        self.write(name, len(content), lambda stream: stream.write(content))
-        return made
-
-    def _stored(self, path: Path, window: Window) -> NDArray[np.float32] | None:
-        """Read a map; None where it is not there or is not what it should be."""
-        try:
-            content = path.read_bytes()
-        except OSError:
-            return None
-        values, checksum = content[:-_CHECKSUM_BYTES], int.from_bytes(content[-_CHECKSUM_BYTES:], "little")
-        if len(values) != 4 * window.rows * window.columns or zlib.crc32(values) != checksum:
-            return None
-        self.mark_used(path)
-        return np.frombuffer(values, "<f4").reshape(window.rows, window.columns)
-
-
-def content_key(mesh: Any, pitch_m: float) -> str:
-    """Name the height map of a mesh: equal vertices, triangles and pitch give an equal name."""
-    vertices_m, faces = np.ascontiguousarray(mesh.vertices_m), np.ascontiguousarray(mesh.faces)
-    # Types too: the same bytes in another precision are another mesh.
-    digest = hashlib.sha256(repr((_VERSION, float(pitch_m), vertices_m.dtype.str, faces.dtype.str)).encode())
-    digest.update(vertices_m.data)
-    digest.update(faces.data)
-    return digest.hexdigest()[:32]

@@ -7,19 +7,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
     import trimesh
-    from numpy.typing import NDArray
 
     from tactile_toolkit.read.dataset import Record
 
 
 MM_PER_M = 1000.0
 
-Surface: TypeAlias = tuple["NDArray[np.float64]", "NDArray[np.int32]"]
+Numbers: TypeAlias = NDArray[np.float64]
+Indices: TypeAlias = NDArray[np.int64]
+Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[np.int32]]
 """Vertices and triangles, in whatever unit."""
 
 MeshLike: TypeAlias = "Mesh | Record | trimesh.Trimesh"

@@ -21,10 +21,9 @@ from typing import Any, TypeAlias, TypeVar
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-Numbers: TypeAlias = NDArray[np.float64]
-Indices: TypeAlias = NDArray[np.int64]
+from tactile_toolkit.mesh.mesh import Indices, Numbers
+
 Vector: TypeAlias = tuple[float, float, float]
 Solid: TypeAlias = tuple[Numbers, Indices, Numbers, Numbers, Indices]
 """Points, faces, and what :func:`_surface` finds of them."""

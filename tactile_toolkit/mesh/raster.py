@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.mesh.mesh import Indices, Numbers
+
 # A centre no further than this outside an edge counts as on it: rounding must leave no hole between
 # neighbours.
 _EDGE_PX = 1e-9
@@ -24,24 +26,6 @@ _AT_ONCE = 1 << 20
 # Heights that :func:`highest_faces` tells apart: 1e-7 mm on a solid of 10 cm.
 # Next to 32 bits of the triangle's number this fills a signed integer of 64.
 _DEPTH_STEPS = 1 << 30
-
-Numbers = NDArray[np.float64]
-Indices = NDArray[np.int64]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScanLines:
-    """Runs of covered pixels, each within one row: triangle, row, first column and number of pixels.
-
-    ``height`` is that above the first pixel, ``rise`` what it grows by from one pixel to the next.
-    """
-
-    face: Indices
-    row: Indices
-    column: Indices
-    count: Indices
-    height: Numbers
-    rise: Numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,12 +63,11 @@ def highest_values(
 ) -> NDArray[np.float32]:
     """Return the height of the highest triangle over the centre of each pixel, -inf where there is none.
 
-    Parameters as :func:`scan_lines`; triangles that face downwards are left out.
+    Parameters as :func:`covered_pixels`; triangles that face downwards are left out.
     """
     highest = np.full(shape[0] * shape[1], -np.inf, np.float32)
-    for lines in scan_lines(points, faces, shape):
-        for _, pixel, height in pixels_of(lines, shape[1]):
-            np.maximum.at(highest, pixel, height.astype(np.float32))
+    for _, _, pixel, height in covered_pixels(points, faces, shape):
+        np.maximum.at(highest, pixel, height.astype(np.float32))
     return highest.reshape(shape)
 
 
@@ -93,36 +76,40 @@ def highest_faces(
 ) -> Indices:
     """Return the highest triangle over the centre of each pixel, -1 where there is none.
 
-    Parameters as :func:`scan_lines`; of equally high triangles the later.
+    Parameters as :func:`covered_pixels`; of equally high triangles the later.
     """
     if not len(faces):
         return np.full(shape, -1, np.int64)
     used = np.asarray(points[2])[np.asarray(faces)]
     low, span = float(used.min()), max(float(np.ptp(used)), 1e-12)
     highest = np.full(shape[0] * shape[1], -1, np.int64)
-    for lines in scan_lines(points, faces, shape, both_sides):
-        for line, pixel, height in pixels_of(lines, shape[1]):
-            # The height in the upper bits and the triangle in the lower: one maximum finds both.
-            steps = ((height - low) * (_DEPTH_STEPS / span)).astype(np.int64)
-            np.maximum.at(highest, pixel, (steps << 32) | lines.face[line])
+    for face, line, pixel, height in covered_pixels(points, faces, shape, both_sides):
+        # The height in the upper bits and the triangle in the lower: one maximum finds both.
+        steps = ((height - low) * (_DEPTH_STEPS / span)).astype(np.int64)
+        np.maximum.at(highest, pixel, (steps << 32) | face[line])
     return np.where(highest < 0, -1, highest & 0xFFFFFFFF).reshape(shape)
 
 
-def scan_lines(
+def covered_pixels(
     points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int], both_sides: bool = False
-) -> Iterator[ScanLines]:
-    """Cut triangles, of which upright ones cover nothing, into scan lines, some at a time.
+) -> Iterator[tuple[Indices, Indices, Indices, Numbers]]:
+    """Yield the pixels whose centres triangles cover, some at a time; upright triangles cover nothing.
 
-    ``points``, shape (3, V), are column and row, in pixels whose centres have integers, and height of
-    each vertex; ``shape`` is rows and columns, and what lies outside is cut off. Triangles that run clockwise
-    seen from above have lines only with ``both_sides``.
+    That is the triangle of each scan line, the scan line of each pixel, its number row by row, and the
+    height of the triangle above it. ``points``, shape (3, V), are column and row, in pixels whose centres
+    have integers, and height of each vertex; ``shape`` is rows and columns, and what lies outside is cut off.
+    Triangles that run clockwise seen from above cover something only with ``both_sides``.
     """
     triangles = _prepared(points, np.asarray(faces), shape, both_sides)
     for start, stop in _parts(triangles.rows):
         count = triangles.rows[start:stop]
         owner = np.repeat(np.arange(start, stop), count)
         row = triangles.first_row[owner] + positions_in_runs(count)
-        yield _cut(triangles, owner, row, shape[1] - 1)
+        face, first, count, height, rise = _cut(triangles, owner, row, shape[1])
+        for begin, end in _parts(count):
+            pixels = count[begin:end]
+            line, within = np.repeat(np.arange(begin, end), pixels), positions_in_runs(pixels)
+            yield face, line, first[line] + within, height[line] + rise[line] * within
 
 
 def _prepared(
@@ -175,14 +162,20 @@ def _side(start: Numbers, end: Numbers) -> Numbers:
     )
 
 
-def _cut(triangles: _Triangles, owner: Indices, row: Indices, last_column: int) -> ScanLines:
-    """Find the pixels that triangles cover in given rows, and their heights."""
+def _cut(
+    triangles: _Triangles, owner: Indices, row: Indices, columns: int
+) -> tuple[Indices, Indices, Indices, Numbers, Numbers]:
+    """Find the scan lines of triangles in given rows.
+
+    Returns the triangle of each, the number of its first pixel, how many it covers, the height above the
+    first, and what the height grows by from one pixel to the next.
+    """
     left, right = np.take(triangles.columns, owner, axis=1)
     for side in triangles.sides:
         low, low_per_row, high, high_per_row = np.take(side, owner, axis=1)
         left = np.maximum(left, low + low_per_row * row)
         right = np.minimum(right, high + high_per_row * row)
-    first, last = np.maximum(np.ceil(left), 0.0), np.minimum(np.floor(right), last_column)
+    first, last = np.maximum(np.ceil(left), 0.0), np.minimum(np.floor(right), columns - 1)
     there = np.flatnonzero(first <= last)
     owner, row, first, last = owner[there], row[there], first[there], last[there]
     column, steps = first.astype(np.int64), (last - first).astype(np.int64)
@@ -193,16 +186,7 @@ def _cut(triangles: _Triangles, owner: Indices, row: Indices, last_column: int) 
     # From end to end instead of by the slope: so no height leaves the triangle's own range, however steep.
     start, end = (np.clip(level + along_row * (edge - x), low, high) for edge in (first, last))
     rise = (end - start) / np.maximum(steps, 1)
-    return ScanLines(triangles.face[owner], row, column, steps + 1, start, rise)
-
-
-def pixels_of(lines: ScanLines, columns: int) -> Iterator[tuple[Indices, Indices, Numbers]]:
-    """Yield line, number and height of the pixels of lines, some lines at a time."""
-    for start, stop in _parts(lines.count):
-        count = lines.count[start:stop]
-        line, within = np.repeat(np.arange(start, stop), count), positions_in_runs(count)
-        pixel = (lines.row * columns + lines.column)[line] + within
-        yield line, pixel, lines.height[line] + lines.rise[line] * within
+    return triangles.face[owner], row * columns + column, steps + 1, start, rise
 
 
 def _parts(counts: Indices) -> Iterator[tuple[int, int]]:

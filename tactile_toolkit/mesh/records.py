@@ -102,9 +102,8 @@ class RecordStream(Generic[R]):
     def __iter__(self) -> Iterator[R]:
         """Decode one block of rows at a time."""
         for shard in self._shards:
-            for index in range(shard.metadata.num_row_groups):
-                for block in shard.blocks(index):
-                    yield from (self._record(Row(block, row)) for row in range(len(block.table)))
+            for block in shard.all_blocks():
+                yield from (self._record(Row(block, row)) for row in range(len(block.table)))
 
 
 def open_solids(

@@ -11,27 +11,24 @@ import zipfile
 from array import array
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import IO, TYPE_CHECKING
+from typing import IO
 from xml.etree import ElementTree
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.mesh.mesh import Surface, joined
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-
 _MM_PER_UNIT = {
-    "micron": 0.001,
+    "micron": 1e-3,
     "millimeter": 1.0,
     "centimeter": 10.0,
     "inch": 25.4,
     "foot": 304.8,
-    "meter": 1000.0,
+    "meter": 1e3,
 }
 _CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 _NS = {"m": _CORE}

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from tactile_toolkit.catalog.choose import choose_rows, open_splits
+from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
 from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.checked_fields import check_fields, integer
@@ -64,17 +64,7 @@ class MeshPreviews(Generic[D]):
                 f"{name!r} has no {kind.nouns} of class {', '.join(spec.labels)}", next="name others"
             )
         require_kind(kind, "preview", name, self.datasets.values())
-        per_class = None if spec.ids else spec.per_class
-        # The splits with the rows of the ids asked for, or else the first of each class.
-        self.chosen = choose_rows(self.datasets.items(), ids=spec.ids or None, per_class=per_class)
-
-    @cached_property
-    def records(self) -> list[tuple[str, Any]]:
-        """The rows that are drawn alone, with their splits: those asked for, or else the first of all."""
-        if not self.spec.ids:
-            split, dataset = next(iter(self.datasets.items()))
-            return [(split, dataset[0])]
-        return [(split, rows[row]) for split, rows, found in self.chosen for row in found.tolist()]
+        self.records: list[tuple[str, Any]] = chosen_records(self.datasets, spec.ids, name, kind.noun)
 
     @cached_property
     def made_by(self) -> Mapping[str, Any]:
@@ -84,17 +74,14 @@ class MeshPreviews(Generic[D]):
 
     def plan_sheets(self, draw: Callable[[D, str], Pixels]) -> list[PlannedPicture]:
         """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""
-
-        def planned(split: str, rows: D) -> PlannedPicture:
-            what = f"{counted(len(rows), self.things)} of {split} from above"
-            title = f"{self.stem}: {split}"
-            return PlannedPicture(f"{self.stem}-{split}-sheet.png", what, lambda: draw(rows, title))
-
-        chosen = (
-            (split, rows[found[np.argsort(rows.labels[found], kind="stable")]])
-            for split, rows, found in self.chosen
-        )
-        return [planned(split, rows) for split, rows in chosen if len(rows)]
+        planned = []
+        for split, dataset in self.datasets.items():
+            rows = dataset[class_by_class(dataset, self.spec.ids, self.spec.per_class)]
+            if len(rows):
+                what = f"{counted(len(rows), self.things)} of {split} from above"
+                drawing = partial(draw, rows, f"{self.stem}: {split}")
+                planned.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, drawing))
+        return planned
 
     def plan_histogram(self, panels: Callable[[], Sequence[Bars]], further: str = "") -> list[PlannedPicture]:
         """Plan bars of the rows of each class."""

@@ -20,7 +20,6 @@ from tactile_toolkit.store.folder import DataFolder
 Pixels: TypeAlias = NDArray[np.uint8]
 """Grey levels of shape (H, W) or colours of shape (H, W, 3); row 0 at the top."""
 
-PNG = ".png"
 
 TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
 """Style of a small picture among others in a notebook."""
@@ -115,7 +114,7 @@ def renamed(pictures: Sequence[PlannedPicture], out: Path) -> tuple[Path, tuple[
 
     InputError: several pictures for one file.
     """
-    if out.suffix.lower() != PNG:
+    if out.suffix.lower() != ".png":
         return out, tuple(pictures)
     if len(pictures) != 1:
         raise InputError(f"--out is the file {str(out)!r} for {len(pictures)} pictures", next="give a folder")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from tactile_toolkit.mesh.walls import signed_area_mm2
+from tactile_toolkit.mesh.printability import signed_area_mm2
 from tactile_toolkit.pictures.sheets import draw_text, text_size
 from tactile_toolkit.printing.packing import cells_touched
 

@@ -1,12 +1,14 @@
-"""Arrow columns seen as numpy arrays, without passing through Python lists."""
+"""Arrow columns seen as numpy arrays, without passing through Python lists; what schemas state of them."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, TypeVar
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,12 +86,6 @@ def ragged_array(column: RaggedColumn, value_type: Any) -> Any:
     inner = pa.FixedSizeListArray.from_arrays(pa.array(column.values.reshape(-1), value_type), width)
     offsets = pa.array(column.offsets, pa.int32())
     return pa.ListArray.from_arrays(offsets, inner, type=vectors_type(value_type, width))
-
-
-def list_array(rows: Sequence[NDArray[Any]], value_type: Any) -> Any:
-    """Pack arrays of shape (n_i, 3) into an Arrow ``list<value_type[3]>``."""
-    offsets = np.cumsum([0, *map(len, rows)])
-    return ragged_array(RaggedColumn(np.concatenate([np.zeros((0, 3), np.int8), *rows]), offsets), value_type)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -204,23 +200,18 @@ def column_names(schema: Any) -> tuple[str, ...]:
 
 def same_values(one: Any, other: Any) -> bool:
     """Return whether two Arrow arrays hold the same values of the same type; a NaN equals that same NaN."""
-    import pyarrow as pa
-
     if one.type != other.type or len(one) != len(other):
         return False
-    if one.equals(other):
-        return True
-    if not one.is_valid().equals(other.is_valid()):
-        return False
-    if pa.types.is_floating(one.type):
-        # To Arrow a NaN equals nothing; bits equal themselves.
-        bits = f"int{one.type.bit_width}"
-        return bool(one.view(bits).equals(other.view(bits)))
-    if pa.types.is_struct(one.type):
-        return all(map(same_values, one.flatten(), other.flatten()))
-    if not list_depth(one.type)[0]:
-        return False
-    return one.value_lengths().equals(other.value_lengths()) and same_values(one.flatten(), other.flatten())
+    # To Arrow a NaN equals nothing; bytes equal themselves.
+    return bool(one.equals(other)) or _packed(one).equals(_packed(other))
+
+
+def _packed(array: Any) -> Any:
+    import pyarrow as pa
+
+    # Taken, as bytes of a part would hold some of the rows next to it.
+    copy = array.take(pa.array(range(len(array)), pa.int64()))
+    return pa.RecordBatch.from_arrays([copy], [""]).serialize()
 
 
 def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
@@ -296,27 +287,30 @@ class RowGroup:
     path: str = ""
     first_row: int = 0
     mapped_bytes: int = 0
-    _views: dict[Any, Any] = field(default_factory=dict, repr=False)
+    _ragged: dict[str, RaggedColumn] = field(default_factory=dict, repr=False)
+    _nested: dict[str, NestedColumn] = field(default_factory=dict, repr=False)
+    _flat: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
+    _views: dict[str, Any] = field(default_factory=dict, repr=False)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Columns by dotted name."""
         return column_names(self.table.schema)
 
-    def once(self, key: Any, build: Callable[[], T]) -> T:
+    def once(self, key: str, build: Callable[[], T]) -> T:
         """Build a view of the rows on its first use and keep it with them."""
         view = self._views.get(key)
-        # Of two threads that build a view at once, both get that of the first.
+        # setdefault, here and below: of two threads that build a view at once, both get that of the first.
         found: T = self._views.setdefault(key, build()) if view is None else view
         return found
 
     def ragged(self, name: str) -> RaggedColumn:
         """Return a column of arrays of shape (n_i, width), by dotted name; IntegrityError for a null."""
-        view: RaggedColumn | None = self._views.get(("ragged", name))
-        if view is not None:
-            return view
+        column = self._ragged.get(name)
+        if column is not None:
+            return column
         try:
-            return self.once(("ragged", name), lambda: ragged_column(self.arrow(name)))
+            return self._ragged.setdefault(name, ragged_column(self.arrow(name)))
         except ValueError as error:
             row = min(null_fields(self.table, [name]), default=None)
             raise self.damaged(name, row, f"{error}" if row is None else "no value is stored") from error
@@ -329,16 +323,15 @@ class RowGroup:
 
     def nested(self, name: str) -> NestedColumn:
         """Return a column of nested lists, by dotted name."""
-        return self.once(("nested", name), lambda: _nested_column(self.arrow(name)))
+        column = self._nested.get(name)
+        return self._nested.setdefault(name, _nested_column(self.arrow(name))) if column is None else column
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return a column of plain values as a numpy array."""
-        key = "flat", name
-        view = self._views.get(key)
-        if view is None:
-            view = self.once(key, lambda: self.arrow(name).to_numpy(zero_copy_only=False))
-        found: NDArray[Any] = view
-        return found
+        column = self._flat.get(name)
+        if column is None:
+            column = self._flat.setdefault(name, self.arrow(name).to_numpy(zero_copy_only=False))
+        return column
 
     def arrow(self, name: str) -> Any:
         """Return a column as an Arrow array, by dotted name, whether stored flat or as a struct's field.
@@ -362,3 +355,61 @@ class RowGroup:
             # Not field(): that passes over the nulls of the struct itself.
             array = array.flatten()[index]
         return array
+
+
+# --- what `datasets` stores of the features of a data set ---------------------------------------------
+
+# Arrow's words for what numpy and `datasets` call otherwise.
+_DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
+
+
+class _Label(msgspec.Struct):
+    names: list[str] | None = None
+
+
+class _Info(msgspec.Struct):
+    features: dict[str, Any] | None = None
+
+
+class _Metadata(msgspec.Struct):
+    info: _Info | None = None
+
+
+def dtype_name(data_type: Any) -> str:
+    """Return what `datasets` calls an Arrow type of single values."""
+    return _DTYPES.get(str(data_type), str(data_type))
+
+
+def label_feature(names: Sequence[str]) -> dict[str, Any]:
+    """Describe the label column to `datasets`."""
+    return {"names": list(names), "_type": "ClassLabel"}
+
+
+def feature_metadata(features: Mapping[str, Any]) -> dict[str, str]:
+    """Return schema metadata from which `datasets` reads the features of a Parquet file."""
+    return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
+
+
+def stored_features(schema: Any, where: str) -> dict[str, Any]:
+    """Return what `datasets` stored in a schema about its columns, by name; nothing where it stored nothing.
+
+    Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
+    """
+    text = (schema.metadata or {}).get(b"huggingface", b"{}")
+    try:
+        found = (msgspec.json.decode(text, type=_Metadata).info or _Info()).features or {}
+        msgspec.convert(found.get("label"), _Label | None)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        beginning = text[:80].decode(errors="replace")
+        raise IntegrityError(
+            f"{where!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
+            "features of the data set, class names among them, in JSON",
+            next="download or convert the data set again",
+        ) from error
+    return found
+
+
+def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
+    """Return the names of the classes that `datasets` stored in a schema; None where it stored none."""
+    names = (stored_features(schema, where).get("label") or {}).get("names")
+    return None if names is None else tuple(names)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import RowGroup, column_types, same_values
 from tactile_toolkit.read.order import StoredParts
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import Shard, ShardedTable, values_of
 from tactile_toolkit.read.sequence import LazySequence
 from tactile_toolkit.wording import counted
 
@@ -238,21 +238,12 @@ class RecordDataset(LazySequence[T]):
         import pyarrow as pa
         from datasets import Dataset
 
-        starts: dict[tuple[str, int], int] = {}
-        parts: list[Any] = []
-        total = 0
-        places = np.empty(len(self), np.int64)
-        for position, number in enumerate(self._rows):
-            row = self._row(int(number))
-            key = (row.path, row.group.first_row)
-            if key not in starts:
-                starts[key] = total
-                parts.append(row.group.table)
-                total += len(row.group.table)
-            places[position] = starts[key] + row.index
-        parts = (
-            parts or [table.schema.empty_table() for table in self._tables if table.schema is not None][:1]
-        )
+        rows = [self._row(int(number)) for number in self._rows]
+        blocks = {(row.path, row.group.first_row): row.group.table for row in rows}
+        starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
+        places = [starts[row.path, row.group.first_row] + row.index for row in rows]
+        schemas = [table.schema for table in self._tables if table.schema is not None]
+        parts = list(blocks.values()) or [schema.empty_table() for schema in schemas[:1]]
         if not parts:
             return Dataset.from_dict({})
         shared = set.intersection(*({(each.name, each.type) for each in part.schema} for part in parts))
@@ -261,7 +252,7 @@ class RecordDataset(LazySequence[T]):
         # Its own fingerprint would be that of all bytes.
         content = repr([names, list(starts), self.identity])
         stored = Dataset(table, fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16])
-        return stored if np.array_equal(places, np.arange(total)) else stored.select(places)
+        return stored if places == list(range(len(table))) else stored.select(places)
 
     def column(self, name: str) -> NDArray[Any]:
         """Read one plain column, shape (len,), without touching any other.
@@ -271,7 +262,7 @@ class RecordDataset(LazySequence[T]):
         InputError
             When the data set has no such column.
         """
-        return self._chosen(name, lambda table: table.column(name))
+        return self._column(name, values_of)
 
     def int_column(self, name: str) -> NDArray[np.int64]:
         """Read one column of integers, shape (len,), int64, without touching any other.
@@ -284,8 +275,7 @@ class RecordDataset(LazySequence[T]):
             A value is missing or does not fit into 64 bits; names file and row.
         """
         # What rows that are not chosen hold does not matter.
-        pairs = self._chosen(name, lambda table: table.per_array(f"ints of {name}", name, _ints))
-        values, unusable = pairs.reshape(-1, 2).T
+        values, unusable = self._column(name, _ints).reshape(-1, 2).T
         if unusable.any():
             row = self._row(int(self._rows[int(np.argmax(unusable))]))
             value = row.group.arrow(name)[row.index].as_py()
@@ -294,17 +284,17 @@ class RecordDataset(LazySequence[T]):
             raise IntegrityError.in_file(row.path, f", row {row.number}, field {name!r}: {found}; {expected}")
         return np.ascontiguousarray(values, np.int64)
 
-    def _chosen(self, name: str, read: Callable[[ShardedTable], NDArray[Any]]) -> NDArray[Any]:
-        """Return what is read of a column of all tables, of the rows of this view."""
+    def _column(self, name: str, convert: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
         try:
-            parts = [read(table) for table in self._tables]
+            parts = [table.column(name, convert) for table in self._tables]
         except (KeyError, IndexError) as error:
             raise InputError(f"no column {name!r} in this data set") from error
+        values = parts[0] if len(parts) == 1 else np.concatenate(parts or [np.zeros(0)])
         rows = self._rows
         if isinstance(rows, range):
             # One that runs down to row 0 stops at -1, which to a slice is the last row.
-            return _joined(parts)[rows.start : rows.stop if rows.stop >= 0 else None : rows.step]
-        return _joined(parts)[rows]
+            return values[rows.start : rows.stop if rows.stop >= 0 else None : rows.step]
+        return values[rows]
 
     @property
     def identity(self) -> str:
@@ -328,14 +318,6 @@ class RecordDataset(LazySequence[T]):
         joined._tables = (*self._tables, *other._tables)
         joined._starts = np.concatenate([self._starts, other._starts[1:] + offset])
         return joined
-
-    def _candidates(self, item: Any) -> Iterable[int]:
-        if type(item) is not self.record_class:
-            return ()
-        if "id" not in self._plain_columns or not item._row.has("id"):
-            return range(len(self))
-        places: list[int] = np.flatnonzero(self.ids == item._row.value("id")).tolist()
-        return places
 
     @property
     def _shard_starts(self) -> NDArray[np.int64]:
@@ -368,11 +350,6 @@ class RecordDataset(LazySequence[T]):
     def splits(self) -> tuple[str, ...]:
         """Splits that the rows are of, as the names of their files tell them."""
         return tuple(dict.fromkeys(split for table in self._tables for _, split in table.origins if split))
-
-
-def _joined(parts: Sequence[NDArray[Any]]) -> NDArray[Any]:
-    """Return arrays as one; one alone as it is, without a copy."""
-    return parts[0] if len(parts) == 1 else np.concatenate(parts or [np.zeros(0)])
 
 
 def with_origins(things: str, tables: Iterable[ShardedTable]) -> list[str]:

@@ -12,26 +12,26 @@ import contextlib
 import hashlib
 import os
 import re
+import struct
 from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import accumulate, chain, groupby
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import IO, Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.bounds import require_unpackable
-from tactile_toolkit.cache import MemoryCache
+from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
+from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read import blocks as unpacked
-from tactile_toolkit.read.blocks import BLOCKS, stat_key
-from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table
-from tactile_toolkit.read.features import stored_class_names
+from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table, stored_class_names
+from tactile_toolkit.run.system import locked
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import readable
+from tactile_toolkit.store.files import of_the_process, readable
 from tactile_toolkit.store.folder import VERSION_KEYS, file_at
 from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
@@ -50,6 +50,131 @@ _REMOTE_READERS = 16
 T = TypeVar("T")
 
 
+Key = tuple[str, int, int]
+"""Digest of what identifies the file, row group, and number of the block in it."""
+
+_HELD_BYTES = 4 << 30
+_LEAST_BYTES = 1 << 20
+_IN_MEMORY = 8
+
+
+def _held_bytes(group: RowGroup) -> int:
+    return max(_LEAST_BYTES, group.mapped_bytes or _IN_MEMORY * int(group.table.nbytes))
+
+
+BLOCKS: MemoryCache[Key, RowGroup] = MemoryCache(_HELD_BYTES, _held_bytes)
+"""The blocks that this process has open: 4 GiB of maps, which the system drops from memory where it needs
+room, or 4,096 of them, as a process may have 65,530 maps; or 512 MiB where the cache cannot be written."""
+
+_UNPACKED = DiskCache(
+    "blocks",
+    32 << 30,
+    durable=False,  # its blocks have checksums: what a power cut leaves is noticed, and unpacked again
+    warning="row groups cannot be kept unpacked, {problem}; what was used last stays in the memory of this "
+    "process, all else is decoded again",
+)
+
+# A file of a block holds an Arrow stream, the checksum of that, and a mark. A disk may change what it holds,
+# and a file of another program may bear the name of one of ours: neither is served.
+_END = struct.Struct("<Q8s")
+_MARK = b"TTBLOCK2"
+
+# Blocks that this process has checked, with what the file was then.
+_checked: MemoryCache[str, tuple[int, ...]] = MemoryCache(1 << 16)
+
+
+def _file(key: Key) -> Path:
+    return _UNPACKED.path("{}-{:05d}-{:05d}.arrow".format(*key))
+
+
+def _is_kept(key: Key) -> bool:
+    """Return whether a block lies in the cache, and note that it is used."""
+    file = _file(key)
+    if file.exists():
+        _UNPACKED.mark_used(file)
+        return True
+    return False
+
+
+def _keep(key: Key, table: Any) -> bool:
+    """Write a block into the cache; return whether it is there now."""
+    file = _file(key)
+    # Each time: a notebook may set the variable at any time.
+    _UNPACKED.limit_bytes = cache_limit_bytes()
+    return file.exists() or _UNPACKED.write(
+        file.name, int(table.nbytes), lambda stream: write_block(stream, file.name, table)
+    )
+
+
+def write_block(stream: IO[bytes], file_name: str, table: Any) -> None:
+    """Write a table, of one chunk per column, as the content of a file of that name."""
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    content = sink.getvalue()
+    stream.write(content)
+    stream.write(_END.pack(_checksum(content, file_name), _MARK))
+
+
+def _checksum(content: Any, file_name: str) -> int:
+    import xxhash
+
+    # Against accidents, not against forgers: 10.9 GB/s here, where CRC-32 makes 3.1 and SHA-256 1.4. The
+    # checksum of a file that was renamed is another.
+    seed = xxhash.xxh3_64_intdigest(file_name.encode())
+    return int(xxhash.xxh3_64_intdigest(content, seed=seed))
+
+
+def map_block(path: Path) -> tuple[Any, int]:
+    """Map a block into memory, without a copy; its checksum is compared once in each process.
+
+    Returns the table and how many bytes are mapped. Nothing is mapped of a file that was cut: what lies
+    behind its end would end the process. The toolkit makes such files under another name and removes them,
+    which leaves maps valid, and never changes one. A file that another program cuts while it is mapped is
+    not noticed.
+
+    Raises OSError; ValueError when the file is not intact, or is of another program or another name.
+    """
+    import pyarrow as pa
+
+    with path.open("rb", buffering=0) as stream:
+        # Asked first: what takes the place of the file from here on is not what was checked.
+        facts = os.fstat(stream.fileno())
+        size = facts.st_size - _END.size
+        stream.seek(max(size, 0))
+        end = stream.read()
+    checksum, mark = _END.unpack(end) if len(end) == _END.size else (0, b"")
+    # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
+    stored = pa.memory_map(str(path)).read_buffer() if mark == _MARK else None
+    if stored is None or len(stored) != facts.st_size:
+        raise ValueError(f"{facts.st_size:,} bytes that are not a block")
+    content = stored.slice(0, size)
+    if _checked.get(str(path)) != _stat_key(facts):
+        if _checksum(content, path.name) != checksum:
+            raise ValueError("the block does not match its checksum")
+        _checked.put(str(path), _stat_key(facts))
+    return pa.Table.from_batches([pa.ipc.open_stream(content).read_next_batch()]), size
+
+
+def _stat_key(facts: os.stat_result) -> tuple[int, int, int, int]:
+    """Return what distinguishes a file from one that took its place, or from itself with other content."""
+    return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
+
+
+@contextlib.contextmanager
+def _locked_file(digest: str) -> Iterator[None]:
+    """Hold the lock of the row groups of a file, for all processes; without locks no process waits."""
+    folder = cache_folder() / LOCKS
+    with contextlib.ExitStack() as stack:
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            # 256 files for all: one each would stay in the cache for good.
+            stack.enter_context(locked(folder / digest[:2]))
+        yield
+
+
 @dataclass(frozen=True, eq=False)
 class _Footer:
     """The footer of a Parquet file, and what follows from it."""
@@ -57,22 +182,14 @@ class _Footer:
     metadata: Any
     # That of the metadata would hold them, and they it: megabytes that wait for the garbage collector.
     schema: Any
-    path: str
 
     @cached_property
     def types(self) -> dict[str, Any]:
         return column_types(self.schema)
 
-    @cached_property
-    def class_names(self) -> tuple[str, ...] | None:
-        return stored_class_names(self.schema, self.path)
-
 
 # Of a large shard, a footer takes some hundred kB.
 _FOOTERS: MemoryCache[tuple[str, int | None], _Footer] = MemoryCache(128)
-
-# The row group that is being decoded where the cache cannot be written: blocks so far, and those that follow.
-_DECODING: MemoryCache[tuple[str, int], tuple[int, Iterator[RowGroup]]] = MemoryCache(1)
 
 
 @dataclass(frozen=True)
@@ -116,10 +233,10 @@ class Shard:
         """Arrow type of each column, and of each struct, by dotted name."""
         return self._footer.types
 
-    @property
+    @cached_property
     def class_names(self) -> tuple[str, ...] | None:
         """Names of the classes, where `datasets` stored them; IntegrityError where they cannot be read."""
-        return self._footer.class_names
+        return stored_class_names(self.schema, self.path)
 
     @cached_property
     def group_starts(self) -> array[int]:
@@ -167,17 +284,26 @@ class Shard:
         then kept in the memory of this process.
         """
         key = self.digest, index, number
-        group = BLOCKS.get(key)
-        if group is not None:
-            return group
-        mapped = unpacked.mapped(key)
-        if mapped is None and self.unpack(index):
-            mapped = unpacked.mapped(key)
-        if mapped is None:
-            return self._decoded(index, number)
+        group = BLOCKS.get(key) or self._mapped(key)
+        if group is None and self.unpack(index):
+            group = self._mapped(key)
+        return self._decoded(index, number) if group is None else BLOCKS.get_or_make(key, lambda: group)
+
+    def _mapped(self, key: Key) -> RowGroup | None:
+        """Map a block of the cache; None when it is not there, or damaged: then it goes."""
+        file = _file(key)
+        try:
+            table, size_bytes = map_block(file)
+        except FileNotFoundError:
+            return None
+        except (ValueError, OSError) as error:
+            if of_the_process(error) is None:
+                _UNPACKED.drop(file)
+            return None
+        _UNPACKED.mark_used(file)
+        _, index, number = key
         first_row = self.group_starts[index] + number * self.block_rows[index]
-        group = RowGroup(mapped[0], self.path, first_row, mapped[1])
-        return BLOCKS.get_or_make(key, lambda: group)
+        return RowGroup(table, self.path, first_row, size_bytes)
 
     def unpack(self, index: int) -> bool:
         """Unpack a row group into the cache unless it is there; return whether it is there now.
@@ -186,27 +312,24 @@ class Shard:
         """
         rows = self.group_starts[index + 1] - self.group_starts[index]
         keys = [(self.digest, index, number) for number in range(-(-rows // self.block_rows[index]))]
-        if all(map(unpacked.is_kept, keys)) or not unpacked.can_keep():
-            return unpacked.can_keep()
-        with unpacked.locked_file(self.digest):
+        if all(map(_is_kept, keys)) or _UNPACKED.is_given_up:
+            return not _UNPACKED.is_given_up
+        with _locked_file(self.digest):
             # Whoever held the lock may have unpacked it meanwhile.
-            return all(map(unpacked.is_kept, keys)) or all(
-                unpacked.keep(key, group.table) for key, group in zip(keys, self.blocks(index), strict=True)
+            return all(map(_is_kept, keys)) or all(
+                _keep(key, group.table) for key, group in zip(keys, self.blocks(index), strict=True)
             )
 
     def _decoded(self, index: int, number: int) -> RowGroup:
-        """Return a block, decoding no more of its row group than it takes."""
-        with _DECODING.lock:  # two threads would decode the same blocks
-            group = BLOCKS.get((self.digest, index, number))
-            reached, groups = _DECODING.pop((self.digest, index)) or (0, self.blocks(index))
-            if group is None and reached > number:  # else it continues where it stopped, as a full pass does
-                reached, groups = 0, self.blocks(index)
-            while group is None or reached <= number:
-                group = next(groups)
-                BLOCKS.put((self.digest, index, reached), group)
-                reached += 1
-            _DECODING.put((self.digest, index), (reached, groups))
-            return group
+        """Return a block, decoding its row group up to the last block that is held with it."""
+        found: RowGroup
+        for reached, group in enumerate(self.blocks(index)):
+            BLOCKS.put((self.digest, index, reached), group)
+            if reached == number:
+                found = group
+            if reached + 1 == number + _IN_MEMORY:
+                break
+        return found
 
     def unpacked_bytes(self, index: int) -> int:
         """About how much a row group takes when it is unpacked, by the footer."""
@@ -228,6 +351,11 @@ class Shard:
             found, expected = first_row - self.group_starts[index], self.metadata.row_group(index).num_rows
             problem = f" is damaged, row group {index} holds {found} rows; expected {expected} by its footer"
             raise IntegrityError.in_file(self.path, problem)
+
+    def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Decode the blocks of all row groups, as :meth:`blocks`."""
+        for index in range(self.metadata.num_row_groups):
+            yield from self.blocks(index, columns)
 
     def _require_bounded(self, index: int) -> None:
         """Refuse rows that unpack to more than the limit, by what the footer states of them."""
@@ -272,7 +400,7 @@ class Shard:
     def found_now(self) -> tuple[str, int, int, int, int]:
         """Return what identifies the local file that is there now."""
         # The name too: machines that share a cache may have other files of the same numbers.
-        return self.path.rpartition("/")[2], *stat_key(os.stat(self.path))  # noqa: PTH116
+        return self.path.rpartition("/")[2], *_stat_key(os.stat(self.path))  # noqa: PTH116
 
     @property
     def is_remote(self) -> bool:
@@ -308,7 +436,7 @@ class Shard:
             if stated not in (None, found[unit]):  # such as a shard of a set that is being replaced
                 problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
                 raise IntegrityError.in_file(self.path, problem)
-        footer = footer or _Footer(metadata, plain_schema(parquet.schema_arrow), self.path)
+        footer = footer or _Footer(metadata, plain_schema(parquet.schema_arrow))
         _FOOTERS.put(key, footer)
         return parquet, footer
 
@@ -360,6 +488,12 @@ def _origin(path: str) -> tuple[str, str]:
     folders = (path if "://" in path else os.path.abspath(path)).split("/")[:-1]  # noqa: PTH100
     named = [part for part in folders if part not in ("", ".", DATA_FOLDER)] or folders
     return repr(named[-1]), split
+
+
+def values_of(array: Any) -> NDArray[Any]:
+    """Return the values of an Arrow array; where some are null, numbers are floats and those NaN."""
+    values: NDArray[Any] = array.to_numpy(zero_copy_only=False)
+    return values
 
 
 @dataclass(frozen=True)
@@ -430,37 +564,20 @@ class ShardedTable:
             found += [(shard, group) for group in groups.tolist()]
         return found
 
-    def derive(
-        self, key: str, columns: Sequence[str], compute: Callable[[RowGroup], NDArray[Any]]
-    ) -> NDArray[Any]:
-        """Compute something small of a few columns, reading no other; kept under ``key`` for the next call.
+    def column(self, name: str, convert: Callable[[Any], NDArray[Any]] = values_of) -> NDArray[Any]:
+        """Read one plain column of all rows by dotted name, and only that column; kept for the next call.
 
-        What ``compute`` gives of some rows is joined along the first axis.
+        ``convert`` makes numpy's array of each Arrow array, along the first axis.
         """
-        return self.per_shard(
-            key,
-            lambda shard: [
-                compute(group)
-                for index in range(shard.metadata.num_row_groups)
-                for group in shard.blocks(index, columns)
-            ],
-        )
-
-    def column(self, name: str) -> NDArray[Any]:
-        """Read one plain column of all rows by dotted name, and only that column; kept for the next call."""
-        return self.per_array(name, name, lambda array: array.to_numpy(zero_copy_only=False))
-
-    def per_array(self, key: str, name: str, compute: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
-        """Join what is computed of the Arrow arrays of a column; kept under ``key`` for the next call."""
-        return self._kept(key, lambda: map(compute, self._arrays(name)))
+        return self._kept(f"{convert.__name__} {name}", map(convert, self._arrays(name)))
 
     def per_shard(self, key: str, compute: Callable[[Shard], Sequence[NDArray[Any]]]) -> NDArray[Any]:
         """Join along the first axis what is computed of each shard; kept under ``key`` for the next call."""
-        return self._kept(key, lambda: chain.from_iterable(_in_threads(compute, self.shards)))
+        return self._kept(key, chain.from_iterable(_in_threads(compute, self.shards)))
 
-    def _kept(self, key: str, parts: Callable[[], Iterable[NDArray[Any]]]) -> NDArray[Any]:
+    def _kept(self, key: str, parts: Iterable[NDArray[Any]]) -> NDArray[Any]:
         if key not in self._columns:
-            values = np.concatenate(list(parts()) or [np.zeros(0)])
+            values = np.concatenate(list(parts) or [np.zeros(0)])
             # It is kept as it is handed out.
             values.setflags(write=False)
             self._columns.setdefault(key, values)

@@ -11,7 +11,7 @@ from contextlib import suppress
 from copy import copy
 from dataclasses import asdict, dataclass
 from functools import reduce
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeVar, overload
+from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,11 +19,8 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.printable import printable
 from tactile_toolkit.read.order import StoredParts
+from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.wording import class_name, counted, is_whole, plain_number, whole_number
-
-if TYPE_CHECKING:
-    from tactile_toolkit.read.parquet import Shard
-
 
 T = TypeVar("T")
 
@@ -112,17 +109,12 @@ def positions(index: Any, length: int) -> NDArray[np.int64]:
     if isinstance(index, slice):
         return np.arange(*index.indices(length))
     chosen = np.asarray(index)
-    if chosen.dtype == bool:
-        if chosen.shape != (length,):
-            raise IndexError(f"a boolean mask of shape {chosen.shape} for {length} rows")
-        return np.flatnonzero(chosen)
-    if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iu"):
+    if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iub"):
         raise TypeError(
             f"rows are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
         )
-    if chosen.size and not -length <= chosen.min() <= chosen.max() < length:
-        raise IndexError(f"index {chosen.min()} to {chosen.max()} is out of range for {length} rows")
-    return np.where(chosen < 0, chosen + length, chosen).astype(np.int64)
+    found: NDArray[np.int64] = np.arange(length)[chosen if chosen.size else np.zeros(0, np.int64)]
+    return found
 
 
 class LazySequence(Sequence[T], Generic[T]):
@@ -189,10 +181,6 @@ class LazySequence(Sequence[T], Generic[T]):
     @abstractmethod
     def _joined(self, other: Self) -> Self:
         """Return a view of all items of both."""
-
-    @abstractmethod
-    def _candidates(self, item: Any) -> Iterable[int]:
-        """Return positions of all items that may equal one, rising; as few as small columns show."""
 
     @abstractmethod
     def _stored_parts(self) -> StoredParts:
@@ -459,28 +447,6 @@ class LazySequence(Sequence[T], Generic[T]):
         for position in range(len(self)):
             yield self._item(position)
 
-    # Sequence's own search would read every item, where small columns tell most of them apart.
-    def __contains__(self, item: object) -> bool:
-        return next(self._places(item), None) is not None
-
-    def index(self, value: Any, start: int = 0, stop: int | None = None) -> int:
-        """Return the place of the first item that equals one.
-
-        Raises
-        ------
-        ValueError
-            There is none.
-        """
-        first, last, _ = slice(start, stop).indices(len(self))
-        for position in self._places(value):
-            if first <= position < last:
-                return position
-        raise ValueError(f"{value!r} is not in {self!r}")
-
-    def count(self, value: Any) -> int:
-        """Return how many items equal one."""
-        return sum(1 for _ in self._places(value))
-
     def __eq__(self, other: object) -> bool:
         """Return whether both hold equal items in the same order, with the same names of classes."""
         if not isinstance(other, type(self)) or type(other) is not type(self):
@@ -522,9 +488,6 @@ class LazySequence(Sequence[T], Generic[T]):
     def _each(self) -> Iterator[tuple[int, T]]:
         """Yield place and item of all, in whatever order is quickest, for looking at small fields."""
         return enumerate(self)
-
-    def _places(self, item: Any) -> Iterator[int]:
-        return (position for position in self._candidates(item) if self._item(position) == item)
 
     def _order(self, seed: int) -> NDArray[np.int64]:
         return np.argsort(_numbers(seed, len(self)), kind="stable")

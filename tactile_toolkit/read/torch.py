@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from tactile_toolkit.errors import InputError, needs_extra
-from tactile_toolkit.read.ahead import UnpackingAhead
-from tactile_toolkit.read.order import GlobalOrder, Share
+from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler
 from tactile_toolkit.read.sequence import LazySequence
 from tactile_toolkit.wording import is_whole, plain_number, whole_number
 
@@ -32,18 +31,11 @@ _SINCE = "_steps_since_snapshot"
 _MOST_WORKERS = 255
 
 
-_OTHER_ORDER = (
-    ", which follows from seed, window and sizes of shards; next: take the same as when it was saved"
-)
-_OTHER_DIVISION = "; next: give the state to load_state_dict() of the TrainingBatches, not of the loader"
-
-
 def shared_zeros(*shape: int) -> torch.Tensor:
     """Return zeros, int64, which the workers of a loader share."""
     zeros = torch.zeros(shape, dtype=torch.int64)
-    with contextlib.suppress(
-        RuntimeError
-    ):  # without shared memory loaders with workers fail, others need none
+    # Without shared memory loaders with workers fail; others need none.
+    with contextlib.suppress(RuntimeError):
         zeros.share_memory_()
     return zeros
 
@@ -201,7 +193,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
     def _batches(self, current: _Pass, worker: int, workers: int) -> Iterator[Any]:
         share, order = self._share(current.start), self._order.epoch(current.epoch)
         turn = (self.rank * workers + worker) / (self.world_size * workers)
-        ahead = UnpackingAhead(self._sequence, order, turn)
+        ahead = Prefetcher(self._sequence, order, turn)
         make = self._maker()
         # Points on surfaces are other ones in each epoch.
         if hasattr(self.data, "set_epoch"):
@@ -277,13 +269,15 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             )
         worker = torch.utils.data.get_worker_info()
         expected = {_FORMAT: _VERSION, "order": self._order.fingerprint}
-        if worker is not None:
-            expected |= self._division(worker)
+        expected |= {} if worker is None else self._division(worker)
         for state in states:
             for name, value in expected.items():
                 if state[name] != value:
-                    advice = _OTHER_ORDER if name == "order" else _OTHER_DIVISION
-                    raise InputError(f"a state of {name} {state[name]!r}; expected {value!r}{advice}")
+                    raise InputError(
+                        f"a state of {name} {state[name]!r}; expected {value!r}",
+                        next="take data, seed and window as when it was saved, and give the state to "
+                        "load_state_dict() of the TrainingBatches",
+                    )
         if worker is not None:
             self._current = None
             self._next[1 + worker.id] = torch.tensor([*map(states[0].get, ("epoch", "start", "batches")), 0])
@@ -326,8 +320,10 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
     def _workers_began(self) -> bool:
         return bool(self._next[1:, 3].any())
 
-    def _share(self, start: int) -> Share:
-        return Share(len(self._order), start, self.rank, self.world_size, self.batch_size, self.drop_last)
+    def _share(self, start: int) -> RankSampler:
+        return RankSampler(
+            len(self._order), start, self.rank, self.world_size, self.batch_size, self.drop_last
+        )
 
 
 def _holding(key: str, found: Any) -> Iterator[Mapping[str, Any]]:

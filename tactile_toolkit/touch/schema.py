@@ -10,9 +10,16 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import column_names, column_types, list_depth
+from tactile_toolkit.read.columns import (
+    column_names,
+    column_types,
+    dtype_name,
+    feature_metadata,
+    label_feature,
+    list_depth,
+    stored_class_names,
+)
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.features import dtype_name, feature_metadata, label_feature, stored_class_names
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.touch.contact import PLATE_COLUMN
 

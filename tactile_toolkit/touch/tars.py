@@ -27,34 +27,29 @@ def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
                 header = super().frombuf(buf, encoding, errors)
             except tarfile.HeaderError as error:
                 if any(buf):  # else it is the end; a damaged header would be taken for it
-                    problem = f"the header after {name!r} cannot be read: {error}"
-                    raise tarfile.ReadError(problem) from error
+                    raise tarfile.ReadError(f"the header after {name!r} cannot be read: {error}") from error
                 raise
             name = header.name
             # Reading continues where the content ends, which with a negative size is an earlier header.
             if header.size < 0 or (header.size > _MOST_HEADER_BYTES and header.type in _EXTENDED):
-                problem = f"{name!r} has a size of {header.size:,} bytes"
-                raise tarfile.ReadError(problem)
+                raise tarfile.ReadError(f"{name!r} has a size of {header.size:,} bytes")
             return header
 
     try:
         with tarfile.open(fileobj=stream, mode="r:", tarinfo=Header) as tar:
             for member in tar:
-                found = str(member.size)
-                # Of an extended header that states something else than a number, it makes 0.
-                stated = member.pax_headers.get("size", found)
-                if stated.lstrip("0") != found.lstrip("0") or member.size < 0 or member.issparse():
-                    problem = f"{member.name!r} is sparse, or its size is not a number of bytes"
-                    raise tarfile.ReadError(problem)
-                if member.isfile() and member.offset_data + member.size > size:
-                    problem = f"it ends in {member.name!r}"
-                    raise tarfile.ReadError(problem)
+                # Of an extended header that states something else than a number, `tarfile` makes 0.
+                stated = member.pax_headers.get("size", str(member.size))
+                if stated.lstrip("0") != str(member.size).lstrip("0") or member.size < 0 or member.issparse():
+                    raise tarfile.ReadError(
+                        f"{member.name!r} is sparse, or its size is not a number of bytes"
+                    )
                 if member.isfile():
+                    if member.offset_data + member.size > size:
+                        raise tarfile.ReadError(f"it ends in {member.name!r}")
                     yield member
         stream.seek(max(0, size - tarfile.BLOCKSIZE))
         if stream.read().strip(b"\0"):
-            problem = "the mark of its end is missing"
-            raise tarfile.ReadError(problem)
+            raise tarfile.ReadError("the mark of its end is missing")
     except (ValueError, IndexError, RecursionError) as error:  # of what extended headers state
-        problem = f"the headers up to {name!r} cannot be read: {error}"
-        raise tarfile.ReadError(problem) from error
+        raise tarfile.ReadError(f"the headers up to {name!r} cannot be read: {error}") from error

@@ -202,9 +202,9 @@ def test_preview_writes_a_picture(clips, tmp_path, capsys):
         (("resize", "{images}", "--out", "{out}", "--size", "64"), "expected WIDTHxHEIGHT"),
         (("resize", "{images}", "--out", "{out}", "--size", "0x9"), "expected at least 1 x 1"),
         (("resize", "{images}", "--out", "{out}", "--size", f"9x{'9' * 5_000}"), "expected WIDTHxHEIGHT"),
-        (("select", "{images}", "--out", "{out}", "--ids", "9" * 5_000), "expected integers"),
+        (("select", "{images}", "--out", "{out}", "--ids", "9" * 5_000), "expected numbers and ranges"),
         (("select", "{images}", "--out", "{out}", "--labels", "cat"), "no class 'cat'"),
-        (("select", "{images}", "--out", "{out}", "--ids", "x"), "expected integers"),
+        (("select", "{images}", "--out", "{out}", "--ids", "x"), "expected numbers and ranges"),
         (
             ("select", "{images}", "--out", "{out}", "--contact", "--min-height-mm", "nan"),
             "--min-height-mm is nan; expected a number",

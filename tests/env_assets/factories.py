@@ -9,8 +9,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tactile_toolkit.mesh.rows import MeshRow, mesh_schema
-from tactile_toolkit.read.columns import list_array
+from tactile_toolkit.mesh.columns import MeshRow, mesh_schema
+from tests.mesh_columns import list_array
 from tests.realtouch import factories
 
 TOUCHES_PER_ROUND = 24

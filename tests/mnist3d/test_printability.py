@@ -13,9 +13,15 @@ from hypothesis import strategies as st
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.printability import REPORT_COLUMNS, WARNINGS, PrintProfile, inspect
+from tactile_toolkit.mesh.printability import (
+    REPORT_COLUMNS,
+    WARNINGS,
+    PrintProfile,
+    inspect,
+    section_area_mm2,
+    thinnest_width_mm,
+)
 from tactile_toolkit.mesh.solid_check import PROBLEMS
-from tactile_toolkit.mesh.walls import section_area_mm2, thinnest_width_mm
 
 ANGLES = st.floats(0, 2 * math.pi)
 

@@ -8,6 +8,7 @@ import pytest
 
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.images_of_others import picture
 
 SIZE = (96, 72)
 TOUCHES = 5
@@ -53,3 +54,12 @@ def single_folder(
     layout = Layout(shards=2, group_rows=1)
     factories.write_set(folder, {"train": single_rows}, "single", layout)
     return factories.write_set(folder, {"test": factories.single_rows(held_out)}, "single")
+
+
+@pytest.fixture
+def home(tmp_path: Path) -> Path:
+    home = tmp_path / "home"
+    (home / "pictures").mkdir(parents=True)
+    for number in range(4):
+        (home / "pictures" / f"{number}.jpg").write_bytes(picture(40 * number))
+    return home

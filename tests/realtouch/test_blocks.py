@@ -12,8 +12,7 @@ import realtouch
 from realtouch.dataset import TouchStream
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.read import parquet as rowgroups
-from tactile_toolkit.read.blocks import BLOCKS
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -83,10 +82,11 @@ def test_derived_values_are_kept(one_group: Path) -> None:
     table = ShardedTable((Shard(str(next((one_group / "data").glob("*.parquet")))),))
     calls = []
 
-    def count(group: rowgroups.RowGroup) -> np.ndarray:
-        calls.append(group.names)
-        return np.ones(len(group.table))
+    def ones(shard: Shard) -> list[np.ndarray]:
+        groups = list(shard.all_blocks(["label"]))
+        calls.extend(group.names for group in groups)
+        return [np.ones(len(group.table)) for group in groups]
 
     for _ in range(2):
-        assert table.derive("ones", ["label"], count).tolist() == [1.0] * 6
+        assert table.per_shard("ones", ones).tolist() == [1.0] * 6
     assert calls == [("label",)]

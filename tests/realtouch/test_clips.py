@@ -11,15 +11,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import realtouch
+from realtouch.clips import TouchClip
 from realtouch.contact import (
     CLOCK_TOLERANCE_S,
     contact_heights_m,
     contact_window,
-    deepest_frame,
-    most_changed_frame,
 )
-from realtouch.media.clips import TouchClip
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError, MissingExtraError
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.touch.jpeg import decode_image, encode_image
 from tactile_toolkit.touch.video import MAX_CLIP_FRAMES, Avi, NoIndexError, ffmpeg_frames, write_avi
 from tests.realtouch import factories
@@ -90,7 +88,7 @@ def test_contact_frames_are_the_true_ones(seq_folder: Path, truth: list[RoundTru
             assert clip.contact_index("contact_end") == made.contact_end
             assert clip.contact_index("peak") == made.peak
             # The deepest press shows most; its neighbour may look the same after JPEG.
-            assert abs(clip.contact_index("median") - made.peak) <= 1
+            assert abs(clip.contact_index("best") - made.peak) <= 1
             np.testing.assert_array_equal(clip.contact_frame("peak"), clip[made.peak])
             assert clip[clip.contact_window].shape[0] == made.contact_end - made.contact_start + 1
 
@@ -105,13 +103,11 @@ def test_contact_frames_of_a_round(seq_folder: Path) -> None:
         np.testing.assert_array_equal(out, expected)
 
 
-def test_a_clip_without_contact_has_no_median_frame(seq_folder: Path) -> None:
-    clip = realtouch.load(seq_folder, "train")[0].sensor_video[0]
-    with pytest.raises(ItemError, match="shows no contact") as caught:
-        clip.contact_index("median", min_area=0.99)
-    assert caught.value.reason == "no-contact"
-    with pytest.raises(InputError, match="expected one of contact_start, contact_end, peak, median"):
+def test_methods_are_named_and_the_former_one_is_an_alias(clip: TouchClip) -> None:
+    with pytest.raises(InputError, match="unknown frame method 'finest'; expected one of contact_start"):
         clip.contact_index("finest")
+    with pytest.deprecated_call(match="chooses as 'best' does"):
+        assert clip.contact_index("median") == clip.contact_index("best")
 
 
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=30), st.floats(-1, 11), st.floats(0, 5))
@@ -151,22 +147,11 @@ def test_a_clip_is_an_array_for_numpy(clip: TouchClip) -> None:
 
 
 def test_ties_go_to_the_earlier_frame() -> None:
-    assert deepest_frame(np.array([3.0, 1.0, 2.0, 1.0])) == 1
-    frames = np.zeros((9, 4, 4, 3), np.uint8)
+    frames = np.zeros((9, 8, 8, 3), np.uint8)
     frames[3] = frames[6] = 200
-    assert most_changed_frame(frames) == 3
-    frames[6, 0, 0] = 210
-    assert most_changed_frame(frames) == 6
-    assert most_changed_frame(np.zeros((5, 4, 4, 3), np.uint8)) is None
-    assert most_changed_frame(np.zeros((0, 4, 4, 3), np.uint8)) is None
-
-
-def test_thresholds_decide_what_counts_as_changed() -> None:
-    frames = np.full((7, 10, 10, 3), 100, np.uint8)
-    frames[5, :2] = 130  # a fifth of the picture by thirty levels
-    assert most_changed_frame(frames, min_change=29, min_area=0.2) == 5
-    assert most_changed_frame(frames, min_change=30, min_area=0.2) is None
-    assert most_changed_frame(frames, min_change=29, min_area=0.21) is None
+    assert realtouch.best_frame(frames)[0] == 3
+    frames[6, 4, 4] = 210
+    assert realtouch.best_frame(frames)[0] == 6
 
 
 @given(st.lists(st.floats(-0.01, 0.02), min_size=1, max_size=20), st.floats(-0.003, 0.003))

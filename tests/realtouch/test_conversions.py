@@ -22,6 +22,7 @@ from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.touch.jpeg import decode_image, resized
+from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.tactile_toolkit.toy import folder_bytes
@@ -301,7 +302,7 @@ def test_what_cannot_be_converted_is_said(
         realtouch.to_single(tmp_path / "bare", out)
     with pytest.raises(InputError, match="holds single images already"):
         realtouch.to_single(str(single_folder), out)
-    with pytest.raises(InputError, match="no way 'finest'"):
+    with pytest.raises(InputError, match="unknown frame method 'finest'"):
         realtouch.to_single(str(seq_folder), out, "finest")
     with pytest.raises(InputError, match="size 0 x 64"):
         realtouch.resize(str(single_folder), out, 0, 64)
@@ -378,3 +379,20 @@ def test_shards_of_very_many_rounds_are_larger(single_folder: Path, monkeypatch:
         assert plan.spec["rows_per_shard"] == 1
     monkeypatch.setattr("realtouch.convert.plan._SHARD_BYTES", 2 * source.row_bytes())
     assert max(len(task.choices) for task in plan_conversion(conversion).tasks) == 2
+
+
+def test_some_of_each_class_and_ranges_of_objects(tmp_path: Path) -> None:
+    rounds = [factories.make_round(index, 3, (24, 32), (4, 6)) for index in range(20)]
+    factories.write_set(tmp_path / "all", {"train": factories.single_rows(rounds)}, "single")
+    before = realtouch.load(tmp_path / "all")
+    assert call("realtouch", "select", tmp_path / "all", "--per-class", 1, "--out", tmp_path / "one") == 0
+    one = realtouch.load(tmp_path / "one")
+    assert one.ids.tolist() == [before.ids[before.labels == label][0] for label in np.unique(before.labels)]
+    first, last = sorted(before.int_column("object_id").tolist())[2:5:2]
+    out = ("--out", tmp_path / "some")
+    assert call("realtouch", "select", tmp_path / "all", "--ids", f"{first}-{last}", *out) == 0
+    some = realtouch.load(tmp_path / "some").int_column("object_id")
+    assert sorted(some.tolist()) == [number for number in range(first, last + 1) if number in some]
+    assert len(some) >= 2
+    with pytest.raises(InputError, match="the per_class is 0; expected an integer of at least 1"):
+        realtouch.select(tmp_path / "all", tmp_path / "none", per_class=0)

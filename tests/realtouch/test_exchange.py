@@ -5,8 +5,6 @@ from __future__ import annotations
 import gc
 import hashlib
 import json
-import os
-import subprocess
 import tarfile
 from pathlib import Path
 from typing import Any
@@ -218,61 +216,33 @@ def test_quantiles_of_numbers_are_those_of_all_frames(source: Path, tmp_path: Pa
     assert np.all(np.less_equal(colours["q01"], colours["q99"]))
 
 
-_READ = """
-import json, sys
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
-for root, step_s in zip(sys.argv[1::2], sys.argv[2::2]):
-    whole = LeRobotDataset("me/touches", root=root)
-    steps = {"observation.state": [-float(step_s), 0.0]}
-    one = LeRobotDataset("me/touches", root=root, episodes=[1], delta_timestamps=steps)
-    items = [whole[index] for index in range(0, len(whole), 7)]
-    print(json.dumps({
-        "counts": [len(whole), whole.num_episodes, len(one)],
-        "tasks": [item["task"] for item in items],
-        "index": [int(item["index"]) for item in items],
-        "state": [item["observation.state"].tolist() for item in items],
-        "sums": [int((item["observation.images.tactile"] * 255).round().sum()) for item in items],
-        "two": one[1]["observation.state"].tolist(),
-        "mean": whole.meta.stats["observation.state"]["mean"].tolist(),
-    }))
-"""
-
-
-@pytest.mark.lerobot
+@pytest.mark.filterwarnings("ignore")  # of its imports
 @pytest.mark.usefixtures("small_shards")
-def test_lerobot_reads_its_data_set(single_folder: Path, seq_folder: Path, tmp_path: Path) -> None:
-    python = os.environ.get("LEROBOT_PYTHON")
-    if not python:
-        pytest.skip("LEROBOT_PYTHON names no interpreter with the package lerobot")
-    arguments = []
-    for source, step_s in ((single_folder, "1"), (seq_folder, "0.04")):
-        realtouch.export(source, tmp_path / source.name, "lerobot", split="train")
-        arguments += [str(tmp_path / source.name / "lerobot"), step_s]
-    done = subprocess.run(  # one process: importing it takes longer than all else
-        [python, "-c", _READ, *arguments],
-        env={**os.environ, "HF_HUB_OFFLINE": "1", "HF_HOME": str(tmp_path / "hf"), "PYTHONPATH": ""},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-2000:]
-    said = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-    lengths = [record.video_length_frames.tolist() for record in realtouch.load(seq_folder, "train")]
-    for found, root, episodes in zip(said, arguments[::2], ([5] * 3, np.concatenate(lengths)), strict=True):
-        assert found["counts"] == [sum(episodes), len(episodes), episodes[1]]
-        frames = pq.read_table(Path(root) / "data")
-        for index, task, state, total in zip(
-            *(found[name] for name in ("index", "tasks", "state", "sums")), strict=True
-        ):
-            row = frames.slice(index, 1).to_pylist()[0]
-            assert task == f"touch an object of class {row['label']}"
-            assert np.float32(state).tolist() == row["observation.state"]
-            pixels = decode_image(row["observation.images.tactile"]["bytes"])
-            assert abs(total - int(pixels.sum())) <= pixels.size  # by another decoder
-        two = frames["observation.state"].slice(episodes[0], 2).to_pylist()
-        assert np.float32(found["two"]).tolist() == two
-        states = np.array(frames["observation.state"].to_pylist())
-        np.testing.assert_allclose(found["mean"], states.mean(axis=0), rtol=1e-6, atol=1e-9)
+@pytest.mark.parametrize(("source", "step_s"), [("single", 1.0), ("seq", 0.04)], indirect=["source"])
+def test_lerobot_reads_its_data_set(source: Path, step_s: float, tmp_path: Path) -> None:
+    reader = pytest.importorskip("lerobot.datasets.lerobot_dataset", reason="needs the package lerobot")
+    realtouch.export(source, tmp_path, "lerobot", split="train")
+    root = tmp_path / "lerobot"
+    records = realtouch.load(source, "train")
+    is_clips = isinstance(records, realtouch.TouchSeqDataset)
+    episodes = np.concatenate([each.video_length_frames for each in records]) if is_clips else [5] * 3
+    whole = reader.LeRobotDataset("me/touches", root=root)
+    steps = {"observation.state": [-step_s, 0.0]}
+    one = reader.LeRobotDataset("me/touches", root=root, episodes=[1], delta_timestamps=steps)
+    assert [len(whole), whole.num_episodes, len(one)] == [sum(episodes), len(episodes), episodes[1]]
+    frames = pq.read_table(root / "data")
+    for item in (whole[index] for index in range(0, len(whole), 7)):
+        row = frames.slice(int(item["index"]), 1).to_pylist()[0]
+        assert item["task"] == f"touch an object of class {row['label']}"
+        assert item["observation.state"].tolist() == row["observation.state"]
+        pixels = decode_image(row["observation.images.tactile"]["bytes"])
+        total = int((item["observation.images.tactile"] * 255).round().sum())
+        assert abs(total - int(pixels.sum())) <= pixels.size  # by another decoder
+    states = np.array(frames["observation.state"].to_pylist(), np.float32)
+    first = int(episodes[0])
+    np.testing.assert_array_equal(one[1]["observation.state"], states[first : first + 2])
+    means = whole.meta.stats["observation.state"]["mean"]
+    np.testing.assert_allclose(means, states.astype(float).mean(axis=0), rtol=1e-6, atol=1e-9)
 
 
 def test_lerobot_is_told_how_its_own_files_would_be_cut(single_folder: Path, tmp_path: Path) -> None:
@@ -375,7 +345,7 @@ def test_lerobot_needs_lengths_that_are_true(seq_rows: list[dict], tmp_path: Pat
         row["video_length_frames"] = [length - (index == 1) for length in row["video_length_frames"]]
 
     for layout, error, words in (
-        (Layout(leave_out=("video_length_frames",)), InputError, "numbered ahead; next: make single images"),
+        (Layout(leave_out=("video_length_frames",)), InputError, "has no column 'video_length_frames'"),
         (Layout(edit=shorten), IntegrityError, "row 1"),
     ):
         factories.write_set(tmp_path / "source", {"train": seq_rows}, "seq", layout)

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.show.gallery import RoundChoice, plan_gallery
+from realtouch.gallery import RoundChoice, plan_gallery
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.gallery.site import build_site, forecast_site
 from tests.gallery_browser import browser, opened
@@ -118,7 +118,7 @@ def test_the_revision_asked_for_is_opened(seq_folder, monkeypatch):
         return opened_set
 
     monkeypatch.setattr("tactile_toolkit.catalog.choose.splits_of", splits)
-    monkeypatch.setattr("realtouch.show.gallery.load", load)
+    monkeypatch.setattr("realtouch.gallery.load", load)
     assert plan_gallery(RoundChoice("someone/touches", revision="v2")).size == len(opened_set)
     assert asked == ["v2", "v2"]
 

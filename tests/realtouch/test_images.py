@@ -123,7 +123,7 @@ def test_batches(single_folder: Path) -> None:
     assert images[0:0].shape == (0, 72, 96, 3)
     with pytest.raises(IndexError, match="touch 5 is out of range for 5 touches"):
         images[5]
-    with pytest.raises(IndexError, match="out of range"):
+    with pytest.raises(IndexError, match="out of bounds"):
         images[[0, 5]]
     with pytest.raises(TypeError):
         images["0"]

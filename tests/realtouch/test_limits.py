@@ -195,7 +195,7 @@ def test_an_out_that_does_not_fit_is_refused_before_it_is_written_to(
         lambda: singles[0].sensor_image.batch([0, 1], out=out),
         lambda: singles.touches().images([0, 1], out=out),
         lambda: two.contact_frames(out=out),
-        lambda: two.contact_frames("median", out=out),
+        lambda: two.contact_frames("best", out=out),
     ):
         with pytest.raises(
             InputError, match=r"out is .*; expected a writable array of uint8 and shape \(2, 72"

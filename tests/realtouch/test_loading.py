@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.columns.poses import contact_z_m
+from realtouch.clip_columns import contact_z_m
 from tactile_toolkit.errors import InputError, IntegrityError
 from tests.processes import printed_by
 from tests.realtouch import factories
@@ -232,7 +232,7 @@ def test_short_names_reach_the_published_repositories(
         asked.append((name, split, options))
         raise InputError(name)
 
-    monkeypatch.setattr("realtouch.names.find_shards", find)
+    monkeypatch.setattr("realtouch.opening.find_shards", find)
     with pytest.raises(InputError, match="touch-real-seq"):
         realtouch.load("real-seq", revision="main", streaming=True)
     assert asked == [

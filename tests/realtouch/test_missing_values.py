@@ -52,12 +52,12 @@ def test_a_time_that_is_missing(seconds: bool, truth: list, tmp_path: Path) -> N
     layout = Layout(seconds=seconds, edit=lambda row, index: no_start(row) if index == 1 else None)
     factories.write_set(tmp_path, {"train": factories.seq_rows(truth, layout)}, "seq", layout)
     record = realtouch.load(tmp_path)[1]
-    for ask in (
-        lambda: record.touch_start_time_rel,
-        lambda: record.sensor_video[3].contact_window,
-        record.contact_frames,
+    for ask, problem in (
+        (lambda: record.touch_start_time_rel, "no time is stored"),
+        (lambda: record.sensor_video[3].contact_window, "contact from nan s"),
+        (record.contact_frames, "contact from nan s"),
     ):
-        with pytest.raises(IntegrityError, match="touch 3, field 'touch_start_time_rel': no time is stored"):
+        with pytest.raises(IntegrityError, match=f"touch 3, field 'touch_start_time_rel': {problem}"):
             ask()
     assert record.sensor_video[2].contact_window.start == truth[1].touches[2].contact_start
     assert len(record.touch_end_time_rel) == 5

@@ -12,8 +12,8 @@ from datasets import Value, load_dataset
 
 import realtouch
 from realtouch.contact import contact_heights_m
-from realtouch.show.gallery import RoundChoice, plan_gallery
-from realtouch.show.previews import CONTACT, draw_grid
+from realtouch.gallery import RoundChoice, plan_gallery
+from realtouch.previews import CONTACT, draw_grid
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 

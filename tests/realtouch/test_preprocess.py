@@ -14,7 +14,7 @@ from PIL import Image
 
 import realtouch
 from realtouch import preprocess
-from realtouch.changes import median_of
+from realtouch.contact import median_of
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 
@@ -156,15 +156,15 @@ def test_the_selection_of_a_known_consumer_by_plain_numpy(tmp_path: Path):
         assert found.intensity[index] == pytest.approx(intensity, rel=1e-12)
         assert found.contact[index] == (area >= 40 and intensity >= 12)
     assert found.contact.tolist() == [True] * 5 + [False] * 5 + [True] * 5
-    assert len(found.select(empties=0.25)) == 10 + 3
-    assert (found.select(empties=0.0).touches.round_positions == [0] * 5 + [2] * 5).all()
+    assert len(found.select(0.25)) == 10 + 3
+    assert (found.select(0.0).touches.round_positions == [0] * 5 + [2] * 5).all()
 
 
 @pytest.mark.parametrize("share", [0.0, 0.2, 0.5, 0.99])
 def test_a_share_of_touches_without_contact(single_folder: Path, share: float):
     touches = realtouch.load(single_folder, split="train").touches()
     mask = np.arange(len(touches)) % 3 == 0
-    chosen = touches.sample(empties=share, seed=3, contact=mask)
+    chosen = touches.sample(no_contact_fraction=share, seed=3, contact=mask)
     kept = set(chosen.dataset.column("id")[chosen.round_positions] + chosen.touch_indices.astype(str))
     contacts = set(
         touches.dataset.column("id")[touches.round_positions[mask]] + touches.touch_indices[mask].astype(str)
@@ -173,11 +173,12 @@ def test_a_share_of_touches_without_contact(single_folder: Path, share: float):
     expected = min((~mask).sum(), round(mask.sum() * share / (1 - share)))
     assert len(kept) == len(chosen) == mask.sum() + expected
     # Whatever the order, and with more seeds than one.
-    turned = touches[::-1].sample(empties=share, seed=3, contact=mask[::-1])
+    turned = touches[::-1].sample(no_contact_fraction=share, seed=3, contact=mask[::-1])
     assert list(turned) == list(chosen)[::-1]
     if 0 < expected < (~mask).sum():
         assert any(
-            list(touches.sample(empties=share, seed=s, contact=mask)) != list(chosen) for s in range(9)
+            list(touches.sample(no_contact_fraction=share, seed=s, contact=mask)) != list(chosen)
+            for s in range(9)
         )
     found = realtouch.Contacts(touches, *np.zeros((3, len(touches)), int), mask).select(share, 3)
     assert list(found.touches) == list(chosen)
@@ -209,9 +210,9 @@ def test_pictures_of_differences(seq_folder: Path, single_folder: Path, tmp_path
 
 def test_samples_by_height(single_folder: Path):
     touches = realtouch.load(single_folder, split="train").touches()
-    assert list(touches.sample(empties=0)) == list(touches.with_contact())
+    assert list(touches.sample(no_contact_fraction=0)) == list(touches.with_contact())
     assert list(touches.sample(4, 1)) == list(touches.shuffle(1)[:4])
-    assert len(touches.sample(3, empties=0.5)) == 3
+    assert len(touches.sample(3, no_contact_fraction=0.5)) == 3
 
 
 def test_clips_of_several_sizes_have_no_background(seq_folder: Path, tmp_path: Path):
@@ -234,14 +235,11 @@ def test_what_cannot_be_used_is_named(single_folder: Path):
         (lambda: realtouch.contact_score(pictures, pictures[0, :3]), r"expected \(4, 4, 3\)"),
         (lambda: realtouch.best_frame(pictures[:0]), "no frame"),
         (lambda: realtouch.find_contacts(touches.dataset), "of a TouchSingleDataset; expected touches"),
-        (lambda: realtouch.find_contacts(touches, rule=3), "rule is 3; expected a ContactRule"),
-        (lambda: realtouch.contact_score(pictures, pictures[0], 3), "rule is 3; expected a ContactRule"),
-        (lambda: realtouch.best_frame(pictures, 3), "rule is 3; expected a ContactRule"),
         (lambda: realtouch.ContactRule(crop=0), "crop of the contact rule is 0"),
         (lambda: realtouch.ContactRule(min_change=float("nan")), "min_change of the contact rule is nan"),
-        (lambda: touches.sample(empties=1), "empties is 1; expected 0 to below 1"),
-        (lambda: touches.sample(empties=0.1, seed=-1), "the seed is -1"),
-        (lambda: touches.sample(empties=0.1, contact=np.zeros(3, bool)), r"bool of shape \(3,\)"),
+        (lambda: touches.sample(no_contact_fraction=1), "no_contact_fraction is 1; expected 0 to below 1"),
+        (lambda: touches.sample(no_contact_fraction=0.1, seed=-1), "the seed is -1"),
+        (lambda: touches.sample(no_contact_fraction=0.1, contact=np.zeros(3, bool)), r"bool of shape \(3,\)"),
     ):
         with pytest.raises(InputError, match=words):
             ask()

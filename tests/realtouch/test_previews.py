@@ -11,15 +11,21 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.show.overlay import CELL_M, SENSING_AREA_M, CellMap, Placed, cell_map, overlay, placed_touches
-from realtouch.show.previews import (
+from realtouch.previews import (
+    CELL_M,
     CONTACT,
     IN_CONTACT,
+    SENSING_AREA_M,
+    CellMap,
+    Placed,
     TouchPreviewSpec,
+    cell_map,
     draw_grid,
     draw_overlay,
     draw_strip,
     frames_shown,
+    overlay,
+    placed_touches,
     plan_previews,
     timeline,
 )

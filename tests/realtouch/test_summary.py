@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.media.sheets import contact_sheet
+from realtouch.images import contact_sheet
 from tactile_toolkit.errors import InputError
 
 

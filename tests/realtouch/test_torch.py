@@ -76,7 +76,7 @@ def test_targets(single_folder: Path) -> None:
         TouchTensors(dataset, target="taste")
 
 
-@pytest.mark.parametrize("method", ["contact_start", "peak", "median", "contact_end"])
+@pytest.mark.parametrize("method", ["contact_start", "peak", "best", "contact_end"])
 def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
     from realtouch.torch import TouchTensors
 
@@ -94,7 +94,7 @@ def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
 def test_ways_to_choose_a_frame_are_checked_at_once(seq_folder: Path) -> None:
     from realtouch.torch import TouchTensors
 
-    with pytest.raises(InputError, match="no way 'finest' to choose a frame"):
+    with pytest.raises(InputError, match="unknown frame method 'finest'"):
         TouchTensors(realtouch.load(seq_folder, "train"), frames="finest")
 
 

@@ -135,8 +135,8 @@ def test_a_label_without_a_name(single_folder: Path, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "values", "field"),
     [
-        ("info.object_pose.position", pa.array([[[1.0, 2.0, 3.0], [1.0, 2.0]]]), "info.object_pose.position"),
-        ("info.object_pose.position", pa.array([["a", "b", "c"]]), "info.object_pose.position"),
+        ("info.object_pose.position", pa.array([[[1.0, 2.0, 3.0], [1.0, 2.0]]]), "info.object_pose"),
+        ("info.object_pose.position", pa.array([["a", "b", "c"]]), "info.object_pose"),
         ("info.object_pose.position", pa.array([[[1.0, 2.0, 3.0]] * 2]), "info.object_pose"),
         ("info.object_pose.quaternion", pa.array([[0.0] * 4]), "info.object_pose"),
         ("info.gel_id.sub", pa.array([3]), "info.gel_id.sub"),

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.columns.info import Info
+from realtouch.columns import Info
 from realtouch.touch import Touch
 from tactile_toolkit.errors import InputError, IntegrityError
 from tests.realtouch import factories
@@ -103,7 +103,7 @@ def test_classes_and_objects_are_given_one_by_one_or_together(single_folder: Pat
 def test_a_missing_column_is_told_beside_all_that_are_there(single_rows: list[dict], tmp_path: Path) -> None:
     layout = Layout(leave_out=("gel_pose_cell_frame.position",))
     factories.write_set(tmp_path, {"train": single_rows}, "single", layout)
-    with pytest.raises(InputError, match=r"no column 'gel_pose_cell_frame\.position' .*label.*sensor_image"):
+    with pytest.raises(InputError, match=r"no column 'gel_pose_cell_frame\.position'; next"):
         realtouch.load(tmp_path).touches().with_contact()
 
 

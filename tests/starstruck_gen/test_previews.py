@@ -180,8 +180,7 @@ def test_digits_are_no_scenes(tmp_path):
     import pyarrow.parquet as pq
 
     from starstruck_gen.gallery import plan_gallery
-    from tactile_toolkit.read.columns import vectors_type
-    from tactile_toolkit.read.features import feature_metadata, label_feature
+    from tactile_toolkit.read.columns import feature_metadata, label_feature, vectors_type
 
     columns = {
         "id": pa.array([1], pa.int64()),
@@ -246,7 +245,7 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(tmp_path), PreviewSpec())
     with pytest.raises(InputError, match="no split 'holdout'"):
         plan_previews(str(folder), PreviewSpec(split="holdout"))
-    with pytest.raises(InputError, match="no object with id 77"):
+    with pytest.raises(InputError, match="no scene of id 77"):
         plan_previews(str(folder), PreviewSpec(ids=(1, 77)))
     with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)

@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import tactile_sim
-from tactile_toolkit.mesh.raster import scan_lines
+from tactile_toolkit.mesh.raster import covered_pixels
 
 Numbers = NDArray[np.float64]
 
@@ -34,15 +34,13 @@ def rasterise(
     points = np.stack([((row[0] * x + row[1] * y) + row[2] * z) + row[3] for row in affine])
     upright: Any = out[::-1]
     profile = profiles(vertices, faces, layers) if layers is not None else ()
-    for lines in scan_lines(points, faces, out.shape):
-        line = np.repeat(np.arange(len(lines.count)), lines.count)
-        within = np.arange(len(line)) - np.repeat(np.cumsum(lines.count) - lines.count, lines.count)
-        height = lines.height[line] + lines.rise[line] * within
+    for face, line, pixel, height in covered_pixels(points, faces, out.shape):
+        row, column = np.divmod(pixel, out.shape[1])
         if layers is not None:
-            run, sideways = (each[lines.face[line]] for each in profile)
-            height += layer_rises(lines.column[line] + within, lines.row[line], height, run, sideways, layers)
+            run, sideways = (each[face[line]] for each in profile)
+            height = height + layer_rises(column, row, height, run, sideways, layers)
         # Unbuffered: triangles share pixels at their edges.
-        np.maximum.at(upright, (lines.row[line], lines.column[line] + within), height)
+        np.maximum.at(upright, (row, column), height)
 
 
 def to_depth(heights_m: Numbers, image: NDArray[np.float32], press_m: float, gel_m: float) -> float:

@@ -11,8 +11,8 @@ import pytest
 import realtouch
 import starstruck_gen
 import tactile_sim
-from realtouch.show.gallery import RoundChoice, plan_gallery
-from realtouch.show.previews import CONTACT, draw_grid
+from realtouch.gallery import RoundChoice, plan_gallery
+from realtouch.previews import CONTACT, draw_grid
 from tactile_sim.pairs.making import PairsSpec, make_pairs
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
@@ -74,7 +74,7 @@ def test_contact_is_what_the_sensor_met(touches):
         assert list(with_contact) == list(view[met])
     np.testing.assert_allclose(view.heights_m(), np.where(met, 0.005, 0.0), atol=1e-6)
     assert len(view.with_contact(min_height_m=0.0051)) == 0
-    assert len(view.sample(empties=0.0)) == met.sum()
+    assert len(view.sample(no_contact_fraction=0.0)) == met.sum()
 
 
 def test_info_and_cards_count_the_same_and_state_the_rule(touches, tmp_path, capsys):

@@ -202,11 +202,14 @@ def packed_as(method: int) -> bytes:
 BOMBS = {
     "zeros.glb": (
         lambda: glb(150_000_000, 150_000_000, stored=False),
-        "accessors of 2,400,000,000 bytes; the file has",
+        "values of vertices and triangles unpacks to",
     ),
-    "placed.glb": (lambda: glb(9_000, 9_000, placed=1_000), "12,012,000 vertices and triangles unpacks to"),
+    "placed.glb": (lambda: glb(9_000, 9_000, placed=1_000), "values of vertices and triangles unpacks to"),
     "parts.glb": (lambda: glb(3, 3, placed=20_000), "parts; expected one surface"),
-    "stated.ply": (lambda: ply("ascii", 10**9, 1, b"0 0 0\n3 0 0 0\n"), "its header states 1,000,000,001"),
+    "stated.ply": (
+        lambda: ply("ascii", 10**9, 1, b"0 0 0\n3 0 0 0\n"),
+        "1,000,000,001 vertices and triangles unpacks to",
+    ),
     "lines.ply": (lambda: ply("ascii", 1_500_000, 1, b"0 0 0\n" * 1_500_000), "1,500,001 lines and corners"),
     "bytes.ply": (
         lambda: ply("binary_little_endian", 3_000_000, 0, bytes(9_000_000)),
@@ -230,7 +233,7 @@ BOMBS = {
     ),
     "entries.glb": (lambda: nodes_glb(b'"nodes": [' + b"{}," * 3_000_000 + b'{"mesh"'), "objects and lists"),
     "chain.glb": (lambda: chain(1_500), "nodes more than 64 deep, or in a circle"),
-    "colours.glb": (lambda: coloured(900), "vertices and triangles unpacks to"),
+    "colours.glb": (lambda: coloured(900), "values of vertices and triangles unpacks to"),
     "list.glb": (lambda: glb_of(b"[]"), "not a readable GLB file"),
     "deep.3mf": (lambda: zipped(nested(31, 1, 3_000)), "holds itself, or more than 20,000 parts"),
 }

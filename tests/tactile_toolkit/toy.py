@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.read.columns import list_array
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, Skipped
+from tests.mesh_columns import list_array
 
 SPLITS = ("train", "test")
 STYLE = ParquetStyle(rows_per_group=3)

@@ -24,11 +24,11 @@ from typer.testing import CliRunner
 import mnist3d
 import mnist3d.previews
 import realtouch
-import realtouch.show.previews
+import realtouch.previews
 import starstruck_gen
 import starstruck_gen.previews
 from mnist3d.sources.synthetic import SyntheticSource
-from realtouch.show.previews import TouchPreviewSpec
+from realtouch.previews import TouchPreviewSpec
 from tactile_toolkit.pictures.previews import PreviewSpec
 from tactile_toolkit.printing.packing import arrange, measure
 from tactile_toolkit.printing.plate_map import draw_map
@@ -130,9 +130,7 @@ def pictures(sets: Path) -> dict[str, str]:
         starstruck_gen.previews.plan_previews(
             str(sets / "scenes"), PreviewSpec(("sheet", "scene"), "test", per_class=2)
         ),
-        realtouch.show.previews.plan_previews(
-            str(sets / "clips"), TouchPreviewSpec(("grid", "overlay", "strip"))
-        ),
+        realtouch.previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay", "strip"))),
     )
     drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}
     objects = named([ell(40, 9), ring(20, 14), box(20, 12), box(8, 50)])

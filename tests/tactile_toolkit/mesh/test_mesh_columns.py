@@ -10,8 +10,14 @@ from hypothesis import strategies as st
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
-from tactile_toolkit.read.columns import RaggedColumn, list_array, ragged_array, ragged_column
-from tactile_toolkit.read.features import feature_metadata, label_feature
+from tactile_toolkit.read.columns import (
+    RaggedColumn,
+    feature_metadata,
+    label_feature,
+    ragged_array,
+    ragged_column,
+)
+from tests.mesh_columns import list_array
 
 lengths = st.lists(st.integers(0, 5), max_size=6)
 

@@ -14,12 +14,11 @@ import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError, ToolkitError
-from tactile_toolkit.read.blocks import BLOCKS, map_block, write_block
-from tactile_toolkit.read.columns import list_array
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable, map_block, write_block
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, has_page_checksums
 from tests.forked import run_forked
+from tests.mesh_columns import list_array
 
 VERTICES = "mesh.vertices"
 NAME = "train-00000-of-00001.parquet"

@@ -12,10 +12,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import list_array, plain_schema, plain_table, ragged_column
+from tactile_toolkit.read.columns import plain_schema, plain_table, ragged_column, stored_class_names
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.features import stored_class_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tests.mesh_columns import list_array
 
 LARGEST = 2**63 - 1
 

@@ -9,9 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.read.blocks import BLOCKS
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
 
 SHARDS, MAPS = 100, 16
 

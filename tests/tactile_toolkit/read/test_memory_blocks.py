@@ -15,9 +15,8 @@ import pytest
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read import parquet as rowgroups
-from tactile_toolkit.read.blocks import BLOCKS
-from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tests.forked import run_forked, start_forked
+from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
+from tests.forked import start_forked
 
 ROWS_PER_BLOCK, BLOCKS_PER_GROUP = 100, 6
 
@@ -87,12 +86,15 @@ def test_blocks_in_memory_count_eight_times_those_that_are_mapped(
     table = given_up(shard)
     assert BLOCKS._size_of is not None
     assert BLOCKS._size_of(table.locate(0)[0]) == 1 << 20
-    monkeypatch.setattr("tactile_toolkit.read.blocks._LEAST_BYTES", 1)
+    monkeypatch.setattr("tactile_toolkit.read.parquet._LEAST_BYTES", 1)
     assert BLOCKS._size_of(group := table.locate(0)[0]) == 8 * group.table.nbytes
 
 
-def test_a_pass_decodes_every_block_once(shard: Shard, no_cache: None, decoded: list[int]) -> None:
+def test_a_pass_over_what_is_held_decodes_every_block_once(
+    shard: Shard, no_cache: None, decoded: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     table = given_up(shard)
+    monkeypatch.setattr(BLOCKS, "limit", 8 << 20)
     decoded.clear()
     for row in range(1_200):
         for _ in range(2):
@@ -100,16 +102,12 @@ def test_a_pass_decodes_every_block_once(shard: Shard, no_cache: None, decoded: 
     assert decoded == list(range(0, 1_200, ROWS_PER_BLOCK))
 
 
-def test_no_more_is_decoded_than_it_takes(shard: Shard, no_cache: None, decoded: list[int]) -> None:
+def test_no_more_is_decoded_than_is_held(
+    shard: Shard, no_cache: None, decoded: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
     table = given_up(shard)
-    for row, expected in (
-        (250, [100, 200]),
-        (100, []),
-        (320, [300]),
-        (10, [0]),
-        (110, []),
-        (220, [100, 200]),
-    ):
+    monkeypatch.setattr(rowgroups, "_IN_MEMORY", 2)
+    for row, expected in ((250, [0, 100, 200, 300]), (320, []), (100, []), (10, [0, 100])):
         decoded.clear()
         table.locate(row)
         assert decoded == expected, row
@@ -171,23 +169,3 @@ def test_a_full_disk(shard: Shard, tmp_path: Path) -> None:
     assert done.err.count("RuntimeWarning") == 1
     assert "cannot be written: File too large" in done.err
     assert list((tmp_path / "cache").rglob("*.arrow")) == []
-
-
-def test_a_forked_process_starts_again(shard: Shard) -> None:
-    code = """
-        import os, sys, warnings
-        from tactile_toolkit.read.parquet import _DECODING, Shard, ShardedTable
-        warnings.simplefilter("ignore")
-        table = ShardedTable((Shard(sys.argv[1]),))
-        table.locate(150)
-        assert len(_DECODING) == 1
-        _DECODING.lock.acquire()  # as another thread does while it decodes
-        child = os.fork()
-        if child == 0:
-            group, place = table.locate(250)
-            os._exit(0 if group.flat("id")[place] == 250 and len(_DECODING) == 1 else 1)
-        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-        group, place = table.locate(350)
-        assert group.flat("id")[place] == 350
-    """
-    run_forked(code, shard.path, **{CACHE_VARIABLE: "/dev/null"})

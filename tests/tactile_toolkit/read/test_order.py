@@ -9,7 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from tactile_toolkit.read.order import GlobalOrder, Share, StoredParts
+from tactile_toolkit.read.order import GlobalOrder, RankSampler, StoredParts
 
 
 def parts_of(sizes: list[int], order: list[int] | None = None) -> StoredParts:
@@ -73,7 +73,9 @@ class Job:
         self.given: list[int] = []
 
     def run(self, ranks: int, batch_size: int, batches: int | None, drop_last: bool = False) -> list[int]:
-        shares = [Share(self.total, self.start, rank, ranks, batch_size, drop_last) for rank in range(ranks)]
+        shares = [
+            RankSampler(self.total, self.start, rank, ranks, batch_size, drop_last) for rank in range(ranks)
+        ]
         assert len({(share.items, len(share)) for share in shares}) == 1, "all ranks get equally many"
         count = len(shares[0]) if batches is None else min(batches, len(shares[0]))
         turns = [
@@ -83,7 +85,7 @@ class Job:
             for number in turn
         ]
         self.given += turns
-        self.start = shares[0].reached(count)
+        self.start = min(self.start + ranks * min(count * batch_size, shares[0].items), self.total)
         return turns
 
 
@@ -128,7 +130,7 @@ def test_dropping_leaves_whole_batches_and_repeats_nothing(total, legs, ranks, b
 @given(st.integers(1, 200), st.integers(1, 6), st.integers(1, 7), st.integers(1, 5), st.booleans())
 def test_batches_of_a_rank_do_not_depend_on_its_workers(total, ranks, batch_size, workers, drop_last):
     """What each worker is given in turn is the stream of the rank; every batch but the last is whole."""
-    share = Share(total, 0, ranks - 1, ranks, batch_size, drop_last)
+    share = RankSampler(total, 0, ranks - 1, ranks, batch_size, drop_last)
     by_worker = [[share.batch(index) for index in range(w, len(share), workers)] for w in range(workers)]
     in_turn = [by_worker[index % workers][index // workers] for index in range(len(share))]
     stream = [number for batch in in_turn for number in batch.tolist()]

@@ -16,14 +16,14 @@ from hypothesis import strategies as st
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.blocks import BLOCKS
-from tactile_toolkit.read.columns import list_array, ragged_column
+from tactile_toolkit.read.columns import ragged_column
 from tactile_toolkit.read.dataset import Record, RecordDataset
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.forked import run_forked
+from tests.mesh_columns import list_array
 from tests.tactile_toolkit.toy import points, toy_plan
 
 IDS = [number for number in range(20) if number % 10 != 9]
@@ -123,13 +123,13 @@ def test_index_out_of_range(dataset, wrong):
 @pytest.mark.parametrize(
     ("wrong", "error", "words"),
     [
-        ([True] * 3, IndexError, "a boolean mask of shape (3,) for 18 rows"),
-        (np.ones((18, 1), bool), IndexError, "a boolean mask of shape (18, 1) for 18 rows"),
+        ([True] * 3, IndexError, "boolean index did not match"),
+        (np.ones((18, 1), bool), TypeError, "not bool of shape (18, 1)"),
         ([0.5], TypeError, "a slice, ints or booleans, not float64 of shape (1,)"),
         (["a"], TypeError, "not <U1 of shape (1,)"),
         ([[0, 1]], TypeError, "not int64 of shape (1, 2)"),
-        ([99, 3], IndexError, "index 3 to 99 is out of range for 18 rows"),
-        ([-19], IndexError, "index -19 to -19 is out of range for 18 rows"),
+        ([99, 3], IndexError, "index 99 is out of bounds"),
+        ([-19], IndexError, "index -19 is out of bounds"),
     ],
 )
 def test_bad_selection(dataset, wrong, error, words):

@@ -144,11 +144,10 @@ def test_what_is_being_written_is_no_damage(tmp_path):
 
 
 _COPIED = """
-from tactile_toolkit.exchange.upload import local_copy
-from tactile_toolkit.store.files import scratch_folder
+from tactile_toolkit.exchange.upload import Scratch, local_copy
 there.write_bytes("data/a", b"content")
-scratch = scratch_folder()
-copy = local_copy(there, scratch.__enter__() / "copy")
+scratch = Scratch()
+copy = local_copy(there, scratch.place / "copy")
 """
 _WRITTEN = """
 writing = there.writing("reports/a")

@@ -1,1 +1,0 @@
-"""From the columns of a file to the fields of rounds and touches."""

@@ -1,0 +1,198 @@
+"""Real touches as a gallery: rounds with all their touches, clips frame by frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realtouch.clips import TouchClip
+from realtouch.columns import has_info
+from realtouch.dataset import TouchDataset
+from realtouch.images import evenly_spaced
+from realtouch.kind import KIND
+from realtouch.opening import load
+from realtouch.rounds import TouchRound, TouchSeqRound
+from realtouch.touch import Touch
+from tactile_toolkit.catalog.choose import Choice, splits_to_show
+from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows
+from tactile_toolkit.gallery.packing import thumbnail
+from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
+from tactile_toolkit.wording import class_name
+
+FRAMES_PER_FILM = 24
+"""Frames shown of a clip, evenly spaced; of the published 58 to 90 every third or so."""
+
+_TILE_WIDTH_PX = 160
+_FILM_COLUMNS = 6
+# A round of clips shows 1,536 frames.
+_QUALITY = 80
+
+DEFAULT_TOUCHES = 64
+"""Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
+
+_Known = tuple[int, NDArray[np.float64] | None, float]
+"""Of a round: how many touches to show at most, the height of each, and that from which a touch counts."""
+
+_SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
+_FACETS = (
+    Facet("label", "Class"),
+    Facet("split", "Split"),
+    Facet("contact", "Touches with contact", _SHARES),
+    Facet("gel", "Gel"),
+    Facet("object", "Object"),
+)
+_MEASURES = (
+    Measure("touches", "Touches"),
+    Measure("in_contact", "With contact"),
+    Measure("highest_mm", "Highest contact", "mm", 1),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RoundChoice(Choice):
+    """Which rounds of a data set to show, and which of their touches."""
+
+    touches: int = DEFAULT_TOUCHES  # at most so many of each round, evenly spaced
+    revision: str | None = None  # branch, tag or commit of a Hub repository
+
+    def __post_init__(self) -> None:
+        if self.touches < 1:
+            raise InputError(f"--touches is {self.touches}; expected 1 or more")
+
+
+def plan_gallery(choice: RoundChoice) -> Gallery:
+    """State what a gallery of rounds shows; reads labels and poses, no image and no clip.
+
+    InputError: no such data set or split, or one that does not hold touches. IntegrityError: it is damaged or
+    unfinished. HubError: the repository cannot be reached or does not exist.
+    """
+
+    def known(rows: TouchDataset[Any], _split: str) -> list[_Known]:
+        if not len(rows):
+            return []
+        try:
+            heights_m = rows.touches().heights_m()
+        except InputError:  # without poses
+            return [(choice.touches, None, math.nan)] * len(rows)
+        by_round = np.split(heights_m, np.cumsum(rows.touch_counts)[:-1])
+        least_m = [rule.min_height_m for rule in rows.contact_rules()]
+        return [(choice.touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
+
+    splits = splits_to_show(place_of(choice.name), choice.split, choice.revision)
+    opened = ((split, load(choice.name, split, revision=choice.revision)) for split in splits)
+    return gallery_of_rows(KIND, choice, "Real touches", _FACETS, _MEASURES, _item, 1, known, opened)
+
+
+def _item(
+    record: TouchRound,
+    split: str,
+    names: tuple[str, ...],
+    known: _Known,
+) -> Item:
+    """Show a round."""
+    most, heights_m, least_m = known
+    touches = [Touch(record, number) for number in evenly_spaced(record.touch_count, most)]
+    stills, columns, tile_px = sheet_of([touch.image for touch in touches])
+    media = {"stills.jpg": stills}
+    listed = []
+    for touch in touches:
+        height_m = math.nan if heights_m is None else float(heights_m[touch.touch_index])
+        height_mm = _millimetres(height_m)
+        entry: dict[str, Any] = {
+            "number": touch.touch_index,
+            "contact": None if height_mm is None else height_m >= least_m,
+            "height_mm": None if height_mm is None else round(height_mm, 2),
+            "film": None,
+        }
+        if isinstance(record, TouchSeqRound):
+            name = f"{touch.touch_index:03d}.jpg"
+            media[name], entry["film"] = film_of(touch.clip, name)
+        listed.append(entry)
+    label = class_name(names, record.label)
+    met = None if heights_m is None else heights_m >= least_m
+    # The highest touch shows the object best.
+    cover = touches[0]
+    if heights_m is not None:
+        heights = np.nan_to_num(heights_m, nan=-np.inf)
+        cover = max(touches, key=lambda touch: heights[touch.touch_index])
+    info = record.info if has_info(record._row) else {}
+    gel = info.get("gel_id")
+    touched = f"{record.object_id}" if record._row.has("object_id") else ""
+    notes = [("Touches shown", f"{len(touches)} of {record.touch_count}")]
+    if info.get("notes"):
+        notes.append(("Notes", str(info["notes"])))
+    return Item(
+        id=record.id,
+        title=f"class {label}, object {touched}" if touched else f"class {label}",
+        facets={
+            "label": (label,),
+            "split": (split,),
+            "contact": (_share(met),),
+            "gel": ("unknown" if gel is None else str(gel),),
+            "object": (touched or "unknown",),
+        },
+        measures={
+            "touches": record.touch_count,
+            "in_contact": None if met is None else int(met.sum()),
+            "highest_mm": None if heights_m is None else _millimetres(float(np.fmax.reduce(heights_m))),
+        },
+        thumbnail=thumbnail(cover.image),
+        content={"notes": notes, "touches": {"tile": list(tile_px), "columns": columns, "list": listed}},
+        media=media,
+    )
+
+
+def _millimetres(height_m: float) -> float | None:
+    """Return a height for the page; None where it is not known, as of a touch with a damaged pose."""
+    return None if math.isnan(height_m) else height_m * MM_PER_M
+
+
+def _share(met: NDArray[np.bool_] | None) -> str:
+    if met is None:
+        return "unknown"
+    if met.all() or not met.any():
+        return "all touches" if met.any() else "none"
+    return "more than half" if met.mean() > 0.5 else "half or fewer"
+
+
+def sheet_of(images: Sequence[Pixels], columns: int = 8) -> tuple[bytes, int, tuple[int, int]]:
+    """Lay pictures, (H, W, 3), out in rows without gaps: a JPEG, its columns, width and height of a tile.
+
+    Tiles have the proportions of the first picture and are at most 160 pixels wide.
+    """
+    height, width = images[0].shape[:2]
+    tile_width = min(width, _TILE_WIDTH_PX)
+    tile_height = max(1, round(tile_width * height / width))
+    columns = min(columns, len(images))
+    tiles = [resized(image, tile_width, tile_height) for image in images]
+    tiles += [np.zeros_like(tiles[0])] * (-len(tiles) % columns)
+    rows = [np.hstack(tiles[start : start + columns]) for start in range(0, len(tiles), columns)]
+    return encode_image(np.vstack(rows), "jpeg", _QUALITY), columns, (tile_width, tile_height)
+
+
+def film_of(clip: TouchClip, name: str) -> tuple[bytes, dict[str, Any]]:
+    """Choose frames of a clip, evenly spaced and with both ends of the contact: a JPEG of tiles, JSON values.
+
+    These say for the page which frames and times (seconds) are shown, and the first and last tile in contact.
+    """
+    window = clip.contact_window
+    # Both ends of the contact are always among them: they are what one looks for.
+    numbers = np.unique([*evenly_spaced(len(clip), FRAMES_PER_FILM), window.start, window.stop - 1])
+    jpeg, columns, _ = sheet_of(list(clip.frames(numbers)), _FILM_COLUMNS)
+    return jpeg, {
+        "name": name,
+        "columns": columns,
+        "frames": len(numbers),
+        "numbers": numbers.tolist(),
+        "times_s": [round(float(time), 3) for time in clip.timestamps_s[numbers]],
+        "first": int(np.searchsorted(numbers, window.start)),
+        "last": int(np.searchsorted(numbers, window.stop - 1)),
+    }

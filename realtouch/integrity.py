@@ -1,0 +1,311 @@
+"""Damage of files and rounds: found, listed, left out."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from realtouch.clip_columns import clip_poses, poses
+from realtouch.clips import TouchClip
+from realtouch.columns import (
+    column_of,
+    entries_of,
+    has_info,
+    int_value,
+    intended_positions,
+    label_value,
+    plain_value,
+    read_info,
+    touch_total,
+)
+from realtouch.damage import Damage, DamagedRoundError, damaged, naming, unreadable_file, unreadable_rows
+from realtouch.images import SensorImages
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.read.columns import RowGroup
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.source import manifest_beside
+from tactile_toolkit.touch.jpeg import decode_image, image_size
+from tactile_toolkit.touch.schema import (
+    MEDIA_COLUMN,
+    PER_TOUCH_COLUMNS,
+    POSE_COLUMN,
+    Kind,
+    kind_of,
+    require_types,
+)
+from tactile_toolkit.touch.video import ffmpeg_count
+
+_NAMES_SHOWN = 12
+
+
+def agreeing_files(shards: Iterable[Shard], where: str, left_out: list[Damage] | None = None) -> list[Shard]:
+    """Return the files of a data set that can be read and hold what the first of them holds.
+
+    Of the others it is noted in ``left_out`` what is wrong; without such a list it is raised: InputError for
+    a file that is not one of touches, IntegrityError for one that is damaged or holds something else.
+    """
+    files: list[Shard] = []
+    for shard in shards:
+        try:
+            kind = kind_of(shard.schema, shard.path if files else where)
+            require_types(shard)
+            if files:
+                _require_agreement(shard, kind, files)
+            files.append(shard)
+        except (InputError, IntegrityError) as error:
+            if left_out is None or (isinstance(error, InputError) and not files):
+                raise
+            left_out.append(unreadable_file(shard.path, error))
+    return files
+
+
+def _require_agreement(shard: Shard, kind: Kind, files: Sequence[Shard]) -> None:
+    """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
+    first = kind_of(files[0].schema, files[0].path)
+    if kind != first:
+        raise IntegrityError(
+            f"{shard.path!r}, field {MEDIA_COLUMN[first]!r}: the column is not there; expected it as in "
+            f"{files[0].path!r}",
+            next="open files of one data set together",
+        )
+    names, expected = shard.class_names, stated_class_names(files)
+    if names is not None and expected is not None and names != expected:
+        found, wanted = (", ".join(each[:_NAMES_SHOWN]) for each in (names, expected))
+        raise IntegrityError(
+            f"{shard.path!r}, field 'label': the classes are named {found}; expected {wanted} as in the "
+            "files before it",
+            next="open them apart, or make them again",
+        )
+
+
+def stated_class_names(shards: Iterable[Shard]) -> tuple[str, ...] | None:
+    """Return the names of the classes as the first file that states any does; None where none does."""
+    return next((shard.class_names for shard in shards if shard.class_names is not None), None)
+
+
+def modal_touch_count(shards: Sequence[Shard]) -> int | None:
+    """Return the T that every round of a data set must have: that of more than half of its readable rounds.
+
+    None where rounds may differ: no T is that of more than half, or the set has a manifest. Then rounds are
+    as they were made, whose checksums are known: of imported or chosen touches, or of a set of such.
+    """
+    if shards and manifest_beside(shards[0]) is not None:
+        return None
+    counts: Counter[int] = Counter()
+    for shard in shards:
+        for index in range(shard.metadata.num_row_groups):
+            with suppress(IntegrityError):
+                counts.update(stored_touch_counts(shard, index).tolist())
+    modal, rounds = counts.most_common(1)[0] if counts else (0, 0)
+    return modal if 2 * rounds > counts.total() else None
+
+
+def stored_touch_counts(shard: Shard, index: int) -> NDArray[np.int64]:
+    """Return T of every row of a row group, shape (rows,), int64; reads nothing where the schema fixes it."""
+    name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in shard.types)
+    data_type = shard.types[name]
+    if pa.types.is_fixed_size_list(data_type):
+        return np.full(shard.metadata.row_group(index).num_rows, data_type.list_size, np.int64)
+    counts = [group.nested(name).lengths(0) for group in shard.blocks(index, [name])]
+    return np.concatenate(counts or [np.zeros(0, np.int64)])
+
+
+def readable_rows(shards: Iterable[Shard]) -> Iterator[Row | Damage]:
+    """Yield all rows, and in the place of those that cannot be read, what is wrong with them."""
+    for shard in shards:
+        for index in range(shard.metadata.num_row_groups):
+            try:
+                for group in shard.blocks(index):
+                    yield from (Row(group, row) for row in range(len(group.table)))
+            except IntegrityError as error:
+                yield unreadable_rows(shard, index, error)
+
+
+def check_round(
+    row: Row,
+    expected_touches: int | None = None,
+    *,
+    decode: bool = True,
+    class_names: Sequence[str] | None = None,
+) -> list[Damage]:
+    """List all that is wrong with one round: one entry per field of it, and one per field of each touch.
+
+    ``expected_touches`` is the T that it must have, where that is known; the label must be one of
+    ``class_names``, where those are stated. Without ``decode``, headers of images and frames are read only.
+    """
+    found: list[Damage] = []
+    noted = partial(_noted, found, row)
+    with noted():
+        _ = read_info(row) if has_info(row) else None
+    for name, read in (("id", plain_value), ("object_id", int_value)):
+        if row.has(name):
+            with noted():
+                read(row, name)
+    if row.has("label"):
+        with noted():
+            label_value(row, class_names)
+    for name in filter(row.has, PER_TOUCH_COLUMNS):
+        with noted():
+            # A list of fixed length would hide a null.
+            if not row.group.arrow(name)[row.index].is_valid:
+                raise damaged(row, name, "no values are stored")
+            entries_of(row, name)
+        if found and found[-1].field == "pos_in_cell":
+            return found  # nothing says how many touches there should be
+    count = touch_total(row)
+    if expected_touches is not None and count != expected_touches:
+        problem = f"{count} touches; expected {expected_touches} as in the other rounds"
+        found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
+    kind: Kind = "seq" if row.has(MEDIA_COLUMN["seq"]) else "single"
+    has_poses = all(row.has(f"{POSE_COLUMN[kind]}.{part}") for part in ("position", "quaternion"))
+    start, stop = column_of(row, MEDIA_COLUMN[kind]).inside(0, row.index, row.index + 1)
+    sizes: dict[int, tuple[int, ...]] = {}
+    for touch in range(count):
+        if row.has("pos_in_cell"):
+            with noted():
+                intended_positions(row, touch)
+        if has_poses:
+            with noted():
+                _ = clip_poses(row, touch) if kind == "seq" else poses(row, touch)
+        if touch < stop - start:  # where there are too few images or clips, those that are there are checked
+            with noted():
+                sizes[touch] = _picture_size(row, kind, touch, decode, noted)
+    # Several fields may run into one fault, and say the same of it.
+    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[kind])]))
+
+
+@contextmanager
+def _noted(found: list[Damage], row: Row) -> Iterator[None]:
+    """Note what is wrong instead of raising it."""
+    try:
+        yield
+    # A set is not damaged because PyAV is missing here.
+    except MissingExtraError:
+        raise
+    except DamagedRoundError as error:
+        found.append(error.damage)
+    except (InputError, IntegrityError, ValueError) as error:
+        problem = str(error).partition("; next: ")[0]
+        found.append(Damage(row.path, row.number, None, "", problem))
+
+
+def _picture_size(
+    row: Row, kind: Kind, touch: int, decode: bool, noted: Callable[[], Any]
+) -> tuple[int, ...]:
+    """Return height and width of an image, or of all frames of a clip; nothing of a clip without frames."""
+    if kind == "single":
+        images = SensorImages(row)
+        return images[touch].shape[:2] if decode else images.size(touch)
+    clip = TouchClip(row, touch)
+    with noted():
+        timed = row.has("touch_start_time_rel") and row.has("touch_end_time_rel")
+        _ = clip.contact_window if timed else clip.timestamps_s
+    if not clip.has_index:
+        with naming(row, "sensor_video", touch):
+            coded = ffmpeg_count(clip.data)  # frames behind the last one stated are not decoded
+        if coded != len(clip):
+            problem = f"a clip of {coded} frames; expected {len(clip)} by 'video_length_frames'"
+            raise damaged(row, "sensor_video", problem, touch)
+        _ = clip.frames() if decode else None
+        return clip.size
+    sizes: list[tuple[int, ...]] = []
+    for frame in range(len(clip)):
+        with naming(row, "sensor_video", touch, f"frame {frame}: "):
+            data = clip.encoded(frame)
+            sizes.append(decode_image(data).shape[:2] if decode else image_size(data))
+            if sizes[-1] != sizes[0]:
+                raise ValueError(f"{_words(sizes[-1])}; expected {_words(sizes[0])} as of the first frame")
+    return sizes[0] if sizes else ()
+
+
+def _odd_sizes(row: Row, sizes: dict[int, tuple[int, ...]], media: str) -> Iterator[Damage]:
+    """List the touches whose pictures are not of the size that most of the round are of, or the first of."""
+    known = {touch: size for touch, size in sizes.items() if size}
+    modal = max(known.values(), key=list(known.values()).count, default=())
+    for touch, size in known.items():
+        if size != modal:
+            problem = f"{_words(size)}; expected {_words(modal)} as of the other touches"
+            yield Damage(row.path, row.number, touch, media, problem)
+
+
+def _words(size: tuple[int, ...]) -> str:
+    return f"{size[1]} x {size[0]} pixels"
+
+
+@dataclass(frozen=True)
+class PartialShard(Shard):
+    """A Parquet file whose unreadable row groups count as rows without values when columns are read.
+
+    Rows keep their numbers, so that the others are found and named as in the entire file. A user of one
+    asks for no row of the groups in ``lost`` by itself.
+    """
+
+    lost: frozenset[int] = frozenset()
+
+    def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Any:
+        """Decode row groups, all columns or those named; nulls stand for those that cannot be read."""
+        wanted = range(self.metadata.num_row_groups) if groups is None else groups
+        return pa.concat_tables([super().read(columns, []), *(self._group(each, columns) for each in wanted)])
+
+    def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Decode the blocks of a row group; one of nulls where it cannot be read."""
+        if index in self.lost:
+            yield RowGroup(self._group(index, columns), self.path, self.group_starts[index])
+        else:
+            yield from super().blocks(index, columns)
+
+    def _group(self, index: int, columns: Sequence[str] | None) -> Any:
+        if index not in self.lost:
+            return super().read(columns, [index])
+        schema = super().read(columns, []).schema
+        rows = self.metadata.row_group(index).num_rows
+        return pa.table([pa.nulls(rows, field.type) for field in schema], schema=schema)
+
+
+def find_damage(
+    shards: Sequence[Shard], expected_touches: int | None
+) -> tuple[list[Shard], NDArray[np.int64], list[tuple[int | None, Damage]]]:
+    """Check every round of some files, of which each must have ``expected_touches``, where that is said.
+
+    Returns the files, those with row groups that cannot be read as :class:`PartialShard`; the rows of all
+    files that are not lost; and all damage, each with the number of its row. A row is lost when it cannot be
+    read or something is wrong with the round as a whole (a column, its number of touches); a round with
+    damaged touches stays.
+    """
+    found: list[tuple[int | None, Damage]] = []
+    files: list[Shard] = []
+    lost = np.zeros(sum(map(len, shards)), bool)
+    names = stated_class_names(shards)
+    start = 0
+    for shard in shards:
+        unreadable = set()
+        for index, first in enumerate(shard.group_starts[:-1]):
+            damage: list[Damage] = []
+            try:
+                rows = shard.group_starts[index + 1] - first
+                for block in range(-(-rows // shard.block_rows[index])):
+                    group = shard.block(index, block)  # unpacked into the cache, where it is read from later
+                    for row in range(len(group.table)):
+                        damage += check_round(Row(group, row), expected_touches, class_names=names)
+            except IntegrityError as error:
+                unreadable.add(index)
+                damage = [unreadable_rows(shard, index, error)]
+                lost[start + first : start + shard.group_starts[index + 1]] = True
+            for each in damage:
+                row_number = start + int(each.row or 0)
+                found.append((row_number, each))
+                lost[row_number] |= each.touch is None
+        if unreadable:
+            shard = PartialShard(shard.path, shard.rows, shard.failures, lost=frozenset(unreadable))
+        files.append(shard)
+        start += len(shard)
+    return files, np.flatnonzero(~lost), found

@@ -1,1 +1,0 @@
-"""Damage: found, listed, left out."""

@@ -1,0 +1,353 @@
+"""Pictures of real touches: a round as a grid or on a map of the cell, a clip as a strip."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from realtouch.clip_columns import contact_z_m, plate_z_m
+from realtouch.clips import TouchClip
+from realtouch.contact import contact_heights_m
+from realtouch.images import evenly_spaced, fitted, in_parallel
+from realtouch.opening import load
+from realtouch.rounds import TouchRound, TouchSeqRound
+from realtouch.touch import Touch
+from tactile_toolkit.arithmetic import inverse_affine
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.pictures.sheets import (
+    ACCENTS,
+    INK,
+    MUTED,
+    PAPER,
+    Sheet,
+    Tile,
+    draw_text,
+    sheet,
+    with_scale_bar,
+)
+from tactile_toolkit.pictures.writing import PicturePlan, PlannedPicture, file_stem, plan_kinds
+from tactile_toolkit.touch.contact import ContactHeight, height_text
+from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
+from tactile_toolkit.wording import counted
+
+SENSING_AREA_M = (0.01888, 0.01416)
+"""Width and height of what the sensor sees, metres (package tactile-mnist 0.13.0, GelSight Mini)."""
+
+CELL_M = (0.12, 0.12)
+"""Size of the cell along x and y, metres (package tactile-mnist 0.13.0)."""
+
+# Share of a side over which a picture fades: no edges show where touches overlap.
+_FEATHER = 0.06
+# A touch of bare plate counts a little, or nothing would be seen where only such are.
+_PLAIN_WEIGHT = 0.02
+_MOST_THREADS = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Placed:
+    """A touch and where it was.
+
+    ``centre_m``, shape (2,), is where the middle of the picture lies: x and y, metres, cell frame. ``axes``,
+    shape (2, 2), are the directions along x and y in which its columns and rows grow, one a row; shorter than
+    one where the gel was tilted.
+    """
+
+    pixels: Pixels
+    centre_m: NDArray[np.float64]
+    axes: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CellMap:
+    """A map of the cell, x right and y up, the origin of the cell in its middle."""
+
+    size_px: tuple[int, int]
+    px_per_m: float
+
+    def point_px(self, point_m: Sequence[float] | NDArray[Any]) -> tuple[float, float]:
+        """Return where a point of the cell lies: column and row, 0 at the outer edge of the first pixel."""
+        x, y = float(point_m[0]), float(point_m[1])
+        return self.size_px[0] / 2 + x * self.px_per_m, self.size_px[1] / 2 - y * self.px_per_m
+
+
+def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[Placed]:
+    """Read the pictures of some touches and where the gel was; of clips, the last frame of contact.
+
+    Where the data set stores no pose of the gel, its intended position is taken and no rotation.
+    """
+    placed: list[Any] = [None] * len(touches)
+    kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
+    has_poses = record._row.has(f"{POSE_COLUMN[kind]}.position")
+
+    def read(number: int) -> None:
+        touch = Touch(record, int(touches[number]))
+        if not has_poses:
+            centre_m = np.asarray(touch.pos_in_cell_m, np.float64)
+            placed[number] = Placed(touch.image, centre_m, np.diag([1.0, -1.0]))
+            return
+        pose = touch.gel_pose
+        # Columns of the picture grow along +x of the gel, rows along -y (package tactile-mnist 0.13.0).
+        turned = pose.rotation.apply([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+        centre_m = np.asarray(pose.translation[:2], np.float64)
+        placed[number] = Placed(touch.image, centre_m, np.asarray(turned[:, :2]))
+
+    in_parallel(read, len(touches), _MOST_THREADS)
+    return placed
+
+
+def cell_map(touches: Sequence[Placed], px_per_mm: float, cell_m: tuple[float, float] = CELL_M) -> CellMap:
+    """Return a map that holds the cell and every touch whole."""
+    # Touches near the edge of the cell reach beyond it.
+    reach = np.array(cell_m) / 2
+    for touch in touches:
+        half = np.abs(touch.axes * np.array(SENSING_AREA_M)[:, None] / 2).sum(axis=0)
+        reach = np.maximum(reach, np.abs(touch.centre_m) + half)
+    width, height = (2 * np.ceil(reach * px_per_mm * 1e3 - 1e-6).astype(int)).tolist()
+    return CellMap((width, height), px_per_mm * 1e3)
+
+
+def overlay(touches: Sequence[Placed], cell: CellMap) -> Pixels:
+    """Paste touches, pictures of one size, into one picture of the cell, (H, W, 3); white where no touch was.
+
+    Where touches lie on top of one another, each counts the more the more it differs from the gel at rest
+    (the median of all touches), so that what was felt stays visible beneath touches of bare plate.
+    InputError: the pictures differ in size.
+    """
+    sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})
+    if len(sizes) > 1:
+        found = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
+        raise InputError(
+            f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size; "
+            "next: make them alike with `realtouch resize`"
+        )
+    width, height = cell.size_px
+    sums, weights = np.zeros((height, width, 3)), np.zeros((height, width, 1))
+    rest = np.median([touch.pixels for touch in touches], axis=0)
+    for touch in touches:
+        window, back = _back_to_touch(touch, cell)
+        weight = _weight(touch.pixels, rest)
+        colours = _taken(touch.pixels.astype(np.float32), window, back)
+        share = _taken(weight, window, back)
+        inside = _taken(np.ones_like(weight), window, back, nearest=True) > 0.5
+        share = np.where(inside, share, 0.0)[:, :, None]
+        rows, columns = window
+        sums[rows, columns] += share * colours
+        weights[rows, columns] += share
+    mixed = np.where(weights > 0, sums / np.where(weights > 0, weights, 1.0), 255.0)
+    return np.round(mixed).astype(np.uint8)
+
+
+def _weight(pixels: Pixels, rest: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Return how much each pixel counts: what differs from the gel at rest, fading towards the edges."""
+    height, width = pixels.shape[:2]
+    change = np.abs(pixels - rest).mean(axis=2) / 255.0
+    edge = [
+        np.minimum(1.0, (0.5 + np.minimum(np.arange(side), np.arange(side)[::-1])) / (_FEATHER * side))
+        for side in (height, width)
+    ]
+    faded = edge[0][:, None] * edge[1][None, :]
+    return np.asarray((_PLAIN_WEIGHT + change) ** 2 * faded, np.float32)
+
+
+def _back_to_touch(touch: Placed, cell: CellMap) -> tuple[tuple[slice, slice], tuple[float, ...]]:
+    """Return the window of the map that a touch reaches, and the way from there to pixels of the touch."""
+    height, width = touch.pixels.shape[:2]
+    # Metres along columns and rows of the touch -> pixels of the map, whose rows grow along -y.
+    to_map = touch.axes.T * cell.px_per_m * np.array([[1.0], [-1.0]])
+    per_px = np.array([SENSING_AREA_M[0] / width, SENSING_AREA_M[1] / height])
+    forward = to_map * per_px
+    centre = np.array(cell.point_px(touch.centre_m))
+    half = np.abs(forward * np.array([width, height]) / 2).sum(axis=1)
+    low = np.maximum(np.floor(centre - half).astype(int), 0)
+    high = np.minimum(np.ceil(centre + half).astype(int), cell.size_px)
+    back = inverse_affine(forward, centre - low, np.array([width, height]) / 2)
+    window = (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0])))
+    return window, back
+
+
+def _taken(
+    values: NDArray[np.float32], window: tuple[slice, slice], back: tuple[float, ...], nearest: bool = False
+) -> NDArray[np.float64]:
+    """Sample a picture, (H, W) or (H, W, n), at the pixels of a window of the map; 0 beyond its edge."""
+    from PIL import Image
+
+    size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
+    method = Image.Resampling.NEAREST if nearest else Image.Resampling.BILINEAR
+    planes = values[:, :, None] if values.ndim == 2 else values
+    sampled = [
+        np.asarray(Image.fromarray(plane).transform(size, Image.Transform.AFFINE, back, method))
+        for plane in np.moveaxis(np.ascontiguousarray(planes), 2, 0)
+    ]
+    return np.stack(sampled, axis=2) if values.ndim == 3 else sampled[0]
+
+
+CONTACT = ACCENTS[0]
+"""Colour of the frame around touches in which the gel stopped on an object."""
+
+IN_CONTACT = ACCENTS[3]
+"""Colour of the frame around pictures between the first and the last registered contact."""
+
+_COLUMNS = 8
+_TILE_PX = 160
+_PX_PER_MM = 7.0
+_MOST_FRAMES = 24
+_STRIP_TILE_PX = 168
+_BAR_PX = 34
+_GAP_PX = 2
+_TRACK = (224, 228, 232)
+
+
+@dataclass(frozen=True, slots=True)
+class TouchPreviewSpec:
+    """Which pictures of touches to draw; the grid where no kind is asked for."""
+
+    kinds: tuple[str, ...] = ()
+    split: str | None = None  # the only one
+    round_number: int = 0  # which round of the split, from 0
+    touches: int = 32  # of a grid, evenly spaced over the round
+    touch: int = 0  # which touch of the round is drawn as a strip, from 0
+    revision: str | None = None  # branch, tag or commit of a Hub repository
+
+
+def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
+    """Decide which pictures to draw of whatever :func:`realtouch.load` opens; draws none.
+
+    Kinds are grid, overlay and strip. InputError: no such data set, split, round, touch or kind, nothing in
+    it, or a strip of a set without clips. IntegrityError and HubError as :func:`realtouch.load`.
+    """
+    dataset = load(name, spec.split, revision=spec.revision)
+    split = spec.split or "-".join(dataset.splits)
+    if not len(dataset):
+        raise InputError(f"split {split!r} of {name!r} holds no round", next="choose another split")
+    number = spec.round_number
+    if not 0 <= number < len(dataset):
+        raise InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
+    record = dataset[number]
+    stem = "-".join(filter(None, (file_stem(name), split)))
+
+    def planned(kind: str, what: str, draw: Callable[[], Pixels]) -> list[PlannedPicture]:
+        return [PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
+
+    def strip() -> list[PlannedPicture]:
+        if not isinstance(record, TouchSeqRound):
+            raise InputError(
+                "a film strip needs clips, and this data set holds images", next="give a seq set"
+            )
+        touch, clips = spec.touch, record.sensor_video
+        if not 0 <= touch < len(clips):
+            raise InputError(f"--touch is {touch}; round {number} has touches 0 to {len(clips) - 1}")
+        title = f"{_title(record)}, touch {touch}"
+        what = f"the clip of touch {touch} of {record!r}"
+        return planned(f"touch-{touch}-strip", what, lambda: draw_strip(clips[touch], title))
+
+    on_map = f"all touches of {record!r} at their positions"
+    plans = {
+        "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
+        "overlay": lambda: planned("overlay", on_map, lambda: draw_overlay(record)),
+        "strip": strip,
+    }
+    return plan_kinds(spec.kinds, plans, ("grid",))
+
+
+def frames_shown(count: int, contact: slice, most: int = _MOST_FRAMES) -> tuple[int, ...]:
+    """Choose frames of a clip: every frame of contact and one on each side, the others at equal steps.
+
+    Where contact alone has too many frames, all are chosen at equal steps.
+    """
+    near = range(max(contact.start - 1, 0), min(contact.stop + 1, count))
+    left = [frame for frame in range(count) if frame not in near]
+    room = most - len(near)
+    if room < 2:
+        return tuple(evenly_spaced(count, most))
+    return tuple(sorted({*near, *(left[index] for index in evenly_spaced(len(left), room))}))
+
+
+def draw_strip(clip: TouchClip, title: str) -> Pixels:
+    """Draw a clip as a film strip with a bar of time below it."""
+    contact, times_s = clip.contact_window, clip.timestamps_s
+    shown = frames_shown(len(clip), contact)
+    tiles = [
+        Tile(
+            fitted(clip[frame], _STRIP_TILE_PX),
+            f"{frame}: {times_s[frame]:.2f} s",
+            IN_CONTACT if contact.start <= frame < contact.stop else PAPER,
+        )
+        for frame in shown
+    ]
+    words = (
+        f"{len(shown)} of {counted(len(clip), 'frames')}, with their times; framed: contact, frames "
+        f"{contact.start} to {contact.stop - 1}",
+    )
+    strip = sheet(tiles, Sheet(_COLUMNS, title, words))
+    bar = timeline(len(clip), contact, shown, strip.shape[1])
+    return np.concatenate([strip, bar])
+
+
+def timeline(count: int, contact: slice, shown: tuple[int, ...], width_px: int) -> NDArray[np.uint8]:
+    """Draw a bar with a cell for each frame: contact in colour, a tick at each frame that is shown."""
+    from PIL import Image, ImageDraw
+
+    margin, top = 16, 4
+    picture = Image.new("RGB", (width_px, _BAR_PX + 26), PAPER)
+    pen = ImageDraw.Draw(picture)
+    step = (width_px - 2 * margin) / count
+    # Of many frames there is no room for gaps between the cells; those of contact come last, above others.
+    gap = _GAP_PX if step > 2 * _GAP_PX else 0
+    for frame in sorted(range(count), key=lambda frame: contact.start <= frame < contact.stop):
+        left = margin + frame * step
+        box = (left, top, max(left, left + step - max(gap, 1)), top + 16)
+        pen.rectangle(box, fill=IN_CONTACT if contact.start <= frame < contact.stop else _TRACK)
+    for frame in shown:
+        middle = margin + (frame + 0.5) * step - 1
+        pen.line((middle, top + 20, middle, top + 26), fill=INK, width=2)
+    for frame, anchor in ((0, "la"), (count - 1, "ra")):
+        x = margin if frame == 0 else width_px - margin
+        draw_text(pen, (x, top + 30), f"frame {frame}", 14, MUTED, anchor)
+    return np.asarray(picture)
+
+
+def draw_grid(record: TouchRound, most: int) -> Pixels:
+    """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
+    kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
+    heights_m = None
+    if record._row.has(f"{POSE_COLUMN[kind]}.position"):
+        rule = ContactHeight.of(record._row.group.names)
+        heights_m = contact_heights_m(contact_z_m(record._row, kind), plate_z_m=plate_z_m(record._row))
+    tiles = []
+    for touch in evenly_spaced(record.touch_count, most):
+        caption, frame = f"{touch}", None
+        if heights_m is not None:
+            caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
+            frame = CONTACT if heights_m[touch] >= rule.min_height_m else PAPER
+        tiles.append(Tile(fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
+    words = [f"{len(tiles)} of {_touches_in_words(record)}"]
+    if heights_m is not None:
+        words += [f"framed: {height_text(rule.min_height_m)}; its height next to the number"]
+    return sheet(tiles, Sheet(_COLUMNS, _title(record), ("; ".join(words),)))
+
+
+def draw_overlay(record: TouchRound) -> Pixels:
+    """Draw all touches of a round at their positions on a map of the cell."""
+    touches = placed_touches(record, range(record.touch_count))
+    cell = cell_map(touches, _PX_PER_MM)
+    pixels = with_scale_bar(overlay(touches, cell), _PX_PER_MM)
+    x_mm, y_mm = (side / _PX_PER_MM for side in cell.size_px)
+    words = (
+        f"{_touches_in_words(record)} at their positions",
+        f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
+    )
+    return sheet([Tile(pixels, frame=(205, 210, 215))], Sheet(1, _title(record), words))
+
+
+def _touches_in_words(record: TouchRound) -> str:
+    of_object = f" of object {record.object_id}" if record._row.has("object_id") else ""
+    return f"{counted(record.touch_count, 'touches')}{of_object}"
+
+
+def _title(record: TouchRound) -> str:
+    return f"Round {record.id}, label {record.label}"

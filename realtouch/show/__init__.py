@@ -1,1 +1,0 @@
-"""Pictures, sheets and pages of touches."""

@@ -1,0 +1,251 @@
+"""Checking every file and every round of a data set."""
+
+from __future__ import annotations
+
+import tarfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+
+from realtouch.columns import plain_value, stored_rows, touch_total
+from realtouch.convert.plan import files_of
+from realtouch.damage import Damage
+from realtouch.integrity import (
+    agreeing_files,
+    check_round,
+    modal_touch_count,
+    readable_rows,
+    stated_class_names,
+)
+from realtouch.opening import Name, Place, open_shards, place_of
+from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.catalog.locate import folder_named, splits_of
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import column_names
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.store.folder import DataFolder, file_at
+from tactile_toolkit.store.manifest import Manifest, read_manifest
+from tactile_toolkit.store.origin import read_record
+from tactile_toolkit.store.parquet import has_page_checksums, is_unchanged
+from tactile_toolkit.store.shards import Finding
+from tactile_toolkit.store.verify import verify as verify_files
+from tactile_toolkit.touch.jpeg import decode_image, image_size
+from tactile_toolkit.touch.tars import files_of_tar
+
+
+@dataclass(frozen=True, slots=True)
+class TouchVerification:
+    """Result of :func:`verify`; empty ``findings`` means that everything can be used.
+
+    Attributes
+    ----------
+    rounds, touches : int
+        How many were checked.
+    findings : tuple of Damage
+        All that is wrong.
+    unprotected : tuple of str
+        Files of which nothing says what they should be: their pages carry no checksums, and neither a
+        manifest nor the Hub gave one. A number that was changed in them since then shows nowhere.
+    """
+
+    rounds: int
+    touches: int
+    findings: tuple[Damage, ...]
+    unprotected: tuple[str, ...] = ()
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing is wrong."""
+        return not self.findings
+
+
+def verify(
+    name: Name | Sequence[Name],
+    split: str | None = None,
+    *,
+    revision: str | None = None,
+    quick: bool = False,
+    workers: int = 1,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> TouchVerification:
+    """Check every file, round, touch and frame of a data set, and list all that is wrong.
+
+    Parameters
+    ----------
+    name : str, path, or sequence of them
+        What :func:`realtouch.load` opens.
+    split : str, optional
+        Only this split; all of a folder, or train and test, by default.
+    revision : str, optional
+        Revision of a Hub repository.
+    quick : bool
+        Read the headers of images and frames instead of decoding them.
+    workers : int
+        Number of threads that read and decode; what is found does not depend on it.
+    on_progress : callable
+        Called with the number of rounds checked so far and the number in all.
+
+    Raises
+    ------
+    InputError
+        Nothing of that name, or no data set of touches.
+    """
+    place = place_of(name)
+    folder = folder_named(place) if isinstance(place, str) else None
+    findings: list[Damage] = []
+    has_checksums = False
+    if folder is not None:
+        manifest = read_manifest(folder)
+        # Files of a folder of ours are held against its manifest and card, others against what the Hub said.
+        has_checksums = manifest is not None or read_record(folder) is not None
+        if has_checksums:
+            for finding in verify_files(folder, check_card=check_card, workers=workers).findings:
+                findings.append(Damage(finding.file, None, None, "", finding.problem))
+        if manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
+            return _verify_index(folder, manifest, findings, on_progress, decode=not quick)
+    if not isinstance(place, str):
+        parts: tuple[str, ...] = ("train",)  # files come without a split
+    else:
+        parts = (split,) if split is not None else splits_of(place, revision=revision)
+    splits: list[list[Shard]] = []
+    unprotected: list[str] = []
+    for part in parts:
+        found = open_shards(place, part, revision=revision)
+        splits.append(agreeing_files(found, str(name), findings))
+        findings += _lacking_columns(splits[-1])
+        if not has_checksums:
+            unprotected += [shard.path for shard in splits[-1] if _is_unprotected(shard, place)]
+    total = sum(len(shard) for files in splits for shard in files)
+    rounds = touches = 0
+    seen: dict[str, str] = {}
+    for files in splits:
+        check = partial(
+            check_round,
+            expected_touches=modal_touch_count(files),
+            decode=not quick,
+            class_names=stated_class_names(files),
+        )
+        # In the order of the rows, whoever comes first: findings do not depend on the number of workers.
+        for row, problems in in_threads(partial(_checked, check), readable_rows(files), workers):
+            findings += problems
+            if isinstance(row, Row):
+                rounds += 1
+                findings += _repeated_id(row, seen)
+                with suppress(InputError, IntegrityError):
+                    touches += touch_total(row)
+                on_progress(rounds, total)
+    return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
+
+
+def _is_unprotected(shard: Shard, place: Place) -> bool:
+    """Return whether nothing says what a file should be; files of the Hub were compared when they came."""
+    given = (place,) if isinstance(place, str) else place
+    if not any(name == shard.path or folder_named(name) is not None for name in given):
+        return False
+    return not has_page_checksums(*file_at(shard.path))
+
+
+def check_folder(folder: DataFolder, workers: int = 1) -> list[Finding]:
+    """List what is wrong with a folder before it goes to others; decodes no picture."""
+    found = verify(folder.address(), quick=True, workers=workers).findings
+    return [Finding(damage.file, f"({damage})") for damage in found] if found else list(check_card(folder))
+
+
+def _verify_index(
+    folder: DataFolder,
+    manifest: Manifest,
+    findings: list[Damage],
+    on_progress: Callable[[int, int], None],
+    *,
+    decode: bool,
+) -> TouchVerification:
+    """Check the files that the index of ``frames`` or ``export`` names, and the images in them."""
+    named = {finding.file for finding in findings}
+    total = sum(record.rows for record in manifest.shards)
+    rounds = set[str]()
+    done = touches = 0
+    for record in manifest.shards:
+        done += record.rows
+        with suppress(IntegrityError):  # an index that cannot be read is named already
+            shard = Shard(folder.address(record.shard.data_path))
+            table = shard.read(columns=[name for name in ("round_id", "frames") if name in shard.types])
+            rounds.update(table["round_id"].to_pylist())
+            # Of a LeRobotDataset of single images a row is a round, and a frame is a touch.
+            is_round = "frames" in shard.types and "touch" not in shard.types
+            touches += sum(table["frames"].to_pylist()) if is_round else len(table)
+            files = files_of(folder, record) or {record.shard.data_path: record.sha256}
+            for path, sha256 in files.items():
+                # Files that the manifest lists were compared with it.
+                is_compared = path in (manifest.files or ()) or path == record.shard.data_path
+                if path not in named:
+                    findings += _damage_in_file(folder, path, None if is_compared else sha256, decode=decode)
+        on_progress(done, total)
+    return TouchVerification(len(rounds), touches, tuple(findings))
+
+
+def _damage_in_file(folder: DataFolder, path: str, sha256: str | None, *, decode: bool) -> Iterator[Damage]:
+    """Compare a file with its checksum, if one is given, and look at its images; yield what is wrong."""
+    if sha256 is not None and not is_unchanged(folder, path, sha256, reads=True):
+        problem = f"its sha256 differs from the index, which has {sha256}"
+        yield Damage(path, None, None, "", problem if folder.exists(path) else "is missing")
+        return
+    look = decode_image if decode else image_size
+    try:
+        for number, (name, image) in enumerate(_images_in(folder, path)):
+            try:
+                look(image)
+            except ValueError as error:
+                yield Damage(path, number, None, name, str(error))
+    except tarfile.TarError as error:
+        yield Damage(path, None, None, "", f"not an intact tar: {error}")
+
+
+def _images_in(folder: DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
+    """Yield the images in a tar, in a column of a Parquet file that has one, or the one that a file is."""
+    if path.endswith(".tar"):
+        with folder.open(path) as stream:
+            for member in files_of_tar(stream, folder.size_bytes(path)):
+                if not member.name.endswith(".json"):
+                    stream.seek(member.offset_data)
+                    yield member.name, stream.read(member.size)
+    elif path.endswith(".parquet"):
+        shard = Shard(folder.address(path))
+        for column in [name.removesuffix(".bytes") for name in shard.types if name.endswith(".bytes")]:
+            for row in stored_rows([shard], [column]):
+                yield column, row.group.table[column][row.index].as_py()["bytes"]
+    elif path.endswith((".jpg", ".png")):
+        yield "", folder.read_bytes(path)
+
+
+def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
+    """List the columns that some files of a split have and others do not: they can be read of no row."""
+    names = {shard.path: column_names(shard.schema) for shard in shards}
+    known = dict.fromkeys(name for columns in names.values() for name in columns)
+    problem = "the column is not there; expected it as in other files of the split"
+    return [
+        Damage(path, None, None, name, problem)
+        for path, columns in names.items()
+        for name in known
+        if name not in columns
+    ]
+
+
+def _checked(check: Callable[[Row], list[Damage]], found: Row | Damage) -> tuple[Row | Damage, list[Damage]]:
+    return found, check(found) if isinstance(found, Row) else [found]
+
+
+def _repeated_id(row: Row, seen: dict[str, str]) -> list[Damage]:
+    if not row.has("id"):
+        return []
+    try:
+        name = str(plain_value(row, "id"))
+    except IntegrityError:  # named with the other fields
+        return []
+    here = f"{row.path!r}, row {row.number}"
+    first = seen.setdefault(name, here)
+    if first == here:
+        return []
+    return [Damage(row.path, row.number, None, "id", f"{name!r} is not unique, it also stands in {first}")]

@@ -1,0 +1,116 @@
+"""Images that are imported: intact, upright, of one size, and read again where they changed."""
+
+from __future__ import annotations
+
+import io
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageOps
+
+import realtouch
+from tests.realtouch.images_of_others import line, picture, write_table
+from tests.tactile_toolkit.toy import folder_bytes
+
+
+def test_an_image_that_changed_in_place_is_imported_anew(home: Path, tmp_path: Path) -> None:
+    write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
+    realtouch.import_images(home, tmp_path / "out", "folder")
+    first, size = home / "pictures" / "0.jpg", (home / "pictures" / "0.jpg").stat().st_size
+    assert (home / "pictures" / "1.jpg").stat().st_size == size
+    first.write_bytes(picture(40))
+    realtouch.import_images(home, tmp_path / "out", "folder")
+    (image,) = realtouch.load(tmp_path / "out", "train")[0].sensor_image
+    assert np.array_equal(image, np.full((24, 32, 3), 40))
+    realtouch.import_images(home, tmp_path / "whole", "folder")
+    assert folder_bytes(tmp_path / "out") == folder_bytes(tmp_path / "whole")
+
+
+def test_images_that_readers_would_see_differently(tmp_path: Path) -> None:
+    """What is deeper than 8 bits would be cut at 255; what asks to be turned is turned by some readers."""
+    upright = Image.new("RGB", (32, 24), (9, 9, 9))
+    turned = Image.Exif()
+    turned[0x0112] = 6
+    upright.save(tmp_path / "turned.jpg", exif=turned)
+    turned[0x0112] = 1
+    upright.save(tmp_path / "upright.jpg", exif=turned)
+    Image.fromarray(np.full((24, 32), 3000, np.uint16)).save(tmp_path / "deep.png")
+    Image.new("L", (32, 24), 7).save(tmp_path / "grey.png")
+    Image.new("1", (20_000, 20_000)).save(tmp_path / "bomb.png")
+    upright.save(tmp_path / "other.gif")
+    names = ("turned.jpg", "deep.png", "bomb.png", "other.gif", "upright.jpg", "grey.png")
+    write_table(tmp_path, [{"file": f"./{name}", "label": 1} for name in names])
+    manifest = realtouch.import_images(tmp_path, tmp_path.parent / "seen", "folder")
+    skipped = manifest.shards[0].skipped
+    assert [(item.id, item.reason) for item in skipped] == [(number, "image") for number in range(4)]
+    for item, words in zip(skipped, ("to turn it", "16 bits", "limit", "PNG or WebP"), strict=True):
+        assert words in item.message
+    seen = realtouch.load(tmp_path.parent / "seen", "train")
+    assert [int(each.sensor_image[0].mean().round()) for each in seen] == [9, 7]
+
+
+def _png(*chunks: tuple[bytes, bytes], late: bool = False) -> bytes:
+    """Return a PNG with further chunks before its pixels, or after them."""
+    stream = io.BytesIO()
+    Image.new("RGB", (32, 24), (9, 9, 9)).save(stream, "PNG")
+    content = stream.getvalue()
+    more = b"".join(
+        len(data).to_bytes(4, "big") + kind + data + zlib.crc32(kind + data).to_bytes(4, "big")
+        for kind, data in chunks
+    )
+    place = content.index(b"IEND" if late else b"IDAT") - 4
+    return content[:place] + more + content[place:]
+
+
+def _turned_images() -> dict[str, bytes]:
+    """Return images that ask to be turned, in all places in which they can."""
+    exif = Image.Exif()
+    exif[0x0112] = 6
+    tiff = exif.tobytes()[6:]
+    xmp = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description tiff:Orientation="6"/></x:xmpmeta>'
+    far, upright = Image.Exif(), Image.new("RGB", (32, 24), (9, 9, 9))
+    far[0x0112], far[0x010E] = 6, "x" * 9000
+    comment = b"\xff\xfe" + (9000).to_bytes(2, "big") + bytes(8998)
+
+    def saved(kind: str, **options: Any) -> bytes:
+        stream = io.BytesIO()
+        upright.save(stream, kind, **options)
+        return stream.getvalue()
+
+    jpeg = saved("JPEG", exif=exif)
+    raw = f"\nexif\n{len(tiff) + 6:8}\n{(b'Exif' + bytes(2) + tiff).hex()}\n".encode()
+    return {
+        "near.jpg": jpeg,
+        "far.jpg": jpeg[:2] + comment + jpeg[2:],
+        "large.jpg": saved("JPEG", exif=far),
+        "xmp.jpg": saved("JPEG", xmp=xmp),
+        "exif.png": _png((b"eXIf", tiff)),
+        "late.png": _png((b"eXIf", tiff), late=True),
+        "raw.png": _png((b"zTXt", b"Raw profile type exif\0\0" + zlib.compress(raw))),
+        "xmp.png": _png((b"iTXt", b"XML:com.adobe.xmp\0\0\0\0\0" + xmp)),
+        "exif.webp": saved("WEBP", exif=exif, lossless=True),
+        "xmp.webp": saved("WEBP", xmp=xmp, lossless=True),
+    }
+
+
+def test_every_way_to_ask_to_be_turned_is_seen(tmp_path: Path) -> None:
+    home = tmp_path / "home"
+    home.mkdir()
+    images = _turned_images()
+    for content in images.values():  # else the test would test nothing
+        with Image.open(io.BytesIO(content)) as image:
+            assert ImageOps.exif_transpose(image).size == (24, 32)
+    stream = io.BytesIO()
+    odd = Image.Exif()
+    odd[0x0112] = 9  # which turns nothing
+    Image.new("RGB", (32, 24)).save(stream, "JPEG", exif=odd)
+    images |= {"odd.jpg": stream.getvalue(), "text.jpg": picture(3) + b"Exif", "plain.png": _png()}
+    for name, content in images.items():
+        (home / name).write_bytes(content)
+    write_table(home, [{"file": name, "label": 1} for name in images])
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder")
+    skipped = manifest.shards[0].skipped
+    assert [item.id for item in skipped if "to turn it" in item.message] == list(range(10))
+    assert [item.id for item in skipped][10:] == [11]  # without the mark of its end

@@ -1,0 +1,176 @@
+"""Classes, rounds and splits of imported touches keep their names, whatever those are."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from tactile_toolkit.errors import InputError
+from tests.command_line import call
+from tests.realtouch.images_of_others import line, picture, write_table, write_tar
+
+
+@pytest.mark.parametrize("layout", ["folder", "webdataset"])
+def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_path: Path) -> None:
+    """Of a set without poses and positions, too."""
+    names = ["zebra", "ant", "cat"]
+    write_table(
+        home,
+        [line(f"pictures/{number}.jpg", names[number % 3]) | {"object_id": "7"} for number in range(4)],
+    )
+    realtouch.import_images(home, tmp_path / "named", "folder", classes=names)
+    there = tmp_path / "there" / ("webdataset" if layout == "webdataset" else "")
+    if layout == "webdataset":
+        realtouch.export(tmp_path / "named", tmp_path / "there", layout)
+    else:
+        realtouch.frames(tmp_path / "named", there)
+    assert not realtouch.import_images(there, tmp_path / "back", layout).skipped_reasons()
+    back = realtouch.load(tmp_path / "back", "train")
+    assert (list(back.label_names), back.labels.tolist()) == (names, [0, 1, 2, 0])
+
+
+def test_an_empty_name_stands_for_no_column(
+    single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
+    names = ("round", "object", "split")
+    options = [word for name in names for word in (f"--{name}-column", "")]
+    options += ["--pose-columns", "", "--position-columns", "", "--split", "mine", "--workers", "1"]
+    arguments = ("import", tmp_path / "there", "--format", "folder", *options)
+    assert call("realtouch", *arguments, "--out", tmp_path / "out") == 0
+    found = realtouch.load(tmp_path / "out", "mine")
+    (shard,) = (tmp_path / "out" / "data").iterdir()
+    assert (len(found), pq.read_schema(shard).names) == (15, ["id", "label", "sensor_image"])
+    assert "gel_qw (15)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("labels", "names"),
+    [
+        (["007", "7", "01", "1"], ["007", "01", "1", "7"]),
+        (["1.0", "1.5", "2.0", "1.0"], ["1.0", "1.5", "2.0"]),
+        (["zebra", "ant", "3", "3.0"], ["3", "3.0", "ant", "zebra"]),
+        (["3.0", "3", "0", "12"], [str(number) for number in range(13)]),
+        (["10000", "9", "9", "9"], ["10000", "9"]),
+    ],
+)
+def test_classes_stay_the_text_that_they_are(
+    labels: list[str], names: list[str], home: Path, tmp_path: Path
+) -> None:
+    write_table(home, [line(f"pictures/{number}.jpg", label) for number, label in enumerate(labels)])
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder")
+    found = realtouch.load(tmp_path / "out", "train")
+    assert list(found.label_names) == names
+    stored = [found.label_names[label] for label in found.labels]
+    assert stored == [label if label in names else label.removesuffix(".0") for label in labels]
+    assert not manifest.skipped_reasons()
+
+
+def test_given_classes_stay_the_text_that_they_are(home: Path, tmp_path: Path) -> None:
+    labels = ("01", "1", "1.0", "007")
+    write_table(home, [line(f"pictures/{number}.jpg", label) for number, label in enumerate(labels)])
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder", classes=("1", "01", "7"))
+    assert realtouch.load(tmp_path / "out", "train").labels.tolist() == [1, 0, 0]
+    assert [item.id for item in manifest.shards[0].skipped] == [3]
+
+
+def test_names_that_meet_and_numbers_with_a_point(home: Path, tmp_path: Path) -> None:
+    for name in ("a_b_2", "a_b", "pictures/x"):
+        (home / f"{name}.jpg").write_bytes(picture(9))
+    (home / "a").mkdir()
+    (home / "a" / "b.jpg").write_bytes(picture(9))
+    names = ("a_b_2.jpg", "a/b.jpg", "a_b.jpg", "pictures/x.jpg")
+    write_table(home, [{"file": name, "label": "3.0", "round": ""} for name in names])
+    realtouch.import_images(home, tmp_path / "out", "folder")
+    found = realtouch.load(tmp_path / "out", "train")
+    assert found.ids.tolist() == ["a_b_2", "a_b", "a_b_2_2", "pictures_x"]
+    assert (found.label_names, found.labels.tolist()) == (tuple("0123456789"), [3] * 4)
+    lines = [{"file": name, "label": 1, "round": "a_b"[: 3 * (name == names[3])]} for name in names]
+    write_table(home, lines)
+    realtouch.import_images(home, tmp_path / "rounds", "folder", realtouch.ImportColumns(round="round"))
+    assert realtouch.load(tmp_path / "rounds", "train").ids.tolist() == ["a_b_2", "a_b_1", "a_b_2_2", "a_b"]
+    for classes, table, words in (
+        (("3", "3.0"), "file,label\na_b.jpg,3\n", "expected each once"),
+        ((), "file,label,label\na_b.jpg,3,4\n", "2 columns 'label'"),
+    ):
+        (home / "index.csv").write_text(table)
+        with pytest.raises(InputError, match=words):
+            realtouch.import_images(home, tmp_path / "none", "folder", classes=classes)
+        assert not (tmp_path / "none").exists()
+
+
+def test_splits_that_differ_in_case_alone(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [{"file": f"pictures/{n}.jpg", "label": 1, "part": ("Train", "train")[n % 2]} for n in range(4)]
+    write_table(home, lines)
+    arguments = ("import", home, "--format", "folder", "--split-column", "part", "--workers", 1)
+    assert call("realtouch", *arguments, "--out", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert "the splits 'Train' and 'train' differ in case alone" in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Half surrogates are left out; what turns or hides text reaches no terminal, manifest or card."""
+    fields = [
+        {"label": "a\u202eb\x07\u0085x", "round": "r\u202e\x1b[31m", "cap\ud800": 1},
+        {"label": "\ud800x", "round": "b"},
+        {"label": "ok", "round": "c\udfff"},
+        {"label": "ok", "round": "d"},
+        {"label": "ok", "round": "e"},
+    ]
+    names = ("a", "b", "c", "d", "e\u2067")
+    members = [
+        (f"{name}.{ending}", content)
+        for name, values in zip(names, fields, strict=True)
+        for ending, content in (("jpg", picture(9)), ("json", json.dumps(values).encode()))
+    ]
+    write_tar(tmp_path / "a.tar", members)
+    out = tmp_path / "out"
+    arguments = ("import", tmp_path / "a.tar", "--format", "webdataset", "--workers", 1)
+    assert call("realtouch", *arguments, "--round-column", "round", "--out", out) == 0
+    for command in ("verify", "info", "card"):
+        assert call("realtouch", command, out) == 0
+    found = realtouch.load(out, "train")
+    assert (found.label_names, found.ids.tolist()) == (
+        ("a\u202eb\x07\u0085x", "ok"),
+        ["r\u202e\x1b[31m", "d"],
+    )
+    said = capsys.readouterr()
+    shown = {"out": said.out, "err": said.err}
+    shown |= {path.name: path.read_text() for path in out.iterdir() if path.is_file()}
+    for name, text in shown.items():
+        assert text.replace("\n", "").isprintable(), name
+    assert "left out: 'b': its field 'label' holds text that is not Unicode (json)" in said.err
+    reasons = json.loads(shown["manifest.json"])["skipped"]
+    assert reasons == {"json": 2, "name": 1}
+    assert call("realtouch", *arguments, "--classes", "ok,\udcff", "--out", tmp_path / "no") == 2
+    assert "is not text in UTF-8; next: give another name" in capsys.readouterr().err
+    assert not (tmp_path / "no").exists()
+
+
+def test_stored_text_that_is_not_unicode(
+    single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    realtouch.select(single_folder, tmp_path / "out", split="test")
+    (shard,) = (tmp_path / "out" / "data").iterdir()
+    manifest, good = tmp_path / "out" / "manifest.json", (tmp_path / "out" / "manifest.json").read_text()
+    for escape in ("\\ud800", "\\uDFFF"):
+        manifest.write_text(good.replace('"select"', f'"select{escape}"'))
+        for command in ("verify", "info", "card"):
+            assert call("realtouch", command, tmp_path / "out") == 3, command
+            assert "surrogate" in capsys.readouterr().err
+    manifest.unlink()
+    table = pq.read_table(shard)
+    metadata = table.schema.metadata[b"huggingface"].replace(b'"0"', b'"\\ud800"')
+    pq.write_table(table.replace_schema_metadata({b"huggingface": metadata}), shard)
+    for command in ("verify", "info", "card"):
+        assert call("realtouch", command, tmp_path / "out") == 3, command
+        assert "class names among them" in capsys.readouterr().err

@@ -1,0 +1,118 @@
+"""Tars of others: samples that lack parts, headers that cannot be true."""
+
+from __future__ import annotations
+
+import json
+import tarfile
+from pathlib import Path
+
+import pytest
+
+import realtouch
+from tactile_toolkit.errors import IntegrityError
+from tests.command_line import call
+from tests.realtouch.images_of_others import picture, write_tar
+
+
+def test_tars_of_others(tmp_path: Path) -> None:
+    home = tmp_path / "tars"
+    home.mkdir()
+    members = []
+    for number in range(3):
+        fields = json.dumps({"digit": number, "pose": [0, 0, 0.1, 0, 0, 0, 1]}).encode()
+        members += [(f"set/a{number}.jpg", picture(number)), (f"set/a{number}.json", fields)]
+    members += [
+        ("set/b.json", b"{}"),
+        ("set/c.jpg", picture(1)),
+        ("set/c.json", b"[1"),
+        members[0],
+        members[1],
+    ]
+    write_tar(home / "x-000.tar", members)
+    write_tar(home / "x-001.tar", [("d.png", picture(5)), ("d.cls", b"2"), ("d.json", b'{"digit": 2}')])
+    columns = realtouch.ImportColumns(image=None, label="digit", pose=("pose",))
+    manifest = realtouch.import_images(home, tmp_path / "out", "webdataset", columns)
+    reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
+    assert reasons == [(3, "missing"), (4, "json"), (5, "duplicate"), (6, "pose")]
+    assert [record.label for record in realtouch.load(tmp_path / "out", "train")] == [0, 1, 2]
+    as_json = [json.dumps({"label": value}).encode() for value in (float("nan"), [1], {}, None, 1)]
+    odd = [(f"./{number}.rgb.jpg", picture(1)) for number in range(6)]
+    odd += [(f"./{number}.json", text) for number, text in enumerate([*as_json, b" " * (1 << 21)])]
+    write_tar(tmp_path / "odd.tar", sorted(odd))
+    for image in (None, "rgb.jpg"):
+        chosen = realtouch.ImportColumns(image=image)
+        made = realtouch.import_images(tmp_path / "odd.tar", tmp_path / f"odd-{image}", "webdataset", chosen)
+        reasons = [(item.id, item.reason) for item in made.shards[0].skipped]
+        assert reasons == [*((number, "label") for number in range(4)), (5, "json")]
+        assert "expected an object of at most 1 MiB" in made.shards[0].skipped[-1].message
+        assert realtouch.load(tmp_path / f"odd-{image}", "train").ids.tolist() == ["4"]
+    by_class = realtouch.ImportColumns(label="cls")
+    realtouch.import_images(home / "x-001.tar", tmp_path / "one", "webdataset", by_class)
+    assert realtouch.load(tmp_path / "one", "train")[0].label == 2
+    whole = (home / "x-000.tar").read_bytes()
+    for kept in (len(whole) // 3, 10240 - 9000, 700):
+        (home / "x-000.tar").write_bytes(whole[:kept])
+        with pytest.raises(IntegrityError, match="not an intact tar"):
+            realtouch.import_images(home, tmp_path / "cut", "webdataset", columns)
+        assert not (tmp_path / "cut").exists()
+
+
+def pax(**fields: str) -> tuple[tarfile.TarInfo, bytes]:
+    content = b""
+    for name, value in fields.items():
+        record = f" {name.replace('_', '.')}={value}\n"
+        length = next(n for n in range(len(record), len(record) + 9) if len(f"{n}{record}") == n)
+        content += f"{length}{record}".encode()
+    entry = tarfile.TarInfo("././@PaxHeader")
+    entry.type, entry.size = tarfile.XHDTYPE, len(content)
+    return entry, content
+
+
+@pytest.mark.parametrize(
+    ("before", "size", "words"),
+    [
+        ([], -1024, "'b.jpg' has a size of -1,024 bytes"),
+        ([pax(size="-1536")], 0, "'b.jpg' is sparse, or its size is not a number"),
+        ([pax(size="many")], 0, "'b.jpg' is sparse, or its size is not a number"),
+        ([pax(GNU_sparse_size="many")], 0, "'b.jpg' cannot be read"),
+        ([pax(GNU_sparse_map="0,many")], 0, "'b.jpg' cannot be read"),
+        ([pax(GNU_sparse_major="1", GNU_sparse_minor="0")], 0, "'b.jpg' cannot be read"),
+        ([pax(GNU_sparse_size="9", GNU_sparse_offset="0")], 0, "'b.jpg' is sparse"),
+        ([pax(path="c.jpg")] * 2000, 0, "cannot be read: maximum recursion"),
+        ([pax(comment="x" * 70_000)], 0, "'././@PaxHeader' has a size of 70,0"),
+        ([pax(path="c" * 300, size="5" * 5000)], 0, f"'{'c' * 300}' is sparse, or its size is not a number"),
+    ],
+)
+def test_a_tar_with_a_header_that_cannot_be_true(
+    before: list[tuple[tarfile.TarInfo, bytes]],
+    size: int,
+    words: str,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    write_tar(tmp_path / "a.tar", [("a.jpg", picture(1)), ("a.cls", b"1")])
+    last = tarfile.TarInfo("b.jpg")
+    last.size = size
+    odd = b"".join(
+        entry.tobuf(tarfile.GNU_FORMAT) + content + bytes(-len(content) % 512)
+        for entry, content in [*before, (last, b"")]
+    )
+    good = (tmp_path / "a.tar").read_bytes().rstrip(b"\0")
+    good += bytes(-len(good) % 512)
+    (tmp_path / "a.tar").write_bytes(good + odd + bytes(10_240))
+    arguments = ("import", tmp_path / "a.tar", "--format", "webdataset", "--label-column", "cls")
+    assert call("realtouch", *arguments, "--workers", 1, "--out", tmp_path / "out") == 3
+    said = capsys.readouterr().err
+    assert words in said
+    assert len(said.splitlines()) == 1
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_damaged_header_is_not_the_end_of_a_tar(tmp_path: Path) -> None:
+    members = [(f"{number}.{ending}", b"1") for number in range(4) for ending in ("cls", "jpg")]
+    write_tar(tmp_path / "a.tar", members)
+    content = bytearray((tmp_path / "a.tar").read_bytes())
+    content[4 * 1024 + 3] ^= 1  # in the name of the fifth
+    (tmp_path / "a.tar").write_bytes(content)
+    with pytest.raises(IntegrityError, match=r"the header after '1\.jpg' cannot be read: bad checksum"):
+        realtouch.import_images(tmp_path / "a.tar", tmp_path / "out", "webdataset")
