@@ -13,8 +13,7 @@ from cli.options import Limit, Making, Out, PerClass
 from cli.output import Sink, bytes_text
 from cli.pictures import preview_digits
 from mnist3d.kind import KIND
-from mnist3d.source_options import SOURCES, SourceOptions, chosen_source
-from mnist3d.spec import SPLITS, SolidSpec, SplitSpec
+from mnist3d.spec import SOURCES, SPLITS, SolidSpec, SourceOptions, SplitSpec
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import lazy
 
@@ -51,7 +50,7 @@ def generate(
 
     A stopped run continues when the same command is given again; finished shards are never made twice.
     """
-    from mnist3d.generation import GenerateSpec, forecast
+    from mnist3d.generation import GenerateSpec, chosen_source, forecast
     from mnist3d.generation import generate as make
     from tactile_toolkit.run.limits import prepare_batch_process
 
@@ -79,7 +78,7 @@ def generate(
 
 
 def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
-    from mnist3d.summary import summarise
+    from mnist3d.card import summarise
     from tactile_toolkit.store.folder import DataFolder
 
     # The report that the figures come from is written at the end of a run.

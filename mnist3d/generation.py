@@ -12,11 +12,11 @@ from mnist3d.kind import KIND
 from mnist3d.solid import solidify
 from mnist3d.sources import DigitSource
 from mnist3d.sources.folder import FolderSource
-from mnist3d.spec import SPLITS, SolidSpec, SplitSpec
+from mnist3d.spec import SPLITS, SolidSpec, SourceOptions, SplitSpec
 from mnist3d.splits import plan_splits
 from tactile_toolkit import making
 from tactile_toolkit.checked_fields import check_fields, integer
-from tactile_toolkit.errors import ItemError
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import PrintProfile, inspect
 from tactile_toolkit.run.processes import Runner
 from tactile_toolkit.store.build import Progress
@@ -225,9 +225,54 @@ def _with_division(spec: GenerateSpec, splits: Sequence[str] | None) -> Generate
     return replace(spec, split=replace(spec.split, by="none"))
 
 
-def digit_recipe(seed: int, per_class: int | None) -> making.Recipe:
-    """Return how digits are made without any input: from the embedded synthetic source."""
+_OPTIONS = {
+    "synthetic": ((), ("digits",)),
+    "hwdplus": (("images", "writer_info"), ("writer_column",)),
+    "mnist": (("images",), ("download",)),
+    "folder": (("images",), ("ink",)),
+}
+"""The options that each source needs, and those that it takes."""
+
+
+def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
+    """Return the source that options ask for; InputError for options that are missing or of another one."""
+    needed, taken = _OPTIONS[name]
+    for option in given:
+        if option not in (*needed, *taken):
+            owners = " or ".join(
+                each for each, (first, more) in _OPTIONS.items() if option in (*first, *more)
+            )
+            raise InputError(
+                f"--{option.replace('_', '-')} does not belong to --source {name}",
+                next=f"leave it out, or name its source (--source {owners})",
+            )
+    for option in needed:
+        if option not in given:
+            raise InputError(
+                f"--source {name} needs --{option.replace('_', '-')}, which was not given; see mnist3d "
+                "generate --help"
+            )
+    return make_source(name, given, seed)
+
+
+def make_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
+    """Return the source of a name with the values of its options."""
+    from mnist3d.sources.hwdplus import HwdPlusSource
+    from mnist3d.sources.mnist import MnistSource, download_mnist
     from mnist3d.sources.synthetic import SyntheticSource
 
-    spec = GenerateSpec(SyntheticSource(seed=seed), split=SplitSpec(seed=seed), per_class=per_class)
+    if name == "synthetic":
+        return SyntheticSource(seed, given.get("digits", SourceOptions().digits))
+    if name == "hwdplus":
+        return HwdPlusSource(**given)
+    if name == "folder":
+        return FolderSource(given["images"], given.get("ink", "auto"))
+    if given.get("download"):
+        download_mnist(given["images"])
+    return MnistSource(given["images"])
+
+
+def digit_recipe(seed: int, per_class: int | None) -> making.Recipe:
+    """Return how digits are made without any input: from the embedded synthetic source."""
+    spec = GenerateSpec(make_source("synthetic", {}, seed), split=SplitSpec(seed=seed), per_class=per_class)
     return making.Recipe(DigitMaking(spec), {"per-class": per_class, "seed": seed})

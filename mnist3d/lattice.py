@@ -20,9 +20,9 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mnist3d.ink import grown
-from mnist3d.side_view import depth_px, half_height_px
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -33,6 +33,53 @@ if TYPE_CHECKING:
     Places: TypeAlias = NDArray[np.intp]
     Singles: TypeAlias = NDArray[np.float32]
     Doubles: TypeAlias = NDArray[np.float64]
+
+
+Floats = NDArray[np.floating[Any]]
+
+
+def erosion_radius_px(z_px: Floats, spec: SolidSpec) -> Floats:
+    """Return how far the outline draws in at heights from 0 to the half thickness; grows with the height."""
+    half_px = spec.half_thickness_px
+    if spec.profile == "flat":
+        return np.zeros_like(z_px)
+    radius = z_px
+    if spec.profile == "round":
+        radius = np.asarray(half_px - np.sqrt(np.maximum(half_px**2 - z_px**2, 0)))
+    return np.asarray(np.maximum(radius - disc_offset_px(spec), 0))
+
+
+def disc_offset_px(spec: SolidSpec) -> np.float32:
+    """Return by how much an erosion falls short of its radius: a disc of pixels leaves those it touches."""
+    return np.float32(0.5 if spec.erosion == "disc" else 0)
+
+
+def half_height_px(s_px: Floats, spec: SolidSpec) -> Floats:
+    """Return how high the solid stands above the mid-plane; 0 outside the ink."""
+    half_px = spec.half_thickness_px
+    depth = np.where(s_px > 0, np.clip(s_px + disc_offset_px(spec), 0, half_px), 0)
+    if spec.profile == "round":
+        # The same quarter circle as in `erosion_radius_px`, solved for the height.
+        return np.asarray(np.sqrt(depth * (2 * half_px - depth)))
+    return depth if spec.profile == "linear" else np.where(s_px > 0, np.float32(half_px), np.float32(0))
+
+
+def depth_px(s_px: Floats, z_px: Floats, spec: SolidSpec) -> Floats:
+    """Return how deep points lie in the solid, positive inside; the two shapes broadcast.
+
+    The values are true distances wherever one side of the solid is nearest, so that their zero is found
+    exactly between two nodes of a lattice; a stack of binary layers would place it half way instead.
+    """
+    half_px = spec.half_thickness_px
+    if spec.profile == "flat":
+        return np.asarray(np.minimum(s_px, half_px - z_px))
+    kept_px = s_px + disc_offset_px(spec)
+    if spec.profile == "round":
+        depth = np.asarray(half_px - np.sqrt(np.maximum(half_px - kept_px, 0) ** 2 + z_px**2))
+    else:
+        # The side of a linear profile is a plane at 45 degrees.
+        depth = np.asarray(np.minimum((kept_px - z_px) * np.float32(0.5**0.5), half_px - z_px))
+    return np.minimum(depth, s_px) if spec.erosion == "disc" else depth
 
 
 F = TypeVar("F", np.float32, np.float64)
@@ -358,7 +405,7 @@ def _weights(nodes: Doubles, count: int, sigma_per_pitch: float) -> Any:
     pixels = np.floor(nodes).astype(np.intp)[:, None] + np.arange(-reach, reach + 2)
     inside = (pixels >= 0) & (pixels < count)
     squared = np.where(inside, (nodes[:, None] - pixels) ** 2, np.inf)
-    narrow, wide = _bells(squared, sigma), _bells(squared, 2**0.5 * sigma)
+    narrow, wide = bump_kernel(squared, sigma), bump_kernel(squared, 2**0.5 * sigma)
     weights = _on_grid(2 * narrow - wide, _WEIGHT_GRAIN)
     # A row reaches as far as the widest bell does; most outer weights round to nothing.
     kept = weights != 0
@@ -366,7 +413,7 @@ def _weights(nodes: Doubles, count: int, sigma_per_pitch: float) -> Any:
     return csr_array((weights[kept], pixels[kept], starts), shape=(len(weights), count))
 
 
-def _bells(squared: Doubles, sigma: Doubles) -> Doubles:
+def bump_kernel(squared: Doubles, sigma: Doubles) -> Doubles:
     """Return rows of weights that add up to 1, near a Gaussian; where sigma is 0 the node itself counts.
 
     Made of products and sums alone; exponentials differ from processor to processor.

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mnist3d.ink import count_bodies_and_holes, refuse
-from mnist3d.lattice import stack
-from mnist3d.side_view import erosion_radius_px
+from mnist3d.lattice import erosion_radius_px, stack
 from mnist3d.surface import Surface, bodies_and_holes, decimate, isosurface, scale, smooth
 
 if TYPE_CHECKING:

@@ -1,22 +1,27 @@
-"""Pictures of digits: contact sheets, single objects, steps, class counts, distributions."""
+"""Pictures of digits: contact sheets, single objects, the steps to a solid, class counts, distributions."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mnist3d.columns import REPORT_FILE
 from mnist3d.dataset import MeshDataset, MeshRecord
+from mnist3d.generation import make_source
 from mnist3d.kind import KIND
-from mnist3d.preview_steps import CLAY, draw_steps, source_option
-from mnist3d.spec import SolidSpec
+from mnist3d.lattice import Lattice, Mirrored
+from mnist3d.solid import binarise, solidify
+from mnist3d.spec import SOURCES, SolidSpec
+from mnist3d.surface import Surface, scale
+from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.catalog.kinds import specification_read
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
@@ -28,8 +33,17 @@ from tactile_toolkit.pictures.previews import (
     draw_by_class,
     draw_two_views,
 )
-from tactile_toolkit.pictures.render import TOP, Body, Picture3d, fitting_scale, relief_of
-from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
+from tactile_toolkit.pictures.render import (
+    OBLIQUE,
+    TOP,
+    Body,
+    Picture3d,
+    box_downsample,
+    draw_bodies,
+    fitting_scale,
+    relief_of,
+)
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
 from tactile_toolkit.pictures.writing import (
     PicturePlan,
     Pixels,
@@ -47,11 +61,193 @@ from tactile_toolkit.wording import class_name, counted
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from mnist3d.sources import DigitSource
+    from mnist3d.spec import SOURCES, SolidSpec
+
+
+CLAY = (224, 166, 72)
+"""Colour of objects in oblique views."""
+
+_PANEL_PX = 380
+_MARGIN_PX = 12
+_LIGHTEST, _DARKEST = (214, 230, 241), (8, 64, 112)
+_SAMPLING = 2
+_SPREAD = 4.0
+"""How many times their distance the layers of the stack are drawn apart."""
+
+# Who wrote a digit shows in no picture, and the column of writers is not asked for here: that part of the
+# fingerprint may differ.
+_WRITERS = "writers_sha256"
+
+
+def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
+    """Draw how an image, (H, W), 0 ink and 255 paper, becomes the solid that a data set stores.
+
+    ItemError, which names the picture by its title, where the image is not a usable digit.
+    """
+    steps: list[tuple[Lattice, Mirrored, Surface]] = []
+    try:
+        ink = binarise(pixels, spec, ink="dark")
+        solid = solidify(pixels, spec, ink="dark", on_surface=lambda *found: steps.append(found))
+    except ItemError as error:
+        raise ItemError(error.reason, f"{title}: {error}") from error
+    window = _window(ink)
+    ((lattice, volume, surface),) = steps
+    layers = _layers_px(lattice, volume.upper > 0, window)
+    # Without its rim it is not known as a half, and stays one.
+    upper = scale(replace(surface, rim=surface.rim[:0]), (ink.shape[0], ink.shape[1]), spec)
+    px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
+    views = [
+        draw_bodies(Picture3d((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M))
+        for mesh in (upper, solid)
+    ]
+    pitch_px, triangles = lattice.pitch_px, len(solid.faces)
+    decimated = ", decimated" if triangles != 2 * len(upper.faces) else ""
+    tiles = (
+        Tile(_square(np.asarray(pixels)[window].astype(np.uint8)), "1  image"),
+        Tile(_square(np.where(ink[window], 0, 255).astype(np.uint8)), "2  ink, binarised and cleaned"),
+        Tile(_square(layer_map(layers)), f"3  eroded: {len(layers)} layers of a lattice"),
+        Tile(_stack_view(layers, pitch_px, spec, px_per_mm), "4  stack of the upper half, drawn apart"),
+        Tile(views[0], f"5  marching cubes, upper half: {len(upper.faces):,} triangles"),
+        Tile(
+            with_scale_bar(views[1], px_per_mm),
+            f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles",
+        ),
+    )
+    words = (
+        f"the nodes of the lattice are {pitch_px:.2f} px of {spec.pixel_pitch_mm:g} mm apart, closer where "
+        "something is narrow; the surface passes between them",
+    )
+    return sheet(tiles, Sheet(3, title, words))
+
+
+def _layers_px(
+    lattice: Lattice, inside: NDArray[np.bool_], window: tuple[slice, slice]
+) -> list[NDArray[np.bool_]]:
+    """Return the layers that are not empty, each pixel of a window as the node that is nearest to it."""
+    nodes_px = (lattice.rows_px, lattice.columns_px)
+    rows, columns = (
+        np.abs(np.arange(span.start, span.stop)[:, None] - corner - nodes).argmin(axis=1)
+        for span, corner, nodes in zip(window, lattice.corner_px, nodes_px, strict=True)
+    )
+    layers = np.moveaxis(inside[np.ix_(rows, columns)], 2, 0)
+    return [layer for layer in layers if layer.any()]
+
+
+def layer_map(layers: Sequence[NDArray[np.bool_]]) -> NDArray[np.uint8]:
+    """Draw layers one on top of the other, the higher the darker: shape (H, W, 3)."""
+    picture = np.full((*layers[0].shape, 3), 255, np.uint8)
+    for number, layer in enumerate(layers):
+        picture[layer] = _tint(number / max(1, len(layers) - 1))
+    return picture
+
+
+def source_option(described: dict[str, Any], images: Path | None, writer_info: Path | None) -> DigitSource:
+    """Return the source from which a data set was made, by its fingerprint in the manifest.
+
+    ``images`` and ``writer_info`` say where its files are now; the synthetic source needs none. InputError
+    where they are needed and not given, or are others than those the data set was made from.
+    """
+    name = str(described.get("name"))
+    if name not in SOURCES:
+        raise InputError(
+            f"the data set was made from source {name!r}, which is not known",
+            next="give a picture of a digit",
+        )
+    files = {"images": images, "writer_info": writer_info if name == "hwdplus" else None}
+    given: dict[str, Any] = {option: str(path) for option, path in files.items() if path is not None}
+    if name == "synthetic":
+        given = {"digits": int(described["count"])}
+    elif len(given) < 1 + (name == "hwdplus"):
+        option = "--images PATH" if images is None else "--writer-info FILE"
+        raise InputError(
+            f"the steps need the images of source {name!r}", next=f"give {option}, or a picture of a digit"
+        )
+    elif name == "folder":
+        given["ink"] = str(described.get("ink", "auto"))
+    source: Any = make_source(name, given, int(described.get("seed", 0)))
+    if name == "mnist":
+        # The folder may hold both parts where the set was made from one; then the training digits come first.
+        parts, there = described.get("parts") or [], source.fingerprint()["parts"]
+        if len(there) > len(parts) == 1 and parts[0] in there:
+            source = replace(source, part=("train", "test")[there.index(parts[0])])
+    found = {key: value for key, value in source.fingerprint().items() if key != _WRITERS}
+    wanted = {key: value for key, value in described.items() if key != _WRITERS}
+    if found != wanted:
+        differs = next(key for key in {**wanted, **found} if found.get(key) != wanted.get(key))
+        raise InputError(
+            f"--images {str(images)!r} holds other images than the data set was made from: {differs} is "
+            f"{found.get(differs)!r}, expected {wanted.get(differs)!r}"
+        )
+    return source  # type: ignore[no-any-return]
+
+
+def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+    """Return the square around the ink, with a margin; cut at the edges of the image."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    half = (max(np.ptp(rows), np.ptp(columns)) + 1) // 2 + _MARGIN_PX
+    spans = []
+    for inked, side in ((rows, mask.shape[0]), (columns, mask.shape[1])):
+        middle = (int(inked[0]) + int(inked[-1]) + 1) // 2
+        spans.append(slice(max(0, middle - half), min(side, middle + half)))
+    return spans[0], spans[1]
+
+
+def _stack_view(
+    layers: Sequence[NDArray[np.bool_]], pitch_px: float, spec: SolidSpec, px_per_mm: float
+) -> NDArray[np.uint8]:
+    """Draw the stack obliquely, its layers apart."""
+    from PIL import Image
+
+    side = _PANEL_PX * _SAMPLING
+    picture = Image.new("RGB", (side, side), (255, 255, 255))
+    px = px_per_mm * spec.pixel_pitch_mm * _SAMPLING
+    for number, layer in enumerate(layers):
+        z, share = (number - (len(layers) - 1) / 2) * pitch_px, number / max(1, len(layers) - 1)
+        mask = Image.fromarray(layer.astype(np.uint8) * 255)
+        for drop_px, colour in ((_SAMPLING, (70, 80, 92)), (0, _tint(share))):
+            data = _back_to_layer(layer.shape, side, px, _SPREAD * z, drop_px)
+            seen = mask.transform((side, side), Image.Transform.AFFINE, data, Image.Resampling.BILINEAR)
+            picture.paste(colour, mask=seen)
+    return box_downsample(np.asarray(picture), _SAMPLING)
+
+
+def _back_to_layer(
+    shape: tuple[int, ...], side_px: int, px: float, height: float, drop_px: int
+) -> tuple[float, ...]:
+    """Return the map from pixels of the view to those of a layer, as Pillow takes it."""
+    right, up, _ = OBLIQUE.axes
+    # Rows of a layer grow along -y, those of the picture along -up.
+    to_view = px * np.array([[right[0], -right[1]], [-up[0], up[1]]])
+    middle = np.array([side_px / 2, side_px / 2 - px * up[2] * height + drop_px])
+    return inverse_affine(to_view, middle, np.array([shape[1] / 2, shape[0] / 2]))
+
+
+def _tint(share: float) -> tuple[int, int, int]:
+    """Return the colour of a height: 0 at the mid-plane, 1 at the top."""
+    red, green, blue = (
+        round(low + share * (high - low)) for low, high in zip(_LIGHTEST, _DARKEST, strict=True)
+    )
+    return red, green, blue
+
+
+def _square(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a picture in the size of a panel, its pixels kept square, on paper."""
+    from PIL import Image
+
+    picture = Image.fromarray(pixels).convert("RGB")
+    factor = _PANEL_PX / max(picture.size)
+    size = (max(1, round(picture.width * factor)), max(1, round(picture.height * factor)))
+    fitted = picture.resize(size, Image.Resampling.LANCZOS if factor < 1 else Image.Resampling.BICUBIC)
+    canvas = Image.new("RGB", (_PANEL_PX, _PANEL_PX), (255, 255, 255))
+    canvas.paste(fitted, ((_PANEL_PX - size[0]) // 2, (_PANEL_PX - size[1]) // 2))
+    return np.asarray(canvas)
+
 
 _KINDS = ("sheet", "object", "steps", "histogram", "distributions")
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 _TILE_PX = 132
-_PANEL_PX = (560, 520)
+_VIEW_PX = (560, 520)
 _FILLED = 0.9
 
 
@@ -205,15 +401,15 @@ def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: S
 def draw_object(mesh: Mesh, title: str) -> Pixels:
     """Draw a mesh from above and obliquely at one scale, with scale bars and its measures."""
     bodies = (Body(mesh, CLAY),)
-    inner_px = (round(_PANEL_PX[0] * _FILLED), round(_PANEL_PX[1] * _FILLED))
+    inner_px = (round(_VIEW_PX[0] * _FILLED), round(_VIEW_PX[1] * _FILLED))
     px_per_m = min(fitting_scale(bodies, inner_px, TOP), fitting_scale(bodies, inner_px))
     px_per_mm = px_per_m / MM_PER_M
     relief = relief_of(mesh, px_per_mm)
-    canvas = np.full((_PANEL_PX[1], _PANEL_PX[0]), 255, np.uint8)
+    canvas = np.full((_VIEW_PX[1], _VIEW_PX[0]), 255, np.uint8)
     top, left = ((room - size) // 2 for room, size in zip(canvas.shape, relief.shape, strict=True))
     canvas[top : top + relief.shape[0], left : left + relief.shape[1]] = relief
     above = Tile(with_scale_bar(canvas, px_per_mm), "shaded relief, from above")
-    oblique = Picture3d(bodies, _PANEL_PX, px_per_m)
+    oblique = Picture3d(bodies, _VIEW_PX, px_per_m)
     return draw_two_views(above, oblique, title, object_facts(mesh))
 
 

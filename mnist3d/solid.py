@@ -84,6 +84,17 @@ def solidify(
     image = binarise(pixels, spec, ink=ink, resample=resample)
     if method == "literal":
         return literal_solid(image, spec)
+    surface = _smoothed(image, spec, on_surface)
+    mesh = scale(surface, (image.shape[0], image.shape[1]), spec)
+    # Who asks for a pitch has asked for its vertices, too.
+    within = spec.lattice_pitch_mm is not None or len(mesh.vertices_m) <= BUDGET_SLACK * spec.target_vertices
+    return mesh if within else decimate(mesh, spec.target_vertices)
+
+
+def _smoothed(
+    image: NDArray[np.bool_], spec: SolidSpec, on_surface: Callable[[Lattice, Mirrored, Surface], None]
+) -> Surface:
+    """Take the steps from ink to a smooth surface, on finer lattices until all bodies and holes are there."""
     counts, lattice = count_bodies_and_holes(image), lattice_of(image, spec)
     while True:
         layers = [erode(lattice, height_px, spec) for height_px in lattice.heights_px(spec)]
@@ -92,16 +103,12 @@ def solidify(
         smoothed = smooth(surface, spec.smoothing_iterations, spec.smoothing_factor)
         found = bodies_and_holes(len(smoothed.vertices_px), smoothed.faces, len(smoothed.rim))
         if found == counts:
-            break
+            on_surface(lattice, volume, surface)
+            return smoothed
         finer = lattice.finer(layers[0] > 0)
         if finer is None:
             refuse("topology", *counts, *found)
         lattice = finer
-    on_surface(lattice, volume, surface)
-    mesh = scale(smoothed, (image.shape[0], image.shape[1]), spec)
-    # Who asks for a pitch has asked for its vertices, too.
-    within = spec.lattice_pitch_mm is not None or len(mesh.vertices_m) <= BUDGET_SLACK * spec.target_vertices
-    return mesh if within else decimate(mesh, spec.target_vertices)
 
 
 def binarise(

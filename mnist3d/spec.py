@@ -1,4 +1,4 @@
-"""Every number that turns ink into a solid, and how digits are divided into splits."""
+"""What decides digits, and what commands have options of: source, solid, division into splits."""
 
 from __future__ import annotations
 
@@ -237,3 +237,23 @@ class SplitSpec:
             "by": self.by or "digit",
             "sizes": dict(self.sizes) if self.sizes else None,
         }
+
+
+SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
+
+
+@dataclass(frozen=True, slots=True)
+class SourceOptions:
+    """Where the images come from."""
+
+    images: str | None = text(
+        metavar="PATH",
+        help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
+        "pictures DIR/<label>/*.png.",
+    )
+    writer_info: str | None = text(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
+    writer_column: int | None = integer(None, help="Column of WriterInfo.npy that holds the writer.")
+    download: bool = switch(False, help="Fetch MNIST into --images first (extra `torch`).")
+    ink: str = choice("auto", ("auto", "dark", "light"), help="Ink of pictures in a folder.")
+    # As many as MNIST 3D has (Tactile MNIST paper).
+    digits: int = integer(13_580, 1, help="How many digits the synthetic source holds.")

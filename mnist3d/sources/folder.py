@@ -87,9 +87,7 @@ class FolderSource:
         pictures = self._pictures()
         if not 0 <= digit_id < len(pictures):
             reason, last = "unknown-id", len(pictures) - 1
-            raise ItemError(
-                reason, f"{self.root}: no picture {digit_id}, expected 0 to {last}; next: check the id"
-            )
+            raise ItemError(reason, f"{self.root}: no picture {digit_id}, expected 0 to {last}")
         picture = pictures[digit_id]
         pixels = fit(read_picture(Path(self.root, picture.name), self.ink))
         return DigitImage(digit_id, picture.label, pixels, picture.writer)
@@ -117,7 +115,7 @@ class FolderSource:
     def _pictures(self) -> tuple[_Picture, ...]:
         if self.ink not in _INKS:
             raise InputError(
-                f"ink: found {self.ink!r}, expected one of {', '.join(_INKS)}", next="choose one of them"
+                f"ink: found {self.ink!r}, expected one of {', '.join(_INKS)}", next="choose one"
             )
         # Listed again when one of the folders has changed since.
         folders = [Path(self.root), *(Path(self.root, digit) for digit in sorted(_DIGITS))]
@@ -133,72 +131,44 @@ class _Picture(NamedTuple):
 
 @lru_cache(maxsize=4)
 def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
-    folders, files = _visible(root, "")
-    others = [name for name in folders if name not in _DIGITS]
-    if others:
-        raise InputError(
-            f"{root}: found the folders {_some(others)}, expected only folders named 0 to 9; "
-            "next: rename them or move them away"
-        )
-    matches = {name: _LABEL.search(name) for name in files}
-    unlabelled = [name for name, match in matches.items() if match is None]
-    if unlabelled:
-        raise InputError(
-            f"{root}: found pictures without a digit in their names: {_some(unlabelled)}, expected names "
-            "with label<digit> such as a_label7_b.png",
-            next="rename them or sort them into folders named 0 to 9",
-        )
-    found = [_Picture(int(match[1]), name, _writer(name)) for name, match in matches.items() if match]
-    for folder in folders:
-        inner, names = _visible(root, folder)
-        if inner:
-            raise InputError(
-                f"{root}: found the folder {inner[0]!r}, expected pictures only", next="move it away"
-            )
-        found += [_Picture(int(folder), name, _writer(name)) for name in names]
-    if not found:
-        raise InputError(
-            f"{root}: found no picture, expected {root}/<digit>/*.png (or jpg, tif, ...), digits 0 to 9; "
-            "next: check the path and sort the pictures into such folders"
-        )
-    return tuple(sorted(found, key=lambda picture: (picture.label, _natural(picture.name))))
-
-
-def _visible(root: str, folder: str) -> tuple[list[str], list[str]]:
-    """Names, relative to `root`, of the sub-folders and the pictures in one folder, hidden ones left out."""
-    path = Path(root, folder)
-    folders, files = [], []
+    base, found = Path(root), []
     try:
-        with os.scandir(path) as entries:
-            for entry in entries:
-                name = f"{folder}/{entry.name}" if folder else entry.name
-                if entry.name.startswith("."):
-                    continue
-                if entry.is_dir():
-                    folders.append(name)
-                elif Path(name).suffix.lower() in _SUFFIXES:
-                    files.append(name)
+        inner = [path for digit in base.glob("[0-9]") for path in digit.iterdir()]
+        visible = sorted(path for path in (*base.iterdir(), *inner) if not path.name.startswith("."))
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be listed ({error.strerror}), expected a folder of pictures; "
-            "next: check the path"
+            f"{root}: cannot be listed ({error.strerror}), expected a folder of pictures",
+            next="check the path",
         ) from error
-    return sorted(folders), sorted(files)
-
-
-def _writer(name: str) -> int:
-    match = _WRITER.search(name.rpartition("/")[2])
-    return int(match[1]) if match else NO_WRITER
+    for path in visible:
+        name, is_sorted = path.relative_to(base).as_posix(), path.parent != base
+        if path.is_dir() and (is_sorted or path.name not in _DIGITS):
+            raise InputError(
+                f"{root}: found the folder {name!r}, expected only folders named 0 to 9, of pictures alone",
+                next="rename it or move it away",
+            )
+        if path.is_dir() or path.suffix.lower() not in _SUFFIXES:
+            continue
+        label, writer = _LABEL.search(path.name), _WRITER.search(path.name)
+        if not is_sorted and label is None:
+            raise InputError(
+                f"{root}: found {name!r}, a picture without a digit in its name, expected names with "
+                "label<digit> such as a_label7_b.png",
+                next="rename it or sort it into a folder named 0 to 9",
+            )
+        digit = path.parent.name if is_sorted or label is None else label[1]
+        found.append(_Picture(int(digit), name, int(writer[1]) if writer else NO_WRITER))
+    if not found:
+        raise InputError(
+            f"{root}: found no picture, expected {root}/<digit>/*.png (or jpg, tif, ...), digits 0 to 9",
+            next="check the path and sort the pictures into such folders",
+        )
+    return tuple(sorted(found, key=lambda picture: (picture.label, _natural(picture.name))))
 
 
 def _natural(name: str) -> tuple[list[str | int], str]:
     pieces = re.split(r"([0-9]+)", name.casefold())
     return [int(piece) if piece.isdecimal() and piece.isascii() else piece for piece in pieces], name
-
-
-def _some(names: list[str]) -> str:
-    shown = ", ".join(repr(name) for name in names[:5])
-    return shown if len(names) <= 5 else f"{shown} and {len(names) - 5} more"
 
 
 def read_picture(path: Path, ink: str = "auto") -> NDArray[np.uint8]:
@@ -244,7 +214,7 @@ def _decoded(path: Path) -> Image:
                 if picture.format in ("JPEG", "MPO"):
                     require_bounded_jpeg(path.read_bytes())
                 upright = ImageOps.exif_transpose(picture)
-        if upright.mode in ("F", "I") or upright.mode.startswith("I;16"):
+        if upright.mode[:1] in ("F", "I"):
             return upright
         if upright.has_transparency_data:
             return upright.convert("RGBA")
@@ -267,11 +237,9 @@ def _brightness(picture: Image, ink: str, path: Path) -> NDArray[np.uint8]:
     # More than 8 bits: 16-bit files use their whole range, floats end at 1 or 255.
     values = np.asarray(picture)
     largest = float(np.fmax.reduce(values, axis=None, initial=0))
-    if picture.mode == "F":
-        white = 1.0 if largest <= 1 else 255.0
-    else:
-        white = 65535.0 if picture.mode != "I" or largest > 255 else 255.0
-    return as_grey(values, white, str(path))
+    few, many = (1.0, 255.0) if picture.mode == "F" else (255.0, 65535.0)
+    is_short = picture.mode in ("F", "I") and largest <= few
+    return as_grey(values, few if is_short else many, str(path))
 
 
 def _over_paper(picture: Image, ink: str) -> NDArray[np.uint8]:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import re
-import tokenize
 import warnings
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,8 +18,6 @@ from tactile_toolkit.errors import InputError, ItemError
 
 _SCALE_SAMPLE = 16
 _FINGERPRINT_SAMPLE = 64
-# At most 18 figures: the number fits 64 bits.
-_INTEGER = re.compile(r"\s*([+-]?[0-9]{1,18})(\.0*)?\s*")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,14 +58,14 @@ class HwdPlusSource:
         Raises InputError when a file is missing, damaged or of another shape or type, when the two differ in
         rows, or when a label is not an integer from 0 to 9.
         """
-        stack, (labels, writers) = self._stack(), self._people()
-        if len(labels) != stack.shape[0]:
+        count, (labels, writers) = len(self._stack()), self._people()
+        if len(labels) != count:
             raise InputError(
-                f"{self.writer_info}: found {len(labels)} rows, expected {stack.shape[0]}, one for each "
-                f"image of {self.images}",
+                f"{self.writer_info}: found {len(labels)} rows, expected {count}, one for each image of "
+                f"{self.images}",
                 next="take both files from the same download",
             )
-        return DigitCatalog(np.arange(len(labels)), labels, writers)
+        return DigitCatalog(np.arange(count), labels, writers)
 
     def image(self, digit_id: int) -> DigitImage:
         """Read the image of row `digit_id`, and nothing else of the file.
@@ -79,11 +75,9 @@ class HwdPlusSource:
         """
         stack, (labels, writers) = self._stack(), self._people()
         where = f"{self.images}, row {digit_id}"
-        if not 0 <= digit_id < min(stack.shape[0], len(labels)):
+        if not 0 <= digit_id < min(len(stack), len(labels)):
             reason = "unknown-id"
-            raise ItemError(
-                reason, f"{where}: no such image, expected rows 0 to {stack.shape[0] - 1}; next: check the id"
-            )
+            raise ItemError(reason, f"{where}: no such image, expected rows 0 to {len(stack) - 1}")
         full_scale = _full_scale(self.images, _stamp(self.images))
         pixels = fit(as_grey(np.array(stack[digit_id]), full_scale, where))
         return DigitImage(digit_id, int(labels[digit_id]), pixels, int(writers[digit_id]))
@@ -129,10 +123,8 @@ class HwdPlusSource:
 @lru_cache(maxsize=4)
 def _full_scale(path: str, stamp: tuple[int, int]) -> float:
     stack = open_npy(path)
-    if stack.dtype.kind in "iu":
-        return 255.0
-    if stack.dtype.kind == "b":
-        return 1.0
+    if stack.dtype.kind in "iub":
+        return 1.0 if stack.dtype.kind == "b" else 255.0
     # A median of several: a single image may be damaged, or hold no paper.
     values = (stack[row] for row in _evenly_spaced(len(stack), _SCALE_SAMPLE))
     brightest = [float(np.max(each, where=np.isfinite(each), initial=-np.inf)) for each in values]
@@ -142,8 +134,7 @@ def _full_scale(path: str, stamp: tuple[int, int]) -> float:
 
 
 def _evenly_spaced(count: int, wanted: int) -> list[int]:
-    picks = np.linspace(0, count - 1, min(count, wanted))
-    return [int(row) for row in np.rint(picks)]
+    return [int(row) for row in np.rint(np.linspace(0, count - 1, min(count, wanted)))]
 
 
 @lru_cache(maxsize=4)
@@ -158,57 +149,43 @@ def _labels_and_writers(
             next="give the file 'WriterInfo.npy' of HWD+",
         )
     table = np.array(cells).reshape(len(cells), -1)
-    labels = _int_column(table, 0, path)
-    wrong = np.flatnonzero((labels < 0) | (labels > 9))
-    if wrong.size:
-        raise _bad_cell(path, int(wrong[0]), 0, labels[wrong[0]], "a digit from 0 to 9")
-    writers = _writers(table, writer_column, path)
+    labels, writers = _int_column(table, 0, path, 9), np.full(len(table), NO_WRITER, np.int64)
+    if writer_column is not None:
+        if not 1 <= writer_column < table.shape[1]:
+            raise InputError(
+                f"{path}: writer column {writer_column} is not there, expected one from 1: the file has "
+                f"{table.shape[1]} columns, column 0 is the digit",
+                next="change --writer-column",
+            )
+        writers = _int_column(table, writer_column, path)
     for shared in (labels, writers):
         shared.flags.writeable = False
     return labels, writers
 
 
-def _writers(table: NDArray[Any], writer_column: int | None, path: str) -> NDArray[np.int64]:
-    if writer_column is None:
-        return np.full(len(table), NO_WRITER, np.int64)
-    width = table.shape[1]
-    if not 1 <= writer_column < width:
-        there = (
-            f"expected 1 to {width - 1}" if width > 1 else "expected none, as there is no column of writers"
-        )
-        raise InputError(
-            f"{path}: writer column {writer_column} is not there, {there} (the file has {width} columns, "
-            "column 0 is the digit)",
-            next="change --writer-column",
-        )
-    return _int_column(table, writer_column, path)
-
-
-def _int_column(table: NDArray[Any], column: int, path: str) -> NDArray[np.int64]:
-    cells = table[:, column]
-    if cells.dtype.kind in "biu":
-        return cells.astype(np.int64)
-    if cells.dtype.kind == "f":
-        # From 2**53 on a float no longer tells one integer from the next.
-        whole = np.isfinite(cells) & (np.rint(cells) == cells) & (np.abs(cells) < 2.0**53)
-        numbers = np.where(whole, cells, 0).astype(np.int64)
-    else:
-        texts = cells if cells.dtype.kind == "U" else np.char.decode(cells, "ascii", "replace")
-        found = [_INTEGER.fullmatch(str(text)) for text in texts]
-        whole = np.array([match is not None for match in found])
-        numbers = np.array([int(match[1]) if match else 0 for match in found], np.int64)
-    if not whole.all():
-        row = int(np.argmin(whole))
-        raise _bad_cell(path, row, column, cells[row], "an integer")
-    return numbers
-
-
-def _bad_cell(path: str, row: int, column: int, value: Any, expected: str) -> InputError:
-    shown = value.item() if isinstance(value, np.generic) else value
-    return InputError(
-        f"{path}: row {row}, column {column}: found {shown!r}, expected {expected}; "
-        "next: check that this file belongs to the images and is not damaged"
+def _int_column(table: NDArray[Any], column: int, path: str, most: float = np.inf) -> NDArray[np.int64]:
+    """Return a column of numbers, or strings of them, as integers; a digit is at most 9 and at least 0."""
+    cells, least = table[:, column], 0 if most == 9 else -np.inf
+    numbers = np.array([_number(cell) for cell in cells]) if cells.dtype.kind in "US" else cells.astype(float)
+    # From 2**53 on a float no longer tells one integer from the next.
+    fits = (
+        (np.rint(numbers) == numbers) & (np.abs(numbers) < 2.0**53) & (numbers >= least) & (numbers <= most)
     )
+    if not fits.all():
+        row = int(np.argmin(fits))
+        expected = "a digit from 0 to 9" if most == 9 else "an integer"
+        raise InputError(
+            f"{path}: row {row}, column {column}: found {cells[row].item()!r}, expected {expected}",
+            next="check that this file belongs to the images and is not damaged",
+        )
+    return numbers.astype(np.int64)
+
+
+def _number(cell: str | bytes) -> float:
+    try:
+        return float(cell)
+    except ValueError:
+        return np.nan
 
 
 def open_npy(path: str) -> NDArray[Any]:
@@ -222,23 +199,12 @@ def open_npy(path: str) -> NDArray[Any]:
             # A file written by Python 2, or with an old name of a type, reads well: no news to its user.
             warnings.simplefilter("ignore")
             return np.lib.format.open_memmap(path, mode="r")
-    except OSError as error:
+    except Exception as error:  # numpy parses a damaged header, which is Python's text, into many kinds
         raise InputError(
-            f"{path}: cannot be opened ({error.strerror}), expected a .npy file", next="check the path"
+            f"{path}: cannot be read ({error}), expected an intact .npy file of numbers or strings, as "
+            "numpy.save writes them",
+            next="check the path, or download or copy it again",
         ) from error
-    except _DAMAGED as error:
-        raise InputError(
-            f"{path}: is not an intact .npy file ({error}), expected numbers or strings as numpy.save "
-            "writes them",
-            next="download or copy it again",
-        ) from error
-
-
-_DAMAGED = (
-    *(ValueError, TypeError, EOFError, SyntaxError, tokenize.TokenError),
-    *(OverflowError, RecursionError, MemoryError),
-)
-"""What numpy's parsing of a damaged header, which is Python's text, runs into."""
 
 
 def _stamp(path: str) -> tuple[int, int]:

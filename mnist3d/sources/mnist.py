@@ -87,11 +87,8 @@ class MnistSource:
                 pixels = enlarge(255 - images[index], (SIDE_PX, SIDE_PX))
                 return DigitImage(digit_id, int(labels[index]), pixels)
             index -= len(images)
-        reason, count = "unknown-id", digit_id - index
-        raise ItemError(
-            reason,
-            f"{self.root}: no digit {digit_id}, expected 0 to {count - 1}; next: check the id and the part",
-        )
+        reason, last = "unknown-id", digit_id - index - 1
+        raise ItemError(reason, f"{self.root}: no digit {digit_id}, expected 0 to {last}")
 
     def fingerprint(self) -> dict[str, object]:
         """Return count and SHA-256 of the unpacked images and labels of each part.
@@ -110,10 +107,21 @@ class MnistSource:
 
     def _parts(self) -> list[Part]:
         parts = []
-        for prefix in _chosen(self.root, self.part):
+        for prefix in self._prefixes():
             images, labels = (self._file(prefix, kind) for kind in _KINDS)
             parts.append(_read_pair(images, labels, images.stat().st_mtime_ns, labels.stat().st_mtime_ns))
         return parts
+
+    def _prefixes(self) -> list[str]:
+        if self.part in _PREFIXES:
+            return [_PREFIXES[self.part]]
+        if self.part != "auto":
+            raise InputError(
+                f"part of MNIST: found {self.part!r}, expected 'train', 'test' or 'auto'", next="choose one"
+            )
+        # One file of a pair is enough to choose the part: the missing one is then reported by its name.
+        known = list(_PREFIXES.values())
+        return [each for each in known if any(_find(self.root, each, kind) for kind in _KINDS)] or known
 
     def _file(self, prefix: str, kind: str) -> Path:
         path, folder = _find(self.root, prefix, kind), Path(self.root)
@@ -158,18 +166,6 @@ def download_mnist(root: str) -> None:
         ) from error
 
 
-def _chosen(root: str, part: str) -> list[str]:
-    if part in _PREFIXES:
-        return [_PREFIXES[part]]
-    if part != "auto":
-        raise InputError(
-            f"part of MNIST: found {part!r}, expected 'train', 'test' or 'auto'", next="choose one of them"
-        )
-    # One file of a pair is enough to choose the part: the missing one is then reported by its name.
-    there = [prefix for prefix in _PREFIXES.values() if any(_find(root, prefix, kind) for kind in _KINDS)]
-    return there or list(_PREFIXES.values())
-
-
 def _find(root: str, prefix: str, kind: str) -> Path | None:
     names = [f"{prefix}-{kind}{mark}{_KINDS[kind]}{end}" for mark, end in product("-.", ("", ".gz"))]
     # Some archives unpack each file into a folder of the file's own name.
@@ -180,17 +176,15 @@ def _find(root: str, prefix: str, kind: str) -> Path | None:
 
 @lru_cache(maxsize=4)
 def _read_pair(images_path: Path, labels_path: Path, _images_ns: int, _labels_ns: int) -> Part:
-    images = read_idx(images_path, IMAGES_MAGIC)
-    labels = read_idx(labels_path, LABELS_MAGIC)
+    images, labels = read_idx(images_path, IMAGES_MAGIC), read_idx(labels_path, LABELS_MAGIC)
     if images.shape[1:] != (28, 28):
-        raise _unusable(images_path, f"found images of {images.shape[1:]} pixels, expected (28, 28)")
-    if len(images) != len(labels) or not len(labels):
-        found = f"found {len(labels)} labels for {len(images)} images of {images_path.name}"
-        raise _unusable(labels_path, f"{found}, expected one for each and at least one")
-    wrong = np.flatnonzero(labels > 9)
-    if wrong.size:
-        found = f"found label {labels[wrong[0]]} in row {wrong[0]}"
-        raise _unusable(labels_path, f"{found}, expected digits from 0 to 9")
+        raise _unusable(images_path, f"images of {images.shape[1:]} pixels", "(28, 28)")
+    if not len(images) == len(labels) > 0:
+        found = f"{len(labels)} labels for {len(images)} images of {images_path.name}"
+        raise _unusable(labels_path, found, "one for each and at least one")
+    if labels.max() > 9:
+        row = int(labels.argmax())
+        raise _unusable(labels_path, f"label {labels[row]} in row {row}", "digits from 0 to 9")
     return images, labels
 
 
@@ -201,33 +195,24 @@ def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
     InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind. No more
     is unpacked than the header promises, and that is bounded, see :mod:`tactile_toolkit.bounds`.
     """
-    dimensions = magic & 0xFF
-    start = 4 + 4 * dimensions
+    start = 4 + 4 * (magic & 0xFF)
     try:
         with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as stream:
-            data = stream.read(start)
-            if len(data) < start:
-                story = f"is cut off, found {len(data)} bytes, expected a header of {start}"
-                raise _unusable(path, story)
-            found, *shape = struct.unpack(f">{1 + dimensions}I", data)
+            found, *shape = struct.unpack(f">{start // 4}I", stream.read(start))
             if found != magic:
-                story = f"found magic number {found}, expected {magic}"
-                raise _unusable(path, story)
-            promised = prod(shape)
-            require_unpackable(promised, str(path))
-            data = stream.read(promised)
-            too_long = stream.read(1)
-    except (EOFError, gzip.BadGzipFile, zlib.error) as error:
-        raise _unusable(path, f"is damaged or cut off ({error}), expected a whole gzip file") from error
-    except OSError as error:
-        raise _unusable(path, f"cannot be read ({error.strerror}), expected an IDX file") from error
-    if len(data) != promised or too_long:
-        length = f"more than {start + promised}" if too_long else str(start + len(data))
-        story = f"found {length} bytes, expected {start + promised} for an array of shape {shape}"
-        raise _unusable(path, story)
+                raise _unusable(path, f"magic number {found}", magic)
+            require_unpackable(prod(shape), str(path))
+            data = stream.read(prod(shape) + 1)
+    except (EOFError, OSError, zlib.error, struct.error) as error:
+        raise _unusable(path, f"a file that cannot be read ({error})", "an intact IDX file") from error
+    if len(data) != prod(shape):
+        raise _unusable(
+            path, f"{len(data)} bytes or more of numbers", f"{prod(shape)} for an array of shape {shape}"
+        )
     return np.frombuffer(data, np.uint8).reshape(shape)
 
 
-def _unusable(path: Path, story: str) -> InputError:
-    """State what is wrong with a file that has to be fetched again."""
-    return InputError(f"{path}: {story}; next: remove it, then download or copy it again")
+def _unusable(path: Path, found: str, expected: object) -> InputError:
+    return InputError(
+        f"{path}: found {found}, expected {expected}", next="remove it, then download or copy it again"
+    )

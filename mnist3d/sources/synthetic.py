@@ -9,17 +9,18 @@ from typing import ClassVar
 import numpy as np
 
 from mnist3d.sources import DigitCatalog, DigitImage
-from mnist3d.sources.handwriting.digits import ALLOGRAPHS
-from mnist3d.sources.handwriting.hand import (
-    POSTURES,
-    Hand,
+from mnist3d.sources.digits import ALLOGRAPHS
+from mnist3d.sources.pen import (
+    DIGIT_STYLES,
     KeyedRng,
     Variation,
+    WriterStyle,
     choose_allograph,
-    hand_of,
-    posed,
+    draw,
+    draw_style,
+    on_page,
+    style_for_digit,
 )
-from mnist3d.sources.handwriting.pen import draw, on_page
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError
 
@@ -31,7 +32,7 @@ HWD_PLUS_COUNT = 13_580
 
 _PER_CLASS = 14
 _PER_WRITER = 10 * _PER_CLASS
-_HAND, _FASHION, _HABIT, _DIGIT, _INK = range(5)
+_HAND, _CLASS_NOISE, _WRITER_NOISE, _DIGIT, _INK = range(5)
 """First words of the keys of the random streams."""
 _SIZE_JITTER = 0.06
 """Relative deviation of height and pen width between the digits of a writer whose jitter is 1."""
@@ -92,9 +93,9 @@ class SyntheticSource:
         ids = np.arange(self.count, dtype=np.int64)
         return DigitCatalog(ids, ids % _PER_WRITER // _PER_CLASS, ids // _PER_WRITER)
 
-    def hand(self, writer: int) -> Hand:
+    def hand(self, writer: int) -> WriterStyle:
         """Return the traits of a writer, counted from 0; they are the same in all the writer's digits."""
-        return hand_of(KeyedRng(_HAND, self.seed, writer))
+        return draw_style(KeyedRng(_HAND, self.seed, writer))
 
     def image(self, digit_id: int) -> DigitImage:
         """Draw one digit, 500 x 500 px.
@@ -108,20 +109,19 @@ class SyntheticSource:
         """
         digit_id = index(digit_id)
         if not 0 <= digit_id < self.count:
-            msg = (
-                f"the synthetic source has no digit {digit_id}; expected an id from 0 to {self.count - 1}; "
-                "next: choose such an id or raise the source's count"
+            raise InputError(
+                f"the synthetic source has no digit {digit_id}; expected an id from 0 to {self.count - 1}",
+                next="choose such an id or raise the source's count",
             )
-            raise InputError(msg)
         writer, label = digit_id // _PER_WRITER, digit_id % _PER_WRITER // _PER_CLASS
         hand, rng = self.hand(writer), KeyedRng(_DIGIT, self.seed, digit_id)
         height_px = hand.height_px * (1.0 + _SIZE_JITTER * hand.jitter * rng.approx_normal())
         pen_px = hand.pen_px * (1.0 + _SIZE_JITTER * hand.jitter * rng.approx_normal())
-        fashion = KeyedRng(_FASHION, self.seed, label)
-        choice = choose_allograph(label, writer, fashion, rng, hand.fidelity)
-        habit = KeyedRng(_HABIT, self.seed, writer, label, choice)
-        vary = Variation(habit, rng, hand.jitter, POSTURES[label][2])
-        hand = posed(hand, label, vary)
+        class_noise = KeyedRng(_CLASS_NOISE, self.seed, label)
+        choice = choose_allograph(label, writer, class_noise, rng, hand.fidelity)
+        writer_noise = KeyedRng(_WRITER_NOISE, self.seed, writer, label, choice)
+        vary = Variation(writer_noise, rng, hand.jitter, DIGIT_STYLES[label][2])
+        hand = style_for_digit(hand, label, vary)
         shape, _ = ALLOGRAPHS[label][choice]
         # The pen's width as a share of the height between middle lines, larger in narrow hands.
         strokes = shape(vary, pen_px / (height_px - pen_px) / min(hand.aspect, 1.0))

@@ -159,11 +159,11 @@ def test_labels_of_every_kind(tmp_path: Path, labels: NDArray[Any]) -> None:
     [
         (np.array([0, 10, 11]), "row 1, column 0: found 10, expected a digit from 0 to 9"),
         (np.array([0, 1, -1]), "row 2, column 0: found -1, expected a digit from 0 to 9"),
-        (np.array([0, 1.5, 2]), "row 1, column 0: found 1.5, expected an integer"),
-        (np.array([np.nan, 1, 2]), "row 0, column 0: found nan, expected an integer"),
-        (np.array([1e300, 1, 2]), "row 0, column 0: found 1e+300, expected an integer"),
-        (np.array(["1", "two", "3"]), "row 1, column 0: found 'two', expected an integer"),
-        (np.array([b"1", b"\xff", b"3"]), r"row 1, column 0: found b'\xff', expected an integer"),
+        (np.array([0, 1.5, 2]), "row 1, column 0: found 1.5, expected a digit from 0 to 9"),
+        (np.array([np.nan, 1, 2]), "row 0, column 0: found nan, expected a digit from 0 to 9"),
+        (np.array([1e300, 1, 2]), "row 0, column 0: found 1e+300, expected a digit from 0 to 9"),
+        (np.array(["1", "two", "3"]), "row 1, column 0: found 'two', expected a digit from 0 to 9"),
+        (np.array([b"1", b"\xff", b"3"]), r"row 1, column 0: found b'\xff', expected a digit from 0 to 9"),
     ],
 )
 def test_labels_that_are_no_digits(tmp_path: Path, labels: NDArray[Any], found: str) -> None:
@@ -174,12 +174,12 @@ def test_labels_that_are_no_digits(tmp_path: Path, labels: NDArray[Any], found: 
 @pytest.mark.parametrize("column", [-1, 0, 2, 99])
 def test_writer_column_that_is_not_there(tmp_path: Path, column: int) -> None:
     message = refusal(source(tmp_path, writer_column=column))
-    assert f"WriterInfo.npy: writer column {column} is not there, expected 1 to 1" in message
+    assert f"WriterInfo.npy: writer column {column} is not there, expected one from 1" in message
     assert "the file has 2 columns" in message
 
 
 def test_table_of_labels_alone_has_no_writer_column(tmp_path: Path) -> None:
-    assert "no column of writers" in refusal(source(tmp_path, info=np.arange(3), writer_column=1))
+    assert "the file has 1 columns" in refusal(source(tmp_path, info=np.arange(3), writer_column=1))
 
 
 def test_writers_that_are_no_numbers(tmp_path: Path) -> None:
@@ -222,20 +222,20 @@ class TestDamagedFiles:
         made = source(tmp_path)
         (tmp_path / name).unlink()
         assert refusal(made).startswith(
-            f"{tmp_path}/{name}: cannot be opened (No such file or directory), expected a .npy file"
+            f"{tmp_path}/{name}: cannot be read ([Errno 2] No such file or directory"
         )
 
     def test_folder(self, tmp_path: Path, name: str) -> None:
         made = source(tmp_path)
         (tmp_path / name).unlink()
         (tmp_path / name).mkdir()
-        assert "cannot be opened (Is a directory)" in refusal(made)
+        assert "cannot be read ([Errno 21] Is a directory" in refusal(made)
 
     @pytest.mark.parametrize("content", [b"", b"PK\x03\x04 a zip archive", b"label,writer\n3,4\n"])
     def test_something_else(self, tmp_path: Path, name: str, content: bytes) -> None:
         made = source(tmp_path)
         (tmp_path / name).write_bytes(content)
-        assert f"{name}: is not an intact .npy file" in refusal(made)
+        assert f"{name}: cannot be read" in refusal(made)
 
     def test_cut_off(self, tmp_path: Path, name: str) -> None:
         made = source(tmp_path)
@@ -243,13 +243,13 @@ class TestDamagedFiles:
         whole = (tmp_path / name).stat().st_size
         with (tmp_path / name).open("r+b") as stream:
             stream.truncate(whole - 5)
-        assert f"{name}: is not an intact .npy file (mmap length" in refusal(made)
+        assert f"{name}: cannot be read (mmap length" in refusal(made)
 
     @pytest.mark.parametrize("kept", [7, 9, 20, 60])
     def test_cut_off_in_the_header(self, tmp_path: Path, name: str, kept: int) -> None:
         made = source(tmp_path)
         (tmp_path / name).write_bytes((tmp_path / name).read_bytes()[:kept])
-        assert f"{name}: is not an intact .npy file" in refusal(made)
+        assert f"{name}: cannot be read" in refusal(made)
 
     def test_a_negative_shape(self, tmp_path: Path, name: str) -> None:
         made = source(tmp_path)
@@ -257,13 +257,13 @@ class TestDamagedFiles:
             header = {"descr": "|u1", "fortran_order": False, "shape": (-3, 1)}
             np.lib.format.write_array_header_1_0(stream, header)
             stream.write(bytes(64))
-        assert f"{name}: is not an intact .npy file" in refusal(made)
+        assert f"{name}: cannot be read" in refusal(made)
 
     def test_pickled_objects_are_never_loaded(self, tmp_path: Path, name: str) -> None:
         made = source(tmp_path)
         np.save(tmp_path / name, np.array([[1, None]] * 3, object), allow_pickle=True)
         message = refusal(made)
-        assert f"{name}: is not an intact .npy file" in message
+        assert f"{name}: cannot be read" in message
         assert "Python objects" in message
 
 

@@ -151,20 +151,19 @@ class TestRefusals:
         path = tmp_path / name_of("test", "images")
         path.write_bytes((path.read_bytes() + bytes(9))[: 16 + 4 * 784 + change])
         message = refusal(MnistSource(str(tmp_path)))
-        found = "more than 3152" if change > 0 else f"{16 + 3136 + change}"
-        assert f"{path}: found {found} bytes, expected 3152 for an array of shape" in message
+        assert f"{path}: found {3136 + min(change, 1)} bytes or more of numbers, expected 3136 for" in message
 
     def test_empty_file(self, tmp_path: Path) -> None:
         write(tmp_path)
         (tmp_path / name_of("test", "labels")).write_bytes(b"")
-        assert "is cut off, found 0 bytes, expected a header of 8" in refusal(MnistSource(str(tmp_path)))
+        assert "expected an intact IDX file" in refusal(MnistSource(str(tmp_path)))
 
     @pytest.mark.parametrize("kept", [5, 40, -4])
     def test_gzip_cut_off(self, tmp_path: Path, kept: int) -> None:
         write(tmp_path, end=".gz")
         path = tmp_path / name_of("test", "images", end=".gz")
         path.write_bytes(path.read_bytes()[:kept])
-        assert f"{path}: is damaged or cut off" in refusal(MnistSource(str(tmp_path)))
+        assert f"{path}: found a file that cannot be read" in refusal(MnistSource(str(tmp_path)))
 
     def test_gzip_damaged(self, tmp_path: Path) -> None:
         write(tmp_path, end=".gz")
@@ -172,13 +171,13 @@ class TestRefusals:
         data = bytearray(path.read_bytes())
         data[12] ^= 255
         path.write_bytes(data)
-        assert f"{path}: is damaged or cut off" in refusal(MnistSource(str(tmp_path)))
+        assert f"{path}: found a file that cannot be read" in refusal(MnistSource(str(tmp_path)))
 
     def test_plain_file_named_gz(self, tmp_path: Path) -> None:
         write(tmp_path, end=".gz")
         path = tmp_path / name_of("test", "labels", end=".gz")
         path.write_bytes(idx(bars(4)[1]))
-        assert "expected a whole gzip file" in refusal(MnistSource(str(tmp_path)))
+        assert "expected an intact IDX file" in refusal(MnistSource(str(tmp_path)))
 
     def test_counts_differ(self, tmp_path: Path) -> None:
         write(tmp_path, labels=bars(3)[1])
@@ -188,7 +187,7 @@ class TestRefusals:
     def test_label_that_is_no_digit(self, tmp_path: Path) -> None:
         write(tmp_path, labels=np.array([1, 2, 10, 11], np.uint8))
         message = refusal(MnistSource(str(tmp_path)))
-        assert f"{name_of('test', 'labels')}: found label 10 in row 2, expected digits from 0 to 9" in message
+        assert f"{name_of('test', 'labels')}: found label 11 in row 3, expected digits from 0 to 9" in message
 
     def test_other_image_size(self, tmp_path: Path) -> None:
         write(tmp_path, images=np.zeros((4, 32, 32), np.uint8))

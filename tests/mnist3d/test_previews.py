@@ -12,9 +12,8 @@ from PIL import Image
 
 import mnist3d
 from mnist3d.generation import GenerateSpec, generate
-from mnist3d.preview_steps import _stack_view, draw_steps, layer_map
 from mnist3d.previews import DigitPreviewSpec as PreviewSpec
-from mnist3d.previews import object_facts, plan_previews, report_rows
+from mnist3d.previews import _stack_view, draw_steps, layer_map, object_facts, plan_previews, report_rows
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.mnist import MnistSource
@@ -224,7 +223,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
         meshes.extend(body.mesh for body in picture.bodies)
         return draw_bodies(picture)
 
-    monkeypatch.setattr("mnist3d.preview_steps.draw_bodies", look)
+    monkeypatch.setattr("mnist3d.previews.draw_bodies", look)
     return meshes
 
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from scipy import ndimage
 
 from mnist3d.sources import DigitImage
-from mnist3d.sources.handwriting.digits import ALLOGRAPHS
-from mnist3d.sources.handwriting.hand import KeyedRng, choose_allograph, index_at
+from mnist3d.sources.digits import ALLOGRAPHS
+from mnist3d.sources.pen import KeyedRng, choose_allograph, index_at
 from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
 from tactile_toolkit.errors import InputError
 

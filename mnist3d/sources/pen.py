@@ -1,14 +1,210 @@
-"""From a shape in the unit square to pen paths on the page, and from those to ink on paper."""
+"""The style of a writer, and its ink: from a shape in the unit square to pen paths and ink on the page."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.sources.handwriting.hand import Hand, KeyedRng
-from mnist3d.sources.handwriting.strokes import Stroke, Vary, resample, smooth, through
+from mnist3d.sources.digits import ALLOGRAPHS, Stroke, Vary, resample, smooth, through
+
+_BLOCK = 64
+_UNIT = 2.0**-53
+_ROOT_3 = 1.7320508075688772
+"""The sum of four uniform numbers has the variance 1/3."""
+
+
+class KeyedRng:
+    """A stream of numbers named by a key of non-negative integers; another key gives an independent one.
+
+    Only the raw words of PCG64 and :class:`numpy.random.SeedSequence` are used, whose streams numpy
+    promises to keep (NEP 19); the methods of ``Generator`` may change between versions. All that follows
+    is addition and multiplication, which IEEE 754 rounds the same way everywhere.
+    """
+
+    __slots__ = ("_bits", "_left")
+
+    def __init__(self, *key: int) -> None:
+        # The length goes in, because SeedSequence pads short keys with zeros.
+        self._bits = np.random.PCG64(np.random.SeedSequence((len(key), *key)))
+        self._left: list[float] = []
+
+    def unit(self) -> float:
+        """Return the next number, uniform in [0, 1)."""
+        if not self._left:
+            self._left = self.units(_BLOCK).tolist()
+        return self._left.pop()
+
+    def units(self, number: int) -> NDArray[np.float64]:
+        """Return `number` fresh numbers, uniform in [0, 1), shape (number,)."""
+        return (self._bits.random_raw(number) >> np.uint64(11)).astype(np.float64) * _UNIT
+
+    def uniform(self, low: float, high: float) -> float:
+        """Return a number, uniform between `low` and `high`."""
+        return low + (high - low) * self.unit()
+
+    def approx_normal(self) -> float:
+        """Return a number from nearly a normal distribution: mean 0, standard deviation 1, never beyond 3.5.
+
+        The sum of four uniform numbers: unlike a normal number it needs no logarithm, whose last bit
+        differs between platforms, and has no tail that would tear a glyph apart.
+        """
+        return (self.unit() + self.unit() + self.unit() + self.unit() - 2.0) * _ROOT_3
+
+    def approx_normals(self, number: int) -> NDArray[np.float64]:
+        """Return `number` of them, shape (number,)."""
+        units = self.units(4 * number)
+        return (units[0::4] + units[1::4] + units[2::4] + units[3::4] - 2.0) * _ROOT_3
+
+    def bytes(self, number: int) -> NDArray[np.uint8]:
+        """Return `number` uniform bytes, shape (number,)."""
+        words = self._bits.random_raw(-(-number // 8)).astype("<u8")
+        return words.view(np.uint8)[:number]
+
+    def pick(self, weights: Sequence[float]) -> int:
+        """Return an index, each with a chance in proportion to its weight."""
+        return index_at(weights, self.unit())
+
+
+def index_at(weights: Sequence[float], mark: float) -> int:
+    """Return the index under `mark` when the weights divide [0, 1) in their proportions."""
+    left = mark * sum(weights)
+    for index, weight in enumerate(weights):
+        left -= weight
+        if left < 0.0:
+            return index
+    return len(weights) - 1
+
+
+@dataclass(frozen=True, slots=True)
+class WriterStyle:
+    """The stable traits of a writer."""
+
+    slant: float  # sideways shift of the top per unit of height; positive leans right
+    tilt: float  # rise of the writing line per unit of width
+    aspect: float  # factor on the width of every glyph
+    bow: float  # how much verticals bend, as a share of the height
+    height_px: float  # of the ink
+    pen_px: float
+    nib: float  # 0 for a round tip; 0.2 for a chisel tip whose stroke varies by 20 % with its direction
+    nib_lean: float  # slope of the chisel's edge
+    pressure: float  # relative change of the stroke width along a stroke
+    roundness: int  # smoothing rounds on corners
+    jitter: float  # size of the changes from digit to digit, relative to those between writers
+    tremor_px: float  # deviation of the pen's path
+    roughness_px: float  # deviation of the edge of the ink
+    gaps: float  # mean number of light flecks in the ink
+    specks: float  # mean number of stray dots next to it
+    fidelity: float  # chance that a digit takes the writer's preferred shape
+
+
+def draw_style(rng: KeyedRng) -> WriterStyle:
+    """Draw a writer's traits.
+
+    The ranges of height and pen width are those of HWD+ (Beaulac and Rosenthal 2022): ink 250 to 330 px
+    tall, strokes 20 to 45 px wide.
+    """
+    return WriterStyle(
+        slant=0.13 + 0.19 * rng.approx_normal(),
+        tilt=0.03 * rng.approx_normal(),
+        aspect=1.14 + 0.105 * rng.approx_normal(),
+        bow=0.02 * rng.approx_normal(),
+        height_px=rng.uniform(258.0, 322.0),
+        pen_px=rng.uniform(21.0, 43.0),
+        nib=max(0.0, rng.uniform(-0.15, 0.20)),
+        nib_lean=rng.uniform(-1.0, 1.0),
+        pressure=rng.uniform(0.02, 0.09),
+        roundness=int(5.0 * rng.unit()),
+        jitter=rng.uniform(0.5, 0.8),
+        tremor_px=rng.uniform(0.3, 1.4),
+        roughness_px=rng.uniform(0.5, 1.4),
+        gaps=rng.uniform(0.0, 7.0),
+        specks=rng.uniform(0.0, 4.0),
+        fidelity=rng.uniform(0.7, 1.0),
+    )
+
+
+DIGIT_STYLES = (
+    (0.93, 0.12, 1.1),
+    (0.96, 0.05, 1.0),
+    (0.96, -0.08, 1.1),
+    (1.08, -0.04, 1.3),
+    (0.99, 0.05, 1.0),
+    (1.13, -0.04, 1.05),
+    (1.01, -0.03, 1.1),
+    (1.03, -0.07, 1.0),
+    (1.0, -0.03, 1.0),
+    (1.02, 0.03, 0.95),
+)
+"""For each digit its width relative to the hand's, what it leans beyond the hand's slant, and how freely its
+shape is written."""
+
+_ASPECT, _SLANT, _TILT, _BOW = 0.10, 0.10, 0.04, 0.02
+"""Spread of a writer's traits from digit to digit."""
+
+_BETWEEN_WRITERS = 0.68
+_STRIDES = (
+    0.41421356,
+    0.73205081,
+    0.23606798,
+    0.64575131,
+    0.31662479,
+    0.60555128,
+    0.12310563,
+    0.35889894,
+    0.79583152,
+    0.38516481,
+)
+"""Fractions of the square roots of the first ten primes: no two digits repeat in step."""
+
+
+class Variation:
+    """Gives every number of a shape its value for one writer and one digit.
+
+    `writer` is the stream of this writer and shape, the same in all the writer's digits of that shape;
+    `jitter` is the weight of the stream of this `digit`; `freedom` scales all spreads.
+    """
+
+    __slots__ = ("_between_writers", "_digit", "_jitter", "_writer")
+
+    def __init__(self, writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float = 1.0) -> None:
+        self._writer = writer
+        self._digit = digit
+        self._jitter = jitter * freedom
+        self._between_writers = _BETWEEN_WRITERS * freedom
+
+    def __call__(self, mean: float, spread: float) -> float:
+        """Return `mean` plus a nearly normal deviation of size `spread`."""
+        writer_noise, digit_noise = self._writer.approx_normal(), self._digit.approx_normal()
+        return mean + spread * (self._between_writers * writer_noise + self._jitter * digit_noise)
+
+
+def style_for_digit(hand: WriterStyle, label: int, vary: Vary) -> WriterStyle:
+    """Return the hand as it writes one digit: people write some digits wider or steeper than others."""
+    width, lean, _ = DIGIT_STYLES[label]
+    return replace(
+        hand,
+        aspect=hand.aspect * width * max(0.5, vary(1.0, _ASPECT)),
+        slant=hand.slant + lean + vary(0.0, _SLANT),
+        tilt=hand.tilt + vary(0.0, _TILT),
+        bow=hand.bow + vary(0.0, _BOW),
+    )
+
+
+def choose_allograph(label: int, writer: int, class_noise: KeyedRng, digit: KeyedRng, fidelity: float) -> int:
+    """Return which shape of `label` to draw: with the chance `fidelity` the writer's own, else any.
+
+    Writers take their shapes by turns along a low-discrepancy sequence, so that a few dozen writers already
+    show every shape in about its share, with any seed. `class_noise` is the stream of this seed and label.
+    """
+    weights = [weight for _, weight in ALLOGRAPHS[label]]
+    mark = (class_noise.unit() + writer * _STRIDES[label]) % 1.0
+    preferred, other = index_at(weights, mark), index_at(weights, digit.unit())
+    return preferred if digit.unit() < fidelity else other
+
 
 PAGE_PX = 500
 """Side of the square page."""
@@ -47,7 +243,7 @@ Floats = NDArray[np.float32]
 
 def on_page(
     strokes: list[Stroke],
-    hand: Hand,
+    hand: WriterStyle,
     height_px: float,
     pen_px: float,
     vary: Vary,
@@ -73,7 +269,7 @@ def on_page(
     return [np.floor((path + shift) * _GRID + 0.5) / _GRID for path in paths]
 
 
-def _bend(paths: Paths, hand: Hand, vary: Vary) -> Paths:
+def _bend(paths: Paths, hand: WriterStyle, vary: Vary) -> Paths:
     """Bend, stretch and slant the strokes like one sheet of rubber: what meets stays together."""
     low, high = _bounds(paths)
     wide, tall = max(high[0] - low[0], 1e-6), high[1] - low[1]
@@ -97,7 +293,7 @@ def _bounds(paths: Paths) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _relax(path: NDArray[np.float64], hand: Hand, rng: KeyedRng) -> NDArray[np.float64]:
+def _relax(path: NDArray[np.float64], hand: WriterStyle, rng: KeyedRng) -> NDArray[np.float64]:
     path = resample(path, SPACING_PX)
     knots = int(len(path) * SPACING_PX / _WAVE_PX) + 3
     at = np.arange(len(path)) * ((knots - 1) / len(path))
@@ -106,7 +302,9 @@ def _relax(path: NDArray[np.float64], hand: Hand, rng: KeyedRng) -> NDArray[np.f
     return smooth(path, 1 + hand.roundness)
 
 
-def draw(paths: list[NDArray[np.float64]], pen_px: float, hand: Hand, rng: KeyedRng) -> NDArray[np.uint8]:
+def draw(
+    paths: list[NDArray[np.float64]], pen_px: float, hand: WriterStyle, rng: KeyedRng
+) -> NDArray[np.uint8]:
     """Ink the paths with the writer's pen.
 
     The distance to the ink's edge is found on a grid of 4 px near the strokes only, roughened there and
@@ -118,12 +316,12 @@ def draw(paths: list[NDArray[np.float64]], pen_px: float, hand: Hand, rng: Keyed
     field = np.full(_NODES * _NODES, _FAR_PX, dtype=np.float32)
     for path, radius in zip(paths, radii, strict=True):
         _stamp(field, path.astype(np.float32), radius)
-    page = _develop(field.reshape(_NODES, _NODES) + _roughness(hand.roughness_px, rng))
+    page = _rasterise(field.reshape(_NODES, _NODES) + _roughness(hand.roughness_px, rng))
     _add_speckles(page, paths, radii, hand, rng)
     return page
 
 
-def _radii(path: NDArray[np.float64], half_px: float, hand: Hand, rng: KeyedRng) -> Floats:
+def _radii(path: NDArray[np.float64], half_px: float, hand: WriterStyle, rng: KeyedRng) -> Floats:
     number = len(path)
     knots = int(number * SPACING_PX / _PRESSURE_WAVE_PX) + 3
     at = np.arange(number) * ((knots - 1) / number)
@@ -177,7 +375,7 @@ def _enlarge(grid: Floats, factor: int) -> Floats:
     return wide.reshape(tall.shape[0], -1)
 
 
-def _develop(field: Floats) -> NDArray[np.uint8]:
+def _rasterise(field: Floats) -> NDArray[np.uint8]:
     """Turn the field into grey levels; the edge fades over one pixel."""
     rows = np.flatnonzero((field < _CELL_PX).any(axis=1))
     columns = np.flatnonzero((field < _CELL_PX).any(axis=0))
@@ -193,7 +391,11 @@ def _develop(field: Floats) -> NDArray[np.uint8]:
 
 
 def _add_speckles(
-    page: NDArray[np.uint8], paths: list[NDArray[np.float64]], radii: list[Floats], hand: Hand, rng: KeyedRng
+    page: NDArray[np.uint8],
+    paths: list[NDArray[np.float64]],
+    radii: list[Floats],
+    hand: WriterStyle,
+    rng: KeyedRng,
 ) -> None:
     """Add light speckles to the ink and dark ones next to it."""
     for number, light in ((hand.gaps, True), (hand.specks, False)):
