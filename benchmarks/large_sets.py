@@ -220,8 +220,8 @@ def merging(folder: Path) -> dict[str, float]:
     """The report of a set, merged from those of its shards, and what the card says of it."""
     import pyarrow.parquet  # noqa: F401
 
+    from mnist3d.card import summarise
     from mnist3d.columns import REPORT_FILE
-    from mnist3d.summary import summarise
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import Manifest
     from tactile_toolkit.store.reports import merge_reports
@@ -261,7 +261,7 @@ def planning_digits(_: Path) -> dict[str, float]:
 
 
 def planning_scenes(_: Path) -> dict[str, float]:
-    from starstruck_gen.generation import GenerateSpec, SceneMaking
+    from starstruck_gen.make import GenerateSpec, SceneMaking
     from tactile_toolkit.making import plan_build
 
     start_s = time.perf_counter()

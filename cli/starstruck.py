@@ -49,9 +49,9 @@ def generate(
 
     A stopped run continues when the same command is given again; finished shards are never made twice.
     """
-    from starstruck_gen.generation import PUBLISHED_SIZES, GenerateSpec, forecast
-    from starstruck_gen.generation import generate as make
-    from starstruck_gen.streams import SPLITS
+    from starstruck_gen.make import PUBLISHED_SIZES, GenerateSpec, forecast
+    from starstruck_gen.make import generate as make
+    from starstruck_gen.sampling import SPLITS
     from tactile_toolkit.run.limits import limit_threads
 
     spec = GenerateSpec(scene.spec(), scenes or PUBLISHED_SIZES, seed, limit)
@@ -76,7 +76,7 @@ def generate(
 
 
 def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
-    from starstruck_gen.summary import summarise
+    from starstruck_gen.card import summarise
 
     summaries = summarise(manifest)
     rows = [

@@ -5,8 +5,8 @@ from starstruck_gen.dataset import (
     SceneRecord as SceneRecord,
     load as load,
 )
-from starstruck_gen.endless import SceneDataset as SceneDataset
-from starstruck_gen.generation import GenerateSpec as GenerateSpec, generate as generate
+from starstruck_gen.dataset import SceneDataset as SceneDataset
+from starstruck_gen.make import GenerateSpec as GenerateSpec, generate as generate
 from starstruck_gen.placement import (
     Placement as Placement,
     SceneMeshes as SceneMeshes,
@@ -31,6 +31,6 @@ from starstruck_gen.shapes import (
 )
 from starstruck_gen.solid import register_shape as register_shape
 from starstruck_gen.spec import SceneSpec as SceneSpec
-from starstruck_gen.streams import SPLITS as SPLITS, scene_rng as scene_rng, scene_seed as scene_seed
+from starstruck_gen.sampling import SPLITS as SPLITS, scene_rng as scene_rng, scene_seed as scene_seed
 
 __version__: str

@@ -1,18 +1,20 @@
-"""The data card of a data set of scenes."""
+"""The data card of a data set of scenes, and its numbers: how hard it was to place the objects."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import asdict, dataclass
 from itertools import islice
+from typing import Any
 
 import numpy as np
 
 from starstruck_gen.columns import SceneRow, scene_schema
 from starstruck_gen.kind import KIND
-from starstruck_gen.picture import draw_scene
+from starstruck_gen.make import Acceptance
 from starstruck_gen.placement import Placement
+from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.summary import SplitSummary, summarise
 from tactile_toolkit.cards.card import Card, between, bibtex, first_rows, markdown_table
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.table_card import Terms, write_table_card
@@ -24,6 +26,43 @@ from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.wording import counted
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSummary:
+    """One split: rows, shards and bytes as in the manifest, and the acceptance of its scenes."""
+
+    split: str
+    rows: int
+    shards: int
+    bytes: int
+    acceptance: Acceptance
+
+    @property
+    def bytes_per_scene(self) -> float:
+        """Parquet bytes per scene."""
+        return self.bytes / max(1, self.rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        per_object = [round(mean, 4) for mean in self.acceptance.attempts_per_object]
+        return {
+            **asdict(self),
+            "bytes_per_scene": round(self.bytes_per_scene, 1),
+            "acceptance": {**self.acceptance.to_dict(), "attempts_per_object": per_object},
+        }
+
+
+def summarise(manifest: Manifest) -> list[SplitSummary]:
+    """Sum up each split of a data set; splits of an unfinished run as far as they got."""
+    statistics = manifest.statistics()
+    return [
+        SplitSummary(
+            split, entry["rows"], entry["shards"], entry["bytes"], Acceptance.from_dict(statistics[split])
+        )
+        for split, entry in manifest.split_table().items()
+    ]
+
 
 _SCENES_SHOWN = 12
 _TILE_PX = 140

@@ -6,7 +6,7 @@ import numpy as np
 
 from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.kind import KIND
-from starstruck_gen.picture import draw_scene
+from starstruck_gen.scene import draw_scene
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.choose import Choice

@@ -19,5 +19,5 @@ KIND = DatasetKind(
     published=(tactile_mnist_set("starstruck", "starstruck", "3,300 scenes with one to three stars"),),
     plan_previews=lazy("starstruck_gen.previews:plan_previews"),
     plan_gallery=lazy("starstruck_gen.gallery:plan_gallery"),
-    recipe=lazy("starstruck_gen.generation:scene_recipe"),
+    recipe=lazy("starstruck_gen.make:scene_recipe"),
 )

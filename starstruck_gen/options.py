@@ -54,7 +54,7 @@ def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
 
 def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
     """Read ``5000`` or ``train=5000,test=500``."""
-    from starstruck_gen.streams import SPLITS
+    from starstruck_gen.sampling import SPLITS
 
     if is_count(words.strip()):
         return tuple((split, int(words)) for split in SPLITS)

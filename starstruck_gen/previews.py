@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 
 from starstruck_gen.dataset import SceneMeshDataset, SceneRecord
 from starstruck_gen.kind import KIND
-from starstruck_gen.picture import (
+from starstruck_gen.placement import Placement, Rejected, build_meshes
+from starstruck_gen.sampling import SceneTrace, scene_rng, trace_scene
+from starstruck_gen.scene import (
     DISTRACTOR,
     STAR,
     SUPERSAMPLING,
@@ -23,11 +25,8 @@ from starstruck_gen.picture import (
     paint_object,
     reduced,
 )
-from starstruck_gen.placement import Placement, Rejected, build_meshes
-from starstruck_gen.sampling import SceneTrace, trace_scene
 from starstruck_gen.shapes import outline
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.streams import scene_rng
 from tactile_toolkit.catalog.kinds import specification_read
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh

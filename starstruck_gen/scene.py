@@ -1,24 +1,45 @@
-"""A scene: what stands where."""
+"""A scene: what stands where, as JSON and as a picture from above."""
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
+from tactile_toolkit.arithmetic import cosine_sine, moved
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.wording import is_whole, plain_number
+from tactile_toolkit.store.typed_json import Count
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 
-_LONGEST_SHOWN = 80
+_Positive: TypeAlias = Annotated[float, msgspec.Meta(gt=0)]
+
+
+class _StoredPlacement(msgspec.Struct):
+    shape: str
+    x_m: float
+    y_m: float
+    angle_rad: float
+    radius_m: _Positive
+    height_m: _Positive
+
+
+class _StoredScene(msgspec.Struct):
+    star_count: Count
+    placements: list[_StoredPlacement]
+    attempts: list[Count]
+    restarts: Count
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +101,7 @@ class Scene:
         InputError
             When the picture would have no pixel, or more than 100 million.
         """
-        from starstruck_gen.picture import draw_scene
+        from starstruck_gen.scene import draw_scene
 
         return draw_scene(self.placements, cell_m, px_per_mm)
 
@@ -118,22 +139,16 @@ class Scene:
             When a field is missing or cannot be (a number that is not finite, a radius below 0), or the stars
             are not as many as declared.
         """
-        given: object = values  # JSON may hold anything
-        if not isinstance(given, Mapping):
-            _refuse("found", given, "an object such as Scene.to_json writes")
         try:
-            scene = cls(
-                placements=tuple(
-                    _placement(entry, f"placements[{i}]") for i, entry in enumerate(values["placements"])
-                ),
-                attempts=tuple(_count(f"attempts[{i}]", n) for i, n in enumerate(values["attempts"])),
-                star_count=_count("star_count", values["star_count"]),
-                restarts=_count("restarts", values["restarts"]),
-            )
-        except (KeyError, TypeError) as error:
-            raise InputError(
-                f"not a scene: field {error} is missing or wrong; expected what Scene.to_json writes"
-            ) from error
+            stored = msgspec.convert(values, _StoredScene)
+        except (msgspec.ValidationError, OverflowError) as error:
+            raise InputError(f"not a scene: {error}; expected what Scene.to_json writes") from error
+        placements = tuple(Placement(*msgspec.structs.astuple(each)) for each in stored.placements)
+        for placement in placements:
+            outline(placement.shape)  # refuses a shape that is not known
+            if not all(map(math.isfinite, placement[1:])):
+                raise InputError(f"not a scene: {placement} holds a number that is not finite")
+        scene = cls(stored.star_count, placements, tuple(stored.attempts), stored.restarts)
         stars = [placement.is_star for placement in scene.placements]
         if sum(stars) != scene.star_count or not all(stars[: scene.star_count]):
             raise InputError(
@@ -161,29 +176,72 @@ class Scene:
         return cls.from_dict(values)
 
 
-def _placement(values: Any, where: str) -> Placement:
-    if not isinstance(values, Mapping):
-        _refuse(f"{where} is", values, f"an object with {', '.join(Placement._fields)}")
-    if not isinstance(values["shape"], str):
-        _refuse(f"shape of {where} is", values["shape"], "a name such as 'star'")
-    outline(values["shape"])  # refuses a shape that is not known
-    numbers = {}
-    for name in Placement._fields[1:]:
-        number = numbers[name] = plain_number(values[name], float)
-        positive = name in ("radius_m", "height_m")
-        if not isinstance(number, float) or not math.isfinite(number) or (positive and number <= 0):
-            _refuse(f"{name} of {where} is", values[name], f"a {'positive' if positive else 'finite'} number")
-    return Placement(shape=values["shape"], **numbers)
+STAR = (214, 140, 20)
+DISTRACTOR = (92, 110, 132)
+SUPERSAMPLING = 4
+"""Scenes are drawn so many times larger and averaged: smooth edges."""
+
+_PLATE = (245, 243, 238)
+_EDGE = (40, 40, 40)
+# 300 MB at three bytes each.
+_MOST_PIXELS = 100_000_000  # while drawing, so larger than the picture by SUPERSAMPLING**2
 
 
-def _count(what: str, value: Any) -> int:
-    number: int = plain_number(value)
-    if not is_whole(number) or number < 0:
-        _refuse(f"{what} is", value, "an integer from 0")
-    return number
+def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_per_mm: float) -> Image:
+    """Draw what stands on a plate; InputError where the picture would have no pixel, or too many.
+
+    See :meth:`starstruck_gen.scene.Scene.draw`.
+    """
+    picture = empty_plate(cell_m, px_per_mm)
+    for placement in placements:
+        paint_object(picture, placement, px_per_mm * 1e3 * SUPERSAMPLING)
+    return reduced(picture)
 
 
-def _refuse(what: str, found: object, expected: str) -> NoReturn:
-    text = repr(found)
-    shown = text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]}..."
-    raise InputError(f"not a scene: {what} {shown}; expected {expected}")
+def empty_plate(cell_m: tuple[float, float], px_per_mm: float) -> Image:
+    """Return the plate, larger by SUPERSAMPLING; InputError as :func:`draw_scene`."""
+    from PIL import Image
+
+    sides = np.round(np.array(cell_m) * 1e3 * px_per_mm)
+    most = _MOST_PIXELS // SUPERSAMPLING**2
+    if not (np.isfinite(sides).all() and sides.min() >= 1 and sides.prod() <= most):
+        raise InputError(f"a picture of {sides[0]:g} x {sides[1]:g} pixels; expected 1 to {most:,} pixels")
+    width, height = sides.astype(int).tolist()
+    return Image.new("RGB", (width * SUPERSAMPLING, height * SUPERSAMPLING), _PLATE)
+
+
+def reduced(picture: Image) -> Image:
+    """Return a picture that was drawn larger in its own size."""
+    from PIL import Image
+
+    size_px = (picture.width // SUPERSAMPLING, picture.height // SUPERSAMPLING)
+    return picture.resize(size_px, Image.Resampling.LANCZOS)
+
+
+def paint_object(picture: Image, placement: Placement, px_per_m: float) -> None:
+    """Paint an object where it stands, with its edge; ``px_per_m`` is the scale of the larger picture."""
+    from PIL import Image, ImageDraw
+
+    rings = [corners_px(ring, placement, picture.size, px_per_m) for ring in outline(placement.shape)]
+    # A mask keeps holes open: what stands inside one must stay visible.
+    mask = Image.new("L", picture.size)
+    for number, ring in enumerate(rings):
+        ImageDraw.Draw(mask).polygon(ring, fill=0 if number else 255)
+    picture.paste(STAR if placement.is_star else DISTRACTOR, mask=mask)
+    for ring in rings:
+        ImageDraw.Draw(picture).polygon(ring, outline=_EDGE, width=SUPERSAMPLING)
+
+
+def centre_px(placement: Placement, size_px: tuple[int, int], px_per_m: float) -> tuple[float, float]:
+    """Return where the centre of an object lies in a picture: column and row, 0 at the outer edge."""
+    return size_px[0] / 2 + placement.x_m * px_per_m, size_px[1] / 2 - placement.y_m * px_per_m
+
+
+def corners_px(
+    ring: NDArray[np.float64], placement: Placement, size_px: tuple[int, int], px_per_m: float
+) -> list[tuple[float, float]]:
+    """Return where the corners of an outline, (n, 2) in radii, lie in a picture."""
+    c, s = cosine_sine(placement.angle_rad)
+    turned = moved(ring, np.array([[c, s], [-s, c]]))
+    standing_m = placement.radius_m * turned + (placement.x_m, placement.y_m)
+    return [(x, y) for x, y in (standing_m * px_per_m * (1.0, -1.0) + np.array(size_px) / 2).tolist()]

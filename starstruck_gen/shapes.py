@@ -62,17 +62,13 @@ class Proportions:
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            value = getattr(self, entry.name)
             kind: Any = type(entry.default)
             least, most = entry.metadata.get("least", -_LARGEST), entry.metadata.get("most", _LARGEST)
-            try:
-                fine = not isinstance(value, (bool, str)) and least <= value <= most and kind(value) == value
-            except (TypeError, ValueError):
-                fine = False
-            if not fine:
-                what = "an integer from " if kind is int else ""
+            value = plain_number(getattr(self, entry.name), float)
+            if not (isinstance(value, float) and least <= value <= most and kind(value) == value):
                 raise InputError(
-                    f"{entry.name} of shape {self.name!r} is {value!r}; expected {what}{least:g} to {most:g}"
+                    f"{entry.name} of shape {self.name!r} is {getattr(self, entry.name)!r}; expected "
+                    f"{'an integer from ' if kind is int else ''}{least:g} to {most:g}"
                 )
             # Whole and plain numbers have one spelling, so that equal proportions have equal JSON and keys.
             object.__setattr__(self, entry.name, kind(value))
@@ -121,14 +117,8 @@ def _arc(
     return [(centre_x + radius * cosine, radius * sine) for cosine, sine in turns]
 
 
-def _ring_of(corners: list[tuple[float, float]]) -> NDArray[np.float64]:
-    ring = np.array(corners, dtype=np.float64)
-    ring.setflags(write=False)
-    return ring
-
-
 def _regular(corners: int, start_rad: float = 0.0) -> Outline:
-    return (_ring_of(_arc(1.0, start_rad, math.tau, corners)),)
+    return (np.array(_arc(1.0, start_rad, math.tau, corners)),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -163,7 +153,7 @@ class Star(Proportions):
         """Return one ring: tip, notch, tip, ..."""
         tips = _arc(1.0, 0.0, math.tau, self.points)
         notches = _arc(self.inner_ratio, math.pi / self.points, math.tau, self.points)
-        return (_ring_of([corner for pair in zip(tips, notches, strict=True) for corner in pair]),)
+        return (np.array([corner for pair in zip(tips, notches, strict=True) for corner in pair]),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +225,7 @@ class Ring(Proportions):
 
     def rings(self) -> Outline:
         """Return the rim, then the hole."""
-        hole = _ring_of(_arc(self.hole_ratio, 0.0, -math.tau, self.segments))
+        hole = np.array(_arc(self.hole_ratio, 0.0, -math.tau, self.segments))
         return (*_regular(self.segments), hole)
 
 
@@ -259,7 +249,7 @@ class Cross(Proportions):
         far = math.sqrt(1.0 - side**2)
         arm = [(far, -side), (far, side), (side, side)]
         turned = [arm, [(-y, x) for x, y in arm], [(-x, -y) for x, y in arm], [(y, -x) for x, y in arm]]
-        return (_ring_of([corner for quarter in turned for corner in quarter]),)
+        return (np.array([corner for quarter in turned for corner in quarter]),)
 
 
 @dataclass(frozen=True, slots=True)
@@ -289,7 +279,7 @@ class Crescent(Proportions):
         bite_radius = math.hypot(horn_x - self.bite_ratio, horn_y)
         back = _arc(1.0, self.horn_rad, math.tau - 2 * self.horn_rad, self.segments)
         bite = _arc(bite_radius, -bite_rad, 2 * bite_rad - math.tau, self.segments // 2, self.bite_ratio)
-        return (_ring_of(back + bite),)
+        return (np.array(back + bite),)
 
 
 KINDS: dict[str, type[Proportions]] = {}
@@ -445,18 +435,16 @@ def _parse_key(key: str) -> Proportions:
     if match is None:
         raise InputError(f"{key!r} is not a shape; expected a name such as ring, or ring(hole_ratio=0.3)")
     numbers: dict[str, float] = {}
-    parts = [part for part in (match["numbers"] or "").split(",") if part.strip()]
-    names = [part.partition("=")[0].strip() for part in parts]
-    for name, part in zip(names, parts, strict=True):
+    for part in filter(str.strip, (match["numbers"] or "").split(",")):
+        name, _, number = (piece.strip() for piece in part.partition("="))
         try:
-            numbers[name] = float(part.partition("=")[2])
+            value = float(number)
         except ValueError:
+            value = math.nan
+        if math.isnan(value) or name in numbers:
             raise InputError(
-                f"{part!r} in shape {key!r} is not a proportion; expected NAME=NUMBER such as hole_ratio=0.3"
-            ) from None
-    for name in numbers:
-        if names.count(name) > 1:
-            raise InputError(
-                f"shape {key!r} gives {name!r} {names.count(name)} times; expected each number once"
+                f"{part!r} in shape {key!r} is not a proportion; expected each once as NAME=NUMBER, such as "
+                "hole_ratio=0.3"
             )
+        numbers[name] = value
     return _kind(match["name"]).from_dict(numbers)

@@ -192,21 +192,18 @@ def register_shape(kind: K) -> K:
 
     Returns
     -------
-    type
-        The same, so that this serves as a decorator.
+    type : the same, so that this serves as a decorator
 
     Raises
     ------
     InputError
-        The name is taken or not a plain word, a field is not a number, or the outline in its default
-        proportions bounds no area or does not reach distance 1 from the origin.
+        The name is taken or not a plain word, a field is not a number, or the default outline bounds no area
+        or does not reach distance 1 from the origin.
 
     Notes
     -----
-    Specifications and shapes carry the class with them when they are pickled, so that worker processes know
-    the kind as well; they import it by its name, as all pickled classes. Reading JSON or a stored data set
-    needs the kind registered first, with ``SceneSpec.from_dict`` too. The command line has the toolkit's own
-    shapes alone.
+    Specifications and shapes carry the class with them when they are pickled. Reading JSON or a stored data
+    set needs the kind registered first. The command line has the toolkit's own shapes alone.
 
     Examples
     --------
@@ -251,12 +248,12 @@ def own_kinds() -> tuple[type[Proportions], ...]:
 
 
 def _require_described(kind: Any) -> None:
-    if not (isinstance(kind, type) and issubclass(kind, Proportions) and is_dataclass(kind)):
+    is_kind = isinstance(kind, type) and issubclass(kind, Proportions) and is_dataclass(kind)
+    if not (is_kind and isinstance(kind.name, str) and re.fullmatch(r"[A-Za-z_]\w*", kind.name)):
         raise InputError(
-            f"{kind!r} is not a kind of shape; expected a frozen dataclass derived from Proportions"
+            f"{kind!r} is not a kind of shape; expected a frozen dataclass derived from Proportions, with a "
+            "plain word as its name"
         )
-    if not isinstance(kind.name, str) or not re.fullmatch(r"[A-Za-z_]\w*", kind.name):
-        raise InputError(f"name of shape {kind.__qualname__} is {kind.name!r}; expected a plain word")
     for entry in fields(kind):
         if type(entry.default) not in (int, float):
             raise InputError(

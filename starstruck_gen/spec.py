@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
 from starstruck_gen.shapes import STAR, Shape
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_whole, plain
 
@@ -20,7 +21,6 @@ COLLISION_RULES = ("circles", "exact")
 _PADDING_M = (0.003 + 0.032 / 2 + 0.005 / 2, 0.003 + 0.028 / 2 + 0.005 / 2)
 _PUBLISHED_STAR = Shape(STAR)
 _PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
-_MEASURES = ("cell_m", "padding_m", "heights_m", "rotation_rad", "clearance_m")
 # Coordinates stay below 1 m, where float32 moves them by 0.03 um: a third of STORAGE_MARGIN_M.
 _LARGEST_CELL_M = 2.0
 # Each is held against all others of its scene: the work grows with the square.
@@ -65,37 +65,58 @@ class SceneSpec:
         When a value cannot be used; the message names the field, what was found and what was expected.
     """
 
-    cell_m: tuple[float, float] = (0.12, 0.12)
-    padding_m: tuple[float, float] = _PADDING_M
+    cell_m: tuple[float, float] = real((0.12, 0.12), 0, _LARGEST_CELL_M, many=2)
+    padding_m: tuple[float, float] = real(_PADDING_M, 0, _LARGEST_CELL_M, many=2)
     stars: tuple[int, ...] = (1, 2, 3)
     distractors: tuple[int, int] = (0, 5)
     star: Shape = _PUBLISHED_STAR
     distractor_shapes: tuple[Shape, ...] = _PUBLISHED_DISTRACTORS
     heights_m: tuple[float, ...] = (0.005,)
-    rotation_rad: float = math.tau
-    collision: str = "circles"
-    clearance_m: float = 0.0
-    attempts: int = 100
-    restarts: int = 1_000
+    rotation_rad: float = real(math.tau, 0, math.tau)
+    collision: str = choice("circles", COLLISION_RULES)
+    clearance_m: float = real(0.0, 0, _LARGEST_CELL_M)
+    attempts: int = integer(100, 1)
+    restarts: int = integer(1_000)
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            kind = float if entry.name in _MEASURES else int
-            # One spelling of each value, so that equal specifications have equal JSON.
-            object.__setattr__(self, entry.name, plain(getattr(self, entry.name), kind))
-        for name, holds, expected in _RULES:
-            try:
-                fine = holds(self)
-            except (TypeError, AttributeError):
-                fine = False
-            if not fine:
-                raise InputError(
-                    f"{name} of the scene specification is {getattr(self, name)!r}; expected {expected}"
-                )
+        check_fields(self, "the scene specification")
+        # One spelling of each value, so that equal specifications have equal JSON.
+        for name, kind in (
+            ("stars", int),
+            ("distractors", int),
+            ("distractor_shapes", int),
+            ("heights_m", float),
+        ):
+            value = plain(getattr(self, name), kind)
+            object.__setattr__(self, name, value if isinstance(value, tuple) else (value,))
+        stars, shapes, heights = self.stars, self.distractor_shapes, self.heights_m
+        fits = bool(stars) and is_whole(*stars) and stars[0] >= 0 and all(a < b for a, b in pairwise(stars))
+        self._require("stars", fits, "integers from 0, each larger than the one before")
+        fits = len(self.distractors) == 2 and is_whole(*self.distractors)
+        fits = fits and 0 <= self.distractors[0] <= self.distractors[1]
+        self._require("distractors", fits, "the least and the most, integers from 0")
+        fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MOST_OBJECTS
+        self._require("stars", fits, f"1 to {_MOST_OBJECTS} objects in a scene, distractors included")
+        fits = isinstance(self.star, Shape) and self.star.name == STAR
+        self._require("star", fits, f"a Shape named {STAR!r}, such as Shape({STAR!r}, radius_m=0.01)")
+        fits = all(isinstance(shape, Shape) and shape.name != STAR for shape in shapes)
+        fits = fits and (bool(shapes) or self.distractors[1] == 0)
+        self._require("distractor_shapes", fits, "Shape objects that are not stars, such as (Shape('box'),)")
+        fits = bool(heights) and all(isinstance(each, float) and 1e-4 <= each <= 1.0 for each in heights)
+        self._require("heights_m", fits, "one or more heights from 0.0001 to 1 m")
+        self._require(
+            "cell_m", min(self.half_area_m) >= 0, "room for the padding and one object side by side"
+        )
         # The solids of the shapes need libraries that nothing else here does.
         from starstruck_gen.solid import require_fine_steps
 
         require_fine_steps((self.star, *self.distractor_shapes), self.half_area_m, self.cell_m)
+
+    def _require(self, name: str, fits: bool, expected: str) -> None:
+        if not fits:
+            raise InputError(
+                f"{name} of the scene specification is {getattr(self, name)!r}; expected {expected}"
+            )
 
     @cached_property
     def half_area_m(self) -> tuple[float, float]:
@@ -156,51 +177,3 @@ class SceneSpec:
             return cls(**plain)
         except (TypeError, ValueError) as error:
             raise InputError(f"a scene specification has a value of a wrong type: {error}") from error
-
-
-def _pair(values: tuple[float, ...], most: float = _LARGEST_CELL_M) -> bool:
-    return len(values) == 2 and all(0 <= value <= most for value in values)
-
-
-_Rule = tuple[str, Callable[[SceneSpec], bool], str]
-
-_RULES: tuple[_Rule, ...] = (
-    ("cell_m", lambda s: _pair(s.cell_m), f"two lengths up to {_LARGEST_CELL_M} m"),
-    ("padding_m", lambda s: _pair(s.padding_m), "two lengths from 0 m"),
-    ("stars", lambda s: len(s.stars) > 0 and is_whole(*s.stars) and s.stars[0] >= 0, "integers from 0"),
-    ("stars", lambda s: all(a < b for a, b in pairwise(s.stars)), "each number larger than the one before"),
-    ("distractors", lambda s: _pair(s.distractors, _MOST_OBJECTS), "the least and the most, from 0"),
-    ("distractors", lambda s: is_whole(*s.distractors), "two integers"),
-    ("distractors", lambda s: s.distractors[0] <= s.distractors[1], "the least first, then the most"),
-    ("stars", lambda s: s.stars[0] + s.distractors[0] > 0, "at least 1, or distractors: no scene is empty"),
-    ("stars", lambda s: s.most_objects <= _MOST_OBJECTS, f"with distractors up to {_MOST_OBJECTS} objects"),
-    ("star", lambda s: isinstance(s.star, Shape), f"a Shape, such as Shape({STAR!r}, radius_m=0.01)"),
-    ("star", lambda s: s.star.name == STAR, f"a shape named {STAR!r}"),
-    (
-        "distractor_shapes",
-        lambda s: all(isinstance(shape, Shape) for shape in s.distractor_shapes),
-        "Shape objects, such as (Shape('box'), Shape('disc'))",
-    ),
-    (
-        "distractor_shapes",
-        lambda s: all(shape.name != STAR for shape in s.distractor_shapes),
-        f"no {STAR!r}: stars are what is counted",
-    ),
-    (
-        "distractor_shapes",
-        lambda s: len(s.distractor_shapes) > 0 or s.distractors[1] == 0,
-        "at least one shape where there are distractors",
-    ),
-    (
-        "heights_m",
-        lambda s: len(s.heights_m) > 0 and all(1e-4 <= height <= 1.0 for height in s.heights_m),
-        "one or more heights from 0.0001 to 1 m",
-    ),
-    ("rotation_rad", lambda s: 0 <= s.rotation_rad <= math.tau, "0 to 2 pi"),
-    ("collision", lambda s: s.collision in COLLISION_RULES, " or ".join(COLLISION_RULES)),
-    ("clearance_m", lambda s: 0 <= s.clearance_m <= _LARGEST_CELL_M, "a length from 0 m"),
-    ("attempts", lambda s: is_whole(s.attempts) and s.attempts >= 1, "an integer from 1"),
-    ("restarts", lambda s: is_whole(s.restarts) and s.restarts >= 0, "an integer from 0"),
-    ("cell_m", lambda s: min(s.half_area_m) >= 0, "room for the padding and one object side by side"),
-)
-"""What every field must keep to, in the order of asking; later rules rely on earlier ones."""

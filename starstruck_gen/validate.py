@@ -12,8 +12,8 @@ import numpy as np
 from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.kind import KIND
 from starstruck_gen.placement import build_meshes
-from starstruck_gen.shapes import KINDS, Proportions, outline
-from starstruck_gen.solid import own_kinds, register_shape
+from starstruck_gen.shapes import KINDS, Proportions, add_kind
+from starstruck_gen.solid import own_kinds
 from tactile_toolkit.catalog.checking import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names
@@ -32,10 +32,13 @@ _NO_ID = -1
 
 _SHOWN = 20
 
+_PLACE_TOLERANCE_M = 1e-7
+"""How far a stored corner may lie from the declared object: other processors round in other ways."""
+
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """A scene that breaks a promise: where it is, and what was found and what was expected."""
+    """A scene that is invalid: where it is, and what was found and what was expected."""
 
     split: str
     id: int
@@ -44,10 +47,10 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Checked:
-    """Everything found in one data set: how many scenes were checked, and those that break a promise.
+    """Everything found in one data set: how many scenes were checked, and those that are invalid.
 
-    ``bodies`` stand in the sound scenes; ``stars`` of them are declared stars. The published data set is not
-    ``declared``: it does not say what stands where.
+    ``bodies`` stand in the valid scenes; ``stars`` of them are declared stars. The published data set is not
+    ``declared``: it does not state what stands where.
     """
 
     path: str
@@ -59,7 +62,7 @@ class Checked:
 
     @property
     def failed(self) -> int:
-        """How many scenes break a promise."""
+        """How many scenes are invalid."""
         return len(self.failures)
 
     def to_dict(self) -> dict[str, Any]:
@@ -91,31 +94,16 @@ def validate_folder(
     shards = shards_to_check(path, split, "starstruck generate")
     names = {shard.path: class_names(shard.schema, KIND.class_names) for _, shard in shards}
     rows = check_rows(shards, _Prove(names, own_kinds()), _COLUMNS, limit, workers, on_progress)
-    found = [
-        row.found or _Found(f"field {row.null_field!r} of row {row.row} is null; expected a value")
-        for row in rows
-    ]
-    sound = [each for each in found if each.problem is None]
-    failures = (
-        Failure(row.split, _NO_ID if row.id is None else row.id, each.problem)
-        for row, each in zip(rows, found, strict=True)
-        if each.problem is not None
-    )
-    return Checked(
-        path,
-        len(rows),
-        sum(each.bodies for each in sound),
-        sum(each.stars for each in sound),
-        tuple(failures),
-        any("placements" in column_names(shard.schema) for _, shard in shards),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _Found:
-    problem: str | None
-    bodies: int = 0
-    stars: int = 0
+    failures, bodies, stars = [], 0, 0
+    for row in rows:
+        null = f"field {row.null_field!r} of row {row.row} is null; expected a value"
+        problem, standing, declared = row.found or (null, 0, 0)
+        if problem is None:
+            bodies, stars = bodies + standing, stars + declared
+        else:
+            failures.append(Failure(row.split, _NO_ID if row.id is None else row.id, problem))
+    declares = any("placements" in column_names(shard.schema) for _, shard in shards)
+    return Checked(path, len(rows), bodies, stars, tuple(failures), declares)
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,21 +113,18 @@ class _Prove:
     names: Mapping[str, Sequence[str]]
     kinds: tuple[type[Proportions], ...]
 
-    def __call__(self, row: Row) -> _Found:
+    def __call__(self, row: Row) -> tuple[str | None, int, int]:
+        """Return what is wrong, the number of bodies, and that of declared stars."""
         for kind in self.kinds:
             if KINDS.get(kind.name) is not kind:
-                register_shape(kind)
+                add_kind(kind)
         record = SceneRecord(row)
         try:
             problem, bodies = _inspect(record, self.names[row.path])
-            return _Found(problem, bodies, record.star_count if record.has_placements else 0)
-        except (TypeError, ValueError, OverflowError) as error:
-            # Columns of other types than those of a data set of scenes.
-            return _Found(f"cannot be read as a scene: {error}")
-
-
-_PLACE_TOLERANCE_M = 1e-7
-"""How far a stored corner may lie from the declared object: other processors round in other ways."""
+            return problem, bodies, record.star_count if record.has_placements else 0
+        except (InputError, TypeError, ValueError, OverflowError) as error:
+            # Columns of other types than those of a data set of scenes, and shapes that are not known.
+            return f"cannot be read as a scene: {error}", 0, 0
 
 
 def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) -> str | None:
@@ -165,28 +150,20 @@ def _inspect(record: SceneRecord, names: Sequence[str]) -> tuple[str | None, int
 
 
 def _check_on_plate(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
-    lowest_m = float(mesh.bounds_m[0, 2])
-    if lowest_m != 0.0:
-        return f"the lowest point is at z = {lowest_m} m; expected 0"
-    standing = [body for body in bodies if body.volume() > 0]  # the others are hollows inside them
-    for number, body in enumerate(standing, start=1):
-        lowest_m = body.bounding_box()[2] / MM_PER_M
-        if lowest_m > _PLACE_TOLERANCE_M:
-            return (
-                f"the lowest point of body {number} of {len(standing)} is at z = {lowest_m:g} m; expected 0"
-            )
+    lowest_m = [float(mesh.bounds_m[0, 2])]
+    # Bodies of negative volume are hollows inside the others.
+    lowest_m += [body.bounding_box()[2] / MM_PER_M for body in bodies if body.volume() > 0]
+    for number, each_m in enumerate(lowest_m):
+        if each_m != 0.0 if number == 0 else each_m > _PLACE_TOLERANCE_M:
+            what = f"body {number} of {len(lowest_m) - 1}" if number else "the mesh"
+            return f"the lowest point of {what} is at z = {each_m:g} m; expected 0"
     return None
 
 
 def _check_placements(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
-    try:
-        for placement in record.placements:
-            outline(placement.shape)
-    except InputError as error:
-        return f"an object is declared that cannot be: {error}"
+    declared = build_meshes([record.placements])[0]
     if bodies != len(record.placements):
         return f"{bodies} bodies stand there, {len(record.placements)} objects are declared"
-    declared = build_meshes([record.placements])[0]
     same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
     if not same or not np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
         return "the mesh is not that of the declared objects"
@@ -203,11 +180,10 @@ def _check_star_count(record: SceneRecord, names: Sequence[str]) -> str | None:
     declared = record.star_count
     if not 0 <= record.label < len(names) or names[record.label] != str(declared):
         return f"{declared} stars are declared, the class is {record.label} of {', '.join(names)}"
-    if not record.has_placements:
-        return None
-    stars = sum(placement.is_star for placement in record.placements)
-    others = len(record.placements) - stars
-    if stars != declared or others != record.distractor_count:
-        expected = f"{declared} and {record.distractor_count}"
-        return f"{stars} stars and {others} others stand there, {expected} are declared"
+    if record.has_placements:
+        stars = sum(placement.is_star for placement in record.placements)
+        others = len(record.placements) - stars
+        if (stars, others) != (declared, record.distractor_count):
+            expected = f"{declared} and {record.distractor_count}"
+            return f"{stars} stars and {others} others stand there, {expected} are declared"
     return None

@@ -42,7 +42,7 @@ _CONTEXT.set_forkserver_preload(
         "realtouch.preprocess",
         "skimage.measure",
         "starstruck_gen.dataset",
-        "starstruck_gen.generation",
+        "starstruck_gen.make",
         "tactile_toolkit.gallery.site",
         "tactile_toolkit.mesh.files",
         "tactile_toolkit.mesh.height_map",

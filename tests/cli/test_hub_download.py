@@ -21,7 +21,7 @@ from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.opening import SHORT_NAMES
-from starstruck_gen.generation import GenerateSpec as StarstruckSpec
+from starstruck_gen.make import GenerateSpec as StarstruckSpec
 from tactile_toolkit.catalog.published import place_of, published_set
 from tactile_toolkit.kind import kinds
 from tests import command_line

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 import realtouch
-from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.make import GenerateSpec, generate
 from tests.command_line import call, program
 from tests.hub_server import HubServer, hub
 from tests.processes import PATIENCE_S

@@ -135,8 +135,8 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
 
 DIE = """
 import os, signal, sys
-import starstruck_gen.generation, tactile_toolkit.store.build, env_assets
-starstruck_gen.generation._SMALLEST_SHARD = 2
+import starstruck_gen.make, tactile_toolkit.store.build, env_assets
+starstruck_gen.make._SMALLEST_SHARD = 2
 write_record = tactile_toolkit.store.build.write_record
 def write_and_die(*arguments):
     write_record(*arguments)
@@ -148,7 +148,7 @@ env_assets.AssetProvider(sys.argv[1], generate=True, per_class=2).meshes("starst
 
 def test_a_killed_process_lets_the_next_one_go_on(tmp_path, monkeypatch):
     """Of three shards one is finished; the next process waits for nobody and keeps it."""
-    monkeypatch.setattr("starstruck_gen.generation._SMALLEST_SHARD", 2)
+    monkeypatch.setattr("starstruck_gen.make._SMALLEST_SHARD", 2)
     died = start_forked(DIE, tmp_path)
     assert died.end() == -signal.SIGKILL, died.err
     (shard,) = (tmp_path / "starstruck" / "data").glob("train-*")

@@ -10,13 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from starstruck_gen.dataset import SceneMeshDataset, SceneRecord, load
-from starstruck_gen.endless import SceneDataset
-from starstruck_gen.generation import GenerateSpec, generate
-from starstruck_gen.sampling import sample_scene
+from starstruck_gen.dataset import SceneDataset, SceneMeshDataset, SceneRecord, load
+from starstruck_gen.make import GenerateSpec, generate
+from starstruck_gen.sampling import sample_scene, scene_rng
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.streams import scene_rng
 from tactile_toolkit.errors import InputError
 
 SPEC = SceneSpec(stars=(1, 2, 3, 4), collision="exact", heights_m=(0.004, 0.006))

@@ -9,14 +9,13 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from starstruck_gen.card import summarise
 from starstruck_gen.columns import scene_schema
-from starstruck_gen.generation import GenerateSpec, SceneMaking, generate
-from starstruck_gen.make import make_rows, validate_rows
+from starstruck_gen.make import GenerateSpec, SceneMaking, count_scenes, generate, make_rows, validate_rows
 from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.sampling import SamplingExhausted
 from starstruck_gen.shapes import Disc, Shape, Star
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.summary import count_scenes, summarise
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.making import plan_build
@@ -200,7 +199,7 @@ def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept_and_named(t
     ("values", "message"),
     [
         ({"scenes": (("train", -1),)}, "--scenes of split 'train' is -1"),
-        ({"scenes": (("train", 1), ("train", 2))}, "names a split twice"),
+        ({"scenes": (("train", 1), ("train", 2))}, "expected each split once"),
         ({"scenes": (("validation", 5),)}, "unknown split 'validation'"),
         ({"seed": -3}, "seed .* is -3; expected an integer of at least 0"),
         ({"limit": 0}, "limit of .* is 0"),

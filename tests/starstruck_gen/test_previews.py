@@ -13,11 +13,11 @@ from hypothesis import strategies as st
 
 import starstruck_gen
 from starstruck_gen import SamplingExhausted, SceneSpec, sample_scene, scene_rng
-from starstruck_gen.generation import GenerateSpec, generate
-from starstruck_gen.picture import centre_px, draw_scene
+from starstruck_gen.make import GenerateSpec, generate
 from starstruck_gen.placement import COLLISION_TESTS
 from starstruck_gen.previews import REJECTED, draw_one, draw_trace, plan_previews, traced
 from starstruck_gen.sampling import SceneTrace, trace_scene
+from starstruck_gen.scene import centre_px, draw_scene
 from tactile_toolkit.catalog.choose import Choice
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.pictures.previews import PreviewSpec

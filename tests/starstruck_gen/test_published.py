@@ -10,8 +10,8 @@ from scipy import stats
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from starstruck_gen.endless import SceneDataset
-from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.dataset import SceneDataset
+from starstruck_gen.make import GenerateSpec, generate
 from starstruck_gen.solid import prism
 
 # The package's own imports warn; what they warn about is not ours.

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from starstruck_gen.dataset import load
-from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.make import GenerateSpec, generate
 from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.shapes import (
     KINDS,
@@ -117,7 +117,7 @@ def _named(kind, name):
     ("kind", "message"),
     [
         (_named(Kite, "star"), "shape 'star' is taken by Star"),
-        (_named(Kite, "a b"), "name of shape Kite is 'a b'; expected a plain word"),
+        (_named(Kite, "a b"), "is not a kind of shape; .* with a plain word as its name"),
         (_Wordy, "field 'colour' of shape 'wordy' has the default 'red'; expected a number"),
         (_Bare, r"outline of shape 'bare' reaches distance 0.707\d* from the origin; expected 1"),
         (int, "is not a kind of shape"),

@@ -14,16 +14,20 @@ from scipy import stats
 
 from starstruck_gen.placement import Placement, circles_clear, outlines_clear
 from starstruck_gen.sampling import (
+    SPLITS,
     SamplingExhausted,
+    SceneStreams,
     is_infeasible,
     most_objects_that_fit,
     require_feasible,
     sample_scene,
     sample_scenes,
+    scene_id,
+    scene_rng,
+    scene_seed,
 )
 from starstruck_gen.shapes import OUTLINES, Disc, Shape
 from starstruck_gen.spec import SceneSpec
-from starstruck_gen.streams import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
 from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.strategies import specs
 

@@ -210,11 +210,11 @@ def test_crescent_keeps_its_horns_where_they_are_asked_for():
         (lambda: Shape.parse("box(side=1)"), "unknown proportion 'side' of shape 'box'; expected none"),
         (
             lambda: Shape.parse("ring(0.3)"),
-            "'0.3' in shape 'ring.0.3.' is not a proportion; expected NAME=NUMBER",
+            "'0.3' in shape 'ring.0.3.' is not a proportion; expected each once as NAME=NUMBER",
         ),
         (
             lambda: Shape.parse("ring(hole_ratio=.3,hole_ratio=.4)"),
-            "gives 'hole_ratio' 2 times; expected each number once",
+            "'hole_ratio=.4' in shape .* expected each once as NAME=NUMBER",
         ),
         (lambda: Shape("star", "10"), "radius_m of shape 'star' is '10'; expected 0.0001 to 1"),
         (lambda: Shape.parse("ring(hole_ratio=0.3"), "is not a shape; expected a name such as ring"),

@@ -10,8 +10,7 @@ import pytest
 
 from starstruck_gen.columns import scene_schema
 from starstruck_gen.dataset import load
-from starstruck_gen.generation import GenerateSpec, generate
-from starstruck_gen.make import make_rows
+from starstruck_gen.make import GenerateSpec, generate, make_rows
 from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import check_scene, validate_folder

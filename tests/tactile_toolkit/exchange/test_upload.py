@@ -13,7 +13,7 @@ from pathlib import Path, PurePosixPath
 
 import pytest
 
-from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.make import GenerateSpec, generate
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.upload import UploadOptions, local_copy, prepare_upload, run_upload
 from tactile_toolkit.store.folder import DataFolder

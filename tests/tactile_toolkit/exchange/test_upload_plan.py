@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from starstruck_gen.generation import GenerateSpec, generate
+from starstruck_gen.make import GenerateSpec, generate
 from tactile_toolkit.exchange.upload import LocalFile, card_for_hub, collect, compare, left_out
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest

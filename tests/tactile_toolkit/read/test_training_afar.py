@@ -20,7 +20,7 @@ from tests.s3_fixtures import bucket, s3, s3_server  # noqa: E402, F401
 
 def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, monkeypatch):  # noqa: F811
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("starstruck_gen.generation._LARGEST_SHARD", 8)
+    monkeypatch.setattr("starstruck_gen.make._LARGEST_SHARD", 8)
     spec = starstruck_gen.GenerateSpec(scenes=(("train", 60), ("test", 1)))
     starstruck_gen.generate(spec, tmp_path / "scenes")
     place = DataFolder(f"s3://{bucket}/scenes")
