@@ -22,15 +22,21 @@ from numpy.typing import NDArray
 
 import realtouch
 from tactile_sim import as_environment
-from tactile_sim.learned.checkpoints import DEPTH_WEIGHTS, TOUCH_WEIGHTS
 from tactile_sim.learned.evaluation import add_noise_per_object, two_sample_test
-from tactile_sim.learned.networks import Generator, initialise, weights_of
+from tactile_sim.learned.networks import (
+    Generator,
+    GeneratorWeights,
+    initialise,
+    published_weights,
+    read_weights,
+    weights_of,
+    write_weights,
+)
 from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics
-from tactile_sim.learned.training import train
-from tactile_sim.learned.weights import GeneratorWeights, published_weights, read_weights, write_weights
+from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
 from tactile_sim.noise import SensorNoise
-from tactile_sim.optics.taxim import TaximOptics
-from tactile_sim.pairs.reading import Pairs
+from tactile_sim.optics import TaximOptics
+from tactile_sim.pairs import Pairs
 from tactile_sim.spec import TrainConfig
 from tactile_toolkit.store.folder import DataFolder
 

@@ -13,17 +13,17 @@ import typer
 from cli.application import OptionsOf, command, new_app, run
 from cli.folders import add_shared
 from cli.making import generate_set, make_with_progress, print_made
-from cli.options import Limit, LocalOut, Making, Out, local_place
+from cli.options import Chosen, LocalOut, Making, Out, local_place
 from cli.output import Sink, bytes_text
 from cli.pictures import preview_touches
 from tactile_sim.kind import KIND
-from tactile_sim.options import SENSOR_NOISE, PairsOptions, PictureOptions
-from tactile_sim.spec import TouchPlan, TrainConfig
+from tactile_sim.spec import SENSOR_NOISE, PairsSpec, PictureOptions, TouchPlan, TrainConfig
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
+    from tactile_sim.generation import GenerateSpec
     from tactile_toolkit.store.manifest import Manifest
 
 
@@ -41,29 +41,30 @@ def generate(
         str,
         typer.Argument(metavar="DIR|NAME", help="Digits, scenes or other meshes: folder, file or Hub id."),
     ],
-    split: str = text("all", metavar="NAME|all", help="Split to make."),
+    chosen: Chosen,
     out: Out = "touches",
     plan: Annotated[dict[str, Any], OptionsOf(TouchPlan)],
     picture: PictureOptions,
-    limit: Limit = None,
     making: Making,
     sink: Sink,
 ) -> None:
-    """Make a data set of touches of all objects of a data set.
+    """Make a data set of touches of the objects of a data set.
 
     Example: tactile-sim generate digits --split test --rounds 1 --touches 32 --out touches
 
     A stopped run continues when the same command is given again; finished shards are never made twice.
     """
-    from tactile_sim.generation import forecast
+    from tactile_sim.generation import GenerateSpec, forecast
     from tactile_sim.generation import generate as make
     from tactile_toolkit.run.limits import prepare_batch_process
 
     # "cell" is the default, and who gives a table means it; any other place with a table is refused.
     if "given" in plan and plan.get("place", "cell") == "cell":
         plan["place"] = "given"
-    spec = picture.spec(TouchPlan(**plan), limit)
-    splits = None if split == "all" else (split,)
+    given = chosen.given()
+    split = given.pop("split")
+    splits = None if split is None else (split,)
+    spec = _noted(sink, picture, GenerateSpec.of(picture, TouchPlan(**plan), **given))
     if not making.dry_run:
         prepare_batch_process()
     generate_set(
@@ -77,6 +78,12 @@ def generate(
         make=partial(make, objects, spec, out, splits),
         print_made=_print_made,
     )
+
+
+def _noted(sink: Sink, picture: PictureOptions, spec: GenerateSpec) -> GenerateSpec:
+    if picture.optics is None and spec.optics == "depth":
+        sink.info("note: pictures are depth images, as Taxim needs the extra `sim`: --optics taxim")
+    return spec
 
 
 def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
@@ -136,7 +143,7 @@ def render(
 
     Example: tactile-sim render part.stl --at-mm object --out touch.png
     """
-    from tactile_sim.looking import look
+    from tactile_sim.generation import GenerateSpec, look
     from tactile_toolkit.mesh.files import read_mesh
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.touch.jpeg import encode_image
@@ -144,7 +151,8 @@ def render(
     image_format = _ENDINGS.get(out.suffix.lower())
     if image_format is None:
         raise InputError(f"--out is {out.name!r}; expected a picture that ends with {', '.join(_ENDINGS)}")
-    seen = look(read_mesh(mesh), picture.spec(), at, math.radians(turn_deg))
+    spec = _noted(sink, picture, GenerateSpec.of(picture))
+    seen = look(read_mesh(mesh), spec, at, math.radians(turn_deg))
     encoded = encode_image(seen.picture, image_format, picture.quality)
     DataFolder(str(out.parent.absolute())).write_bytes(out.name, encoded)
     sink.document({"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact})
@@ -167,7 +175,7 @@ def pairs(
     real: Annotated[str, typer.Option("--real", metavar="TOUCHES", help="Real touches: name or folder.")],
     split: str = text("train", metavar="NAME", help="Split of both."),
     out: Out = "pairs",
-    options: PairsOptions,
+    spec: PairsSpec,
     making: Making,
     sink: Sink,
 ) -> None:
@@ -175,13 +183,12 @@ def pairs(
 
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
-    from tactile_sim.pairs.making import PairsMaking, make_pairs
+    from tactile_sim.pairs import PairsMaking, make_pairs
     from tactile_toolkit.making import plan_build
     from tactile_toolkit.run.limits import prepare_batch_process
     from tactile_toolkit.store.build import look_for
     from tactile_toolkit.store.folder import DataFolder
 
-    spec = options.spec()
     if making.dry_run:
         tasks, state = look_for(
             DataFolder(out),

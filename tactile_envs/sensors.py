@@ -56,7 +56,7 @@ class _Optics:
     def __init__(self, sensor: str, size: Size) -> None:
         optics: Any
         if sensor == "taxim":
-            from tactile_sim.optics.taxim import TaximOptics
+            from tactile_sim.optics import TaximOptics
 
             optics = TaximOptics()
             self._shades = optics.shades

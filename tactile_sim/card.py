@@ -1,25 +1,61 @@
-"""The data card of a data set of synthetic touches."""
+"""The data cards of synthetic touches and of training sets, and sheets of pictures, also of trainings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import islice
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_sim.columns import TouchRow
 from tactile_sim.kind import KIND
-from tactile_sim.sheets import tile
+from tactile_sim.pairs import PairRow, decode_depth
 from tactile_toolkit.cards.card import Card, first_rows
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
-from tactile_toolkit.kind import lazy
+from tactile_toolkit.pictures.sheets import PAPER, draw_text
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.contact import missed_text
+from tactile_toolkit.touch.contact import height_text, missed_text
 from tactile_toolkit.touch.jpeg import decode_image
+
+TILE_PX = 96
+"""Width of pictures in sheets, about."""
+
+_TITLE_PX = 18
+
+
+def sheet_png(columns: Sequence[tuple[str, NDArray[Any]]]) -> bytes:
+    """Draw columns of pictures under their titles: uint8 colours (n, H, W, 3), or depth images (n, H, W).
+
+    Where objects were left out of a set, its two kinds of pictures differ in number: shorter columns end in
+    white.
+    """
+    from PIL import Image, ImageDraw
+
+    strips = []
+    for title, pictures in columns:
+        tiles = [tile(picture, TILE_PX, 2 * TILE_PX) for picture in pictures]  # titles need the room
+        head = Image.new("RGB", (tiles[0].shape[1], _TITLE_PX), PAPER)
+        draw_text(ImageDraw.Draw(head), (3, 2), title, 11)
+        strips.append(np.concatenate([np.asarray(head), *tiles]))
+    return png_bytes(np.concatenate(_filled(strips, 0), axis=1))
+
+
+def tile(picture: NDArray[Any], least_px: int = 1, most_px: int = TILE_PX) -> NDArray[np.uint8]:
+    """Return a picture, uint8 colours (H, W, 3) or depth (H, W), in a white frame; its width between both.
+
+    Every n-th pixel, or each n times: as a data set holds it, nothing is smoothed.
+    """
+    if picture.ndim == 2:
+        picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)[..., None].repeat(3, axis=2)
+    times, step = -(-least_px // picture.shape[1]), max(1, picture.shape[1] // most_px)
+    shown = picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)
+    return np.pad(shown, ((1, 1), (1, 1), (0, 0)), constant_values=255)
+
 
 _COLUMNS_SHOWN = 8
 _ROUNDS_SHOWN = 4
@@ -38,7 +74,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     Raises IntegrityError when a shard is missing or damaged.
     """
     if manifest.spec.get("operation") == "pairs":
-        lazy("tactile_sim.pairs.card:write_card")(folder, manifest)
+        _write_pairs_card(folder, manifest)
         return
     facts = folder_facts(folder, manifest)
     spec = manifest.spec["options"]
@@ -55,7 +91,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         template=KIND.card_template,
         title="Synthetic touches",
         columns=meanings(TouchRow),
-        picture=("touches.png", _sheet(facts), "The first touches of the first rounds"),
+        picture=("touches.png", _touches_sheet(facts), "The first touches of the first rounds"),
         licence="mit",
         tags=["tactile", "active-perception", "gelsight", "touch", "synthetic"],
         tasks={
@@ -106,12 +142,60 @@ def _limits(spec: Mapping[str, Any], touches: int, met: int) -> list[str]:
     ]
 
 
-def _sheet(facts: FolderFacts) -> bytes | None:
+def _touches_sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first touches of the first rounds, a round a row, as PNG."""
+    rounds = islice(first_rows(facts, ["sensor_image"]), _ROUNDS_SHOWN)
+    shown = [row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds]
+    return _rows_png([[decode_image(each["bytes"]) for each in images] for images in shown])
+
+
+def _pairs_sheet(facts: FolderFacts) -> bytes | None:
+    """Draw the first rows of both splits, one above the other, as PNG."""
     rows = []
-    for row in islice(first_rows(facts, ["sensor_image"]), _ROUNDS_SHOWN):
-        images = row.value("sensor_image")[:_COLUMNS_SHOWN]
-        rows.append(np.concatenate([tile(decode_image(each["bytes"])) for each in images], axis=1))
-    widest = max((row.shape[1] for row in rows), default=0)  # given rounds may differ in length
-    filled = [np.pad(row, ((0, 0), (0, widest - row.shape[1]), (0, 0)), constant_values=255) for row in rows]
-    return png_bytes(np.concatenate(filled)) if rows else None
+    for split in facts.splits:
+        block = next(split.shards[0].blocks(0, ["sensor_image"]))
+        decode: Any = decode_depth if split.split == "depth" else decode_image
+        images = block.table.column(0)[:_COLUMNS_SHOWN].to_pylist()
+        rows.append([decode(each["bytes"]) for each in images])
+    return _rows_png(rows)
+
+
+def _rows_png(rows: Sequence[Sequence[NDArray[Any]]]) -> bytes | None:
+    """Draw rows of pictures, which may differ in length; None without rows."""
+    strips = [np.concatenate([tile(picture) for picture in row], axis=1) for row in rows]
+    return png_bytes(np.concatenate(_filled(strips, 1))) if strips else None
+
+
+def _filled(strips: Sequence[NDArray[np.uint8]], axis: int) -> list[NDArray[np.uint8]]:
+    """Return strips of one length along an axis, the shorter ones filled with white at their end."""
+    longest = max(strip.shape[axis] for strip in strips)
+    widths = np.zeros((len(strips), 3, 2), int)
+    widths[:, axis, 1] = [longest - strip.shape[axis] for strip in strips]
+    return [np.pad(strip, width, constant_values=255) for strip, width in zip(strips, widths, strict=True)]
+
+
+def _write_pairs_card(folder: DataFolder, manifest: Manifest) -> None:
+    """Write ``README.md`` of a training set and the picture that it shows."""
+    facts = folder_facts(folder, manifest)
+    spec = manifest.spec["options"]
+    width, height = spec["size_px"]
+    counts = manifest.statistics()
+    Card(
+        template="touch_pairs.md",
+        title="Depth and touch, not paired",
+        columns=meanings(PairRow),
+        picture=(
+            "pairs.png",
+            _pairs_sheet(facts),
+            "Depth images above, touches below; they do not belong together",
+        ),
+        licence="other",
+        tags=["tactile", "gelsight", "touch", "cyclegan"],
+        tasks={"task_categories": ["image-to-image", "robotics"]},
+        figures={"with contact": [f"{counts[split.split]['on_object']:,}" for split in facts.splits]},
+        made=[
+            ("without contact, asked for", f"{100 * spec['without_contact']:.4g} % of each split"),
+            ("contact", height_text(spec["min_height_m"])),
+        ],
+        values={"size_text": f"{width} x {height} pixels"},
+    ).write(folder, facts, manifest, KIND)

@@ -1,4 +1,4 @@
-"""From a data set of solids to a data set of touches of them."""
+"""From a data set of solids to a data set of touches of them, or to one look at one solid."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -15,20 +16,20 @@ from numpy.typing import NDArray
 
 from tactile_sim.columns import TouchRow, touch_schema
 from tactile_sim.kind import KIND
-from tactile_sim.layers import checked_layer_m
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
-from tactile_sim.plan import generator, plan_round
-from tactile_sim.pressing import Pressable, press
-from tactile_sim.sensor import Sensor, as_environment, as_sensor
-from tactile_sim.source import SolidSplit
-from tactile_sim.spec import TouchPlan
+from tactile_sim.plan import SolidSplit, generator, on_object, plan_round
+from tactile_sim.pressing import Pressable, checked_layer_m, press
+from tactile_sim.sensor import Matrix, Sensor, as_environment, as_sensor, pose
+from tactile_sim.spec import PictureOptions, TouchPlan
 from tactile_toolkit import making
+from tactile_toolkit.catalog.choose import IdChoice, choose_rows
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import FORMATS
+from tactile_toolkit.mesh.mesh import MeshLike
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, refuse_source
 from tactile_toolkit.run.processes import Runner
@@ -87,6 +88,9 @@ class GenerateSpec:
     noise : SensorNoise or None
         Noise of a real sensor, drawn for each set, object, round and touch: the last step, on the picture in
         its final size. Not for ``"depth"``, which is not a picture of a camera.
+    ids, labels, per_class : optional
+        Only objects with these ids (a pair stands for all from its first to its last), of these classes, and
+        of these the first so many of each class of a split; then ``limit``.
     """
 
     size_px: tuple[int, int] = (64, 64)
@@ -99,6 +103,9 @@ class GenerateSpec:
     limit: int | None = integer(None, 1, optional=True)
     layer_m: float = 0.0
     noise: SensorNoise | None = None
+    ids: IdChoice | None = None
+    labels: Sequence[str] | None = None
+    per_class: int | None = integer(None, 1, optional=True)
 
     def __post_init__(self) -> None:
         # A sensor checks its size: one rule for both.
@@ -110,6 +117,28 @@ class GenerateSpec:
             raise InputError(f"noise is {noise!r}; expected a SensorNoise, or None")
         if self.noise is not None:
             require_pictures(self.optics)
+
+    @classmethod
+    def of(cls, picture: PictureOptions, plan: TouchPlan | None = None, **chosen: Any) -> GenerateSpec:
+        """Return what the options of a command ask for; the default of the optics needs no extra."""
+        layer_mm = picture.layer_mm
+        usual = "taxim" if find_spec("taxim") is not None else "depth"
+        if layer_mm is not None and picture.surface != "printed":
+            raise InputError("--layer-mm is about printed solids", next="add --surface printed")
+        if picture.sensor_noise != "none":
+            require_pictures(picture.optics or usual)  # before a package is asked for that would not help
+        return cls(
+            picture.size,
+            picture.optics or usual,
+            picture.like,
+            TouchPlan() if plan is None else plan,
+            picture.image_format,
+            picture.quality,
+            None if picture.weights is None else str(picture.weights),
+            layer_m=(0.2 if layer_mm is None else layer_mm) / 1000 if picture.surface == "printed" else 0.0,
+            noise=SensorNoise.named(picture.sensor_noise),
+            **chosen,
+        )
 
     def sensor(self, optics: Optics) -> Sensor:
         """Return the sensor whose depth maps the optics get."""
@@ -123,7 +152,7 @@ class GenerateSpec:
         # By content: the same weights under another name give the same pictures.
         network: dict[str, Any] = {"weights_sha256": None}
         if self.optics == "cyclegan":
-            from tactile_sim.learned.weights import published_weights, read_weights
+            from tactile_sim.learned.networks import published_weights, read_weights
 
             file = expanded(self.weights) if self.weights else published_weights("touch")
             network = {
@@ -141,18 +170,24 @@ class GenerateSpec:
             "limit": self.limit,
             "layer_m": self.layer_m,
             "noise": None if self.noise is None else self.noise.to_dict(),
+            **{name: value for name, value in self._chosen.items() if value is not None},
         }
+
+    @property
+    def _chosen(self) -> dict[str, Any]:
+        return {"ids": self.ids, "labels": self.labels, "per_class": self.per_class}
 
 
 @dataclass(frozen=True)
 class TouchMaking(making.Making):
     """How rounds of touches are made: for each object a plan of where it lies and is touched, then pictures.
 
-    The items are numbers of rounds, object after object.
+    ``rows`` are those of the objects that are touched. The items are numbers of rounds, object after object.
     """
 
     spec: GenerateSpec
     source: Mapping[str, SolidSplit] = field(repr=False)
+    rows: Mapping[str, Any] = field(repr=False)
     kind = KIND
 
     @classmethod
@@ -168,7 +203,13 @@ class TouchMaking(making.Making):
         place = place_of(name)
         splits = {split: SolidSplit.find(place, split) for split in splits_of(place)}
         _require_known_objects(name, splits, spec)
-        return cls(spec, splits)
+        rows: dict[str, Any] = {split: range(len(each))[: spec.limit] for split, each in splits.items()}
+        if any(value is not None for value in spec._chosen.values()):
+            solids = [(split, each.solids()) for split, each in splits.items()]
+            rows = {
+                split: places for split, _, places in choose_rows(solids, **spec._chosen, limit=spec.limit)
+            }
+        return cls(spec, splits, rows)
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and source, each split for itself: a folder can be filled split by split."""
@@ -177,11 +218,7 @@ class TouchMaking(making.Making):
 
     def items(self) -> Mapping[str, range]:
         """Return the rounds of each split."""
-        limit, rounds = self.spec.limit, self.spec.plan.rounds
-        return {
-            split: range(rounds * (len(each) if limit is None else min(len(each), limit)))
-            for split, each in self.source.items()
-        }
+        return {split: range(self.spec.plan.rounds * len(each)) for split, each in self.rows.items()}
 
     def layout(self) -> making.Layout:
         """Return how rows are stored: pictures do not compress again."""
@@ -212,7 +249,7 @@ class TouchMaking(making.Making):
         """Render the rounds; of an object that bounds no solid yield once why."""
         solids, plan = self.source[split].solids(), self.spec.plan
         for place in range(items.start // plan.rounds, (items.stop - 1) // plan.rounds + 1):
-            record, start = solids[place], place * plan.rounds
+            record, start = solids[int(self.rows[split][place])], place * plan.rounds
             numbers = range(max(items.start - start, 0), min(items.stop - start, plan.rounds))
             touched = [number for number in numbers if plan.touches_of(record.id, number)]
             if not touched:
@@ -349,14 +386,10 @@ def generate(
         The source or an option cannot be used.
     MissingExtraError
         The optics need packages that are not installed.
-    IntegrityError
-        The source is damaged, or no object of it bounds a solid.
-    HubError
-        The source is on the Hub and cannot be fetched.
-    SpecMismatchError
-        The folder holds a data set of another specification.
-    StorageError
-        The folder cannot be written. What was finished stays.
+    IntegrityError, HubError
+        The source is damaged, or no object of it bounds a solid; or it cannot be fetched from the Hub.
+    SpecMismatchError, StorageError
+        The folder holds a data set of another specification, or cannot be written. What was finished stays.
     """
     touches = TouchMaking.of(source, spec)
     return making.generate(
@@ -388,3 +421,62 @@ def forecast(
 def _refuse_source(touches: TouchMaking, source: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
     shards = (shard for each in touches.source.values() for shard in each.shards)
     refuse_source(DataFolder(os.fspath(out)), os.fspath(source), shards)
+
+
+# On a surface as large as the cell they are two millimetres apart.
+_POINTS = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Look:
+    """One touch.
+
+    Attributes
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+    sensor_z_m : float
+        Height of the sensor, metres.
+    contact : float
+        Share of the picture in which the gel touches the object; 0 where it met the plate alone.
+    bounds_m : ndarray of float64, shape (2, 2)
+        Least, then greatest x and y of the object as it stands, metres, cell frame.
+    """
+
+    picture: NDArray[np.uint8]
+    sensor_z_m: float
+    contact: float
+    bounds_m: NDArray[np.float64]
+
+
+def look(mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, turn_rad: float = 0.0) -> Look:
+    """Press the gel onto a solid on the plate, turned about z; errors as of ``press``.
+
+    ``at_m`` is where the gel goes, x and y from the solid's own origin, metres. None puts the solid under the
+    gel, wherever its origin is: by a point of it that is nearest to its middle as seen from above.
+    """
+    optics = make_optics(spec.optics, spec.weights)
+    sensor = spec.sensor(optics)
+    solid = Pressable.of(mesh, layer_m=spec.layer_m)
+    stands = pose(z_m=-solid.foot_m, turn_rad=turn_rad)
+    if at_m is None:
+        stands[:2, 3] = -_middle_m(solid, stands)
+    pressed = press(solid, stands, pose(*(at_m or (0.0, 0.0))), sensor)
+    # Noise is drawn as for round 0 of an object 0, so that a look is the same each time.
+    pictures = optics.render(pressed.depth_m[None], sensor, spec.size_px)
+    picture = noisy(spec, pictures, "look", 0, 0)[0]
+    is_object = pressed.sensor_z_m - pressed.depth_m >= RENDERED_CONTACT_M
+    touched = float((is_object & (pressed.depth_m < sensor.gel_m)).mean())
+    return Look(picture, pressed.sensor_z_m, touched, _bounds_m(solid, stands))
+
+
+def _middle_m(solid: Pressable, stands: Matrix) -> NDArray[np.float64]:
+    """Return a point of the solid as near to its middle as may be, shape (2,): a ring has none there."""
+    points_m = on_object(_POINTS, solid, np.tile(stands, (_POINTS, 1, 1)), generator("look"))
+    away_m = points_m - _bounds_m(solid, stands).mean(axis=0)
+    nearest: NDArray[np.float64] = points_m[np.argmin((away_m**2).sum(axis=1))]
+    return nearest
+
+
+def _bounds_m(solid: Pressable, stands: Matrix) -> NDArray[np.float64]:
+    corners_m = solid.vertices_m @ stands[:2, :3].T + stands[:2, 3]
+    return np.array([corners_m.min(axis=0), corners_m.max(axis=0)])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -24,11 +24,15 @@ _POSES = ("object_x_m", "object_y_m", "object_turn_rad")
 _COLUMNS = (*_PLACES, *_NUMBERS, *_POSES)
 # Memory that reading takes for each row, in whatever columns, with the numbers of rounds and objects.
 _BYTES_PER_ROW = 512
-_LONGEST_HEADER = 4096
-_LINE_ENDS = frozenset(b"\r\n")
-_PIECE_BYTES = 1 << 20
 # More is a wrong unit or column; sines are right up to a million turns.
 _MOST_TURNS_RAD = 1e4
+# An object may be larger than the cell, and its origin off it.
+_FARTHEST_M = {
+    "x_m": CELL_M[0] / 2,
+    "y_m": CELL_M[1] / 2,
+    "object_x_m": 5 * CELL_M[0],
+    "object_y_m": 5 * CELL_M[1],
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,18 +66,16 @@ class GivenTouches:
     object_turn_rad: Any = None
 
     def __post_init__(self) -> None:
-        for name in _COLUMNS:
-            value = getattr(self, name)
-            if value is not None or name in _PLACES:
-                object.__setattr__(self, name, _column(name, value))
-        lengths = {name: len(getattr(self, name)) for name in _COLUMNS if getattr(self, name) is not None}
+        for name in self._held:
+            object.__setattr__(self, name, _column(name, getattr(self, name)))
+        lengths = {name: len(getattr(self, name)) for name in self._held}
         if len(set(lengths.values())) != 1 or not len(self.x_m):
             held = ", ".join(f"{name} {count}" for name, count in lengths.items())
             raise InputError(
                 f"given touches have columns of lengths {held}; expected one length of at least 1"
             )
-        if 0 < sum(getattr(self, name) is not None for name in _POSES) < len(_POSES):
-            missing = [name for name in _POSES if getattr(self, name) is None]
+        missing = [name for name in _POSES if name not in self._held]
+        if 0 < len(missing) < len(_POSES):
             raise InputError(
                 f"given touches lack {', '.join(missing)}; expected all of {', '.join(_POSES)}, or none"
             )
@@ -98,28 +100,18 @@ class GivenTouches:
         """
         file = expanded(path)
         readers = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}
-        if file.suffix.lower() not in readers:
+        reader = readers.get(file.suffix.lower())
+        if reader is None:
             raise InputError(f"given touches in {str(path)!r}: expected a file {', '.join(readers)}")
         try:
-            columns = readers[file.suffix.lower()](file)
-        except InputError as error:  # more than the limit
+            return cls(**reader(file))
+        except InputError as error:
             raise InputError(f"given touches in {str(path)!r}: {error}") from error
         except Exception as error:  # pyarrow, zipfile and numpy raise many kinds
             raise InputError(
-                f"given touches in {str(path)!r} cannot be read ({error}); expected a "
-                f"whole {file.suffix.lower()} file with columns {', '.join(_PLACES)}"
+                f"given touches in {str(path)!r} cannot be read ({error}); expected an intact "
+                f"{file.suffix.lower()} file with columns {', '.join(_PLACES)}"
             ) from error
-        unknown, missing = set(columns) - set(_COLUMNS), set(_PLACES) - set(columns)
-        if unknown or missing:
-            wrong = f"unknown columns {sorted(unknown)}" if unknown else f"no {sorted(missing)}"
-            raise InputError(
-                f"given touches in {str(path)!r} have {wrong}; expected x_m, y_m and of these: "
-                f"{', '.join(_COLUMNS[2:])}"
-            )
-        try:
-            return cls(**columns)
-        except InputError as error:
-            raise InputError(f"{str(path)!r}: {error}") from error
 
     @cached_property
     def rounds(self) -> int | None:
@@ -137,9 +129,8 @@ class GivenTouches:
         T is 0 where the table has no such round.
         """
         # None stands for every object, and for every round.
-        rows = self._rows.get(
-            (None if self.object_id is None else object_id, None if self.round is None else number), []
-        )
+        key = (None if self.object_id is None else object_id, None if self.round is None else number)
+        rows = self._rows.get(key, [])
         places = np.stack([getattr(self, name)[rows] for name in _PLACES], axis=1)
         if self.object_x_m is None:
             return places, None
@@ -147,18 +138,20 @@ class GivenTouches:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values that decide what is made: which columns, how many rows, and their checksum."""
-        held = [name for name in _COLUMNS if getattr(self, name) is not None]
+        columns = [getattr(self, name) for name in self._held]
         # Little-endian: the checksum is that of the numbers, not of the machine.
-        stored = b"".join(
-            getattr(self, name).astype(getattr(self, name).dtype.newbyteorder("<")).tobytes() for name in held
-        )
-        return {"columns": held, "rows": len(self.x_m), "sha256": hashlib.sha256(stored).hexdigest()}
+        stored = b"".join(column.astype(column.dtype.newbyteorder("<")).tobytes() for column in columns)
+        return {"columns": self._held, "rows": len(self.x_m), "sha256": hashlib.sha256(stored).hexdigest()}
+
+    @property
+    def _held(self) -> list[str]:
+        return [name for name in _COLUMNS if name in _PLACES or getattr(self, name) is not None]
 
     @cached_property
     def _rows(self) -> dict[tuple[int | None, int | None], list[int]]:
-        count = len(self.x_m)
-        ids = [None] * count if self.object_id is None else self.object_id.tolist()
-        rounds = [None] * count if self.round is None else self.round.tolist()
+        nothing = [None] * len(self.x_m)
+        ids = nothing if self.object_id is None else self.object_id.tolist()
+        rounds = nothing if self.round is None else self.round.tolist()
         found: dict[tuple[int | None, int | None], list[int]] = {}
         for row, key in enumerate(zip(ids, rounds, strict=True)):
             found.setdefault(key, []).append(row)
@@ -167,7 +160,6 @@ class GivenTouches:
 
 def _column(name: str, value: Any) -> NDArray[Any]:
     """Return one column as float64 or int64; InputError for what cannot be one, with the first bad row."""
-    whole = name in _NUMBERS
     try:
         found = np.asarray(value)
         numbers = found.astype(np.float64)
@@ -177,70 +169,47 @@ def _column(name: str, value: Any) -> NDArray[Any]:
         raise InputError(
             f"column {name} of the given touches is {type(value).__name__}; expected a number for each touch"
         )
-    if whole:
-        wrong = ~(np.isfinite(numbers) & (numbers == np.floor(numbers)) & (numbers >= 0) & (numbers < 2**53))
+    if name in _NUMBERS:
+        fits = (numbers == np.floor(numbers)) & (numbers >= 0) & (numbers < 2**53)
         expected = "an integer from 0"
-    elif name == "object_turn_rad":
-        wrong, expected = ~(np.abs(numbers) <= _MOST_TURNS_RAD), "radians"
     else:
-        half_m = CELL_M["xy".index(name.removeprefix("object_")[0])] / 2
-        # An object may be larger than the cell, and its origin off it.
-        half_m = half_m if name in _PLACES else 10 * half_m
-        wrong, expected = ~(np.abs(numbers) <= half_m), f"metres from {-half_m:g} to {half_m:g}"
-    if wrong.any():
-        row = int(np.argmax(wrong))
+        most = _FARTHEST_M.get(name, _MOST_TURNS_RAD)
+        fits = np.abs(numbers) <= most
+        expected = f"metres from {-most:g} to {most:g}" if name in _FARTHEST_M else "radians"
+    if not fits.all():
+        row = int(np.argmin(fits))
         raise InputError(
             f"column {name} of the given touches is {found[row]} in row {row}; expected {expected}"
         )
-    return found.astype(np.int64) if whole else numbers
+    return found.astype(np.int64) if name in _NUMBERS else numbers
 
 
 def _read_csv(file: Path) -> Mapping[str, Any]:
     from pyarrow import csv
 
-    with file.open("rb") as stream:
-        head = stream.read(_LONGEST_HEADER)
-        if len(head) == _LONGEST_HEADER and not _LINE_ENDS.intersection(head):
-            raise ValueError(f"its first line has more than {_LONGEST_HEADER:,} bytes")
-        stream.seek(0)
-        pieces = iter(lambda: stream.read(_PIECE_BYTES), b"")
-        lines = sum(max(map(piece.count, (b"\n", b"\r"))) for piece in pieces)
-    _require_rows(lines, file)
-    return _numbers(csv.read_csv(file))
+    with file.open(encoding="utf-8-sig") as stream:
+        names = stream.readline(4096).replace('"', "").strip().split(",")
+    _require_columns(names)
+    # What is missing becomes NaN, which is refused by its row.
+    table = csv.read_csv(
+        file, convert_options=csv.ConvertOptions(column_types=dict.fromkeys(names, "float64"))
+    )
+    _require_size(table.num_rows, file)
+    return {name: table.column(name).to_numpy() for name in names}
 
 
 def _read_parquet(file: Path) -> Mapping[str, Any]:
-    from pyarrow import parquet
+    from pyarrow import parquet, types
 
     with parquet.ParquetFile(file) as source:
-        metadata = source.metadata
-        groups = [metadata.row_group(number) for number in range(metadata.num_row_groups)]
-        columns = [metadata.schema.column(number) for number in range(metadata.num_columns)]
-        if len({column.path for column in columns}) < len(columns):
-            raise ValueError(f"{len(columns):,} columns, some of one name; expected each once")
-        for column in columns:
-            if column.path not in _COLUMNS:
-                return {each.path: None for each in columns}  # which is refused, unread
-            if "BYTE_ARRAY" in column.physical_type:
-                raise ValueError(f"column {column.path} holds {column.physical_type}; expected numbers")
-        counts = [group.column(number).num_values for group in groups for number in range(group.num_columns)]
-        _require_rows(max(metadata.num_rows, sum(counts) // max(len(columns), 1)), file)
-        return _numbers(source.read())
-
-
-def _require_rows(rows: int, file: Path) -> None:
-    require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", file.stat().st_size)
-
-
-def _numbers(table: Any) -> Mapping[str, Any]:
-    import pyarrow as pa
-
-    # What is missing becomes NaN, which is refused by its row.
-    empty = {name: pa.types.is_null(table.schema.field(name).type) for name in table.column_names}
-    return {
-        name: (table.column(name).cast(pa.float64()) if empty[name] else table.column(name)).to_numpy()
-        for name in table.column_names
-    }
+        names = source.schema_arrow.names
+        _require_columns(names)
+        for name, kind in zip(names, source.schema_arrow.types, strict=True):
+            if not (types.is_integer(kind) or types.is_floating(kind)):
+                raise InputError(f"column {name} holds {kind}; expected numbers")
+        _require_size(source.metadata.num_rows, file)
+        table = source.read()
+    return {name: table.column(name).to_numpy() for name in names}
 
 
 def _read_npz(file: Path) -> Mapping[str, Any]:
@@ -250,4 +219,17 @@ def _read_npz(file: Path) -> Mapping[str, Any]:
         # Integers of a byte become numbers of eight, and are copied.
         require_unpackable(8 * size_bytes, f"a table of {size_bytes:,} bytes", file.stat().st_size)
     with np.load(file, allow_pickle=False) as stored:
+        _require_columns(stored.files)
         return dict(stored)
+
+
+def _require_columns(names: Sequence[str]) -> None:
+    if len(set(names)) < len(names) or not set(_PLACES) <= set(names) <= set(_COLUMNS):
+        raise InputError(
+            f"its columns are {', '.join(names)[:200]}; expected x_m, y_m and of these, each once: "
+            f"{', '.join(_COLUMNS[2:])}"
+        )
+
+
+def _require_size(rows: int, file: Path) -> None:
+    require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", file.stat().st_size)

@@ -6,23 +6,24 @@ All kernels of touches lie in this one file, because numba's cache on disk looks
 from __future__ import annotations
 
 import math
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.nearness import compiled
 
+Numbers: TypeAlias = NDArray[np.float64]
+
 _EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
+
+
+Point: TypeAlias = tuple[float, float, float]
 
 
 @compiled
 def rasterise(
-    out: NDArray[np.float64],
-    vertices: NDArray[np.float64],
-    faces: NDArray[np.int32],
-    blocks: NDArray[np.float64],
-    affine: NDArray[np.float64],
-    layers: NDArray[np.float64] | None,
+    out: Numbers, vertices: Numbers, faces: NDArray[np.int32], blocks: Numbers, affine: Numbers, layers: Any
 ) -> None:
     """Raise each pixel of ``out`` to the highest triangle over it that faces upwards.
 
@@ -30,82 +31,81 @@ def rasterise(
     solid, ``blocks`` (B, 4) balls around runs of its faces, centre and radius: a run whose ball is outside
     the window is left out. ``affine``, shape (3, 4), maps a vertex to column, row counted from the bottom,
     both in pixels whose points have integer coordinates, and height. ``layers`` are those of a printed solid
-    (:func:`tactile_sim.layers.seen_layers`), None for one as it was modelled: numba compiles a kernel of its
-    own without them. Only sums, products, quotients and comparisons of IEEE doubles are used, which every
+    (:func:`tactile_sim.pressing.seen_layers`), None for one as it was modelled: numba compiles a kernel of
+    its own without them. Only sums, products, quotients and comparisons of IEEE doubles are used, which every
     processor rounds alike.
     """
     rows, columns = out.shape
     per_block = (len(faces) + len(blocks) - 1) // len(blocks)
-    xx, xy, xz, x0 = affine[0, 0], affine[0, 1], affine[0, 2], affine[0, 3]
-    yx, yy, yz, y0 = affine[1, 0], affine[1, 1], affine[1, 2], affine[1, 3]
-    zx, zy, zz, z0 = affine[2, 0], affine[2, 1], affine[2, 2], affine[2, 3]
-    reach_x, reach_y = math.sqrt(xx * xx + xy * xy + xz * xz), math.sqrt(yx * yx + yy * yy + yz * yz)
+    reach_x, reach_y = _length(affine[0]), _length(affine[1])
     for block in range(len(blocks)):
-        x, y, z, radius = blocks[block, 0], blocks[block, 1], blocks[block, 2], blocks[block, 3]
-        middle_x, middle_y = xx * x + xy * y + xz * z + x0, yx * x + yy * y + yz * z + y0
+        middle = _mapped(affine, blocks, block)
         # A thousandth of a pixel more: a ball is rounded, too.
-        far_x, far_y = radius * reach_x + 1e-3, radius * reach_y + 1e-3
-        if middle_x + far_x < 0.0 or middle_x - far_x > columns - 1:
+        far_x, far_y = blocks[block, 3] * reach_x + 1e-3, blocks[block, 3] * reach_y + 1e-3
+        if middle[0] + far_x < 0.0 or middle[0] - far_x > columns - 1:
             continue
-        if middle_y + far_y < 0.0 or middle_y - far_y > rows - 1:
+        if middle[1] + far_y < 0.0 or middle[1] - far_y > rows - 1:
             continue
         for face in range(block * per_block, min((block + 1) * per_block, len(faces))):
-            a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-            x, y, z = vertices[a, 0], vertices[a, 1], vertices[a, 2]
-            ax, ay = ((xx * x + xy * y) + xz * z) + x0, ((yx * x + yy * y) + yz * z) + y0
-            az = ((zx * x + zy * y) + zz * z) + z0
-            x, y, z = vertices[b, 0], vertices[b, 1], vertices[b, 2]
-            bx, by = ((xx * x + xy * y) + xz * z) + x0, ((yx * x + yy * y) + yz * z) + y0
-            bz = ((zx * x + zy * y) + zz * z) + z0
-            x, y, z = vertices[c, 0], vertices[c, 1], vertices[c, 2]
-            cx, cy = ((xx * x + xy * y) + xz * z) + x0, ((yx * x + yy * y) + yz * z) + y0
-            cz = ((zx * x + zy * y) + zz * z) + z0
+            one, two, three = faces[face, 0], faces[face, 1], faces[face, 2]
+            a, b = _mapped(affine, vertices, one), _mapped(affine, vertices, two)
+            c = _mapped(affine, vertices, three)
             # Faces that look down or stand upright; so written, NaN is left out as well.
-            if not (bx - ax) * (cy - ay) - (by - ay) * (cx - ax) > 0.0:
+            if not (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0:
                 continue
-            if max(max(ax, bx), cx) + _EDGE_PX < 0.0 or min(min(ax, bx), cx) - _EDGE_PX > columns - 1:
+            if max(a[0], b[0], c[0]) + _EDGE_PX < 0.0 or min(a[0], b[0], c[0]) - _EDGE_PX > columns - 1:
                 continue
-            first_row = max(math.ceil(min(min(ay, by), cy) - _EDGE_PX), 0)
-            last_row = min(math.floor(max(max(ay, by), cy) + _EDGE_PX), rows - 1)
-            if first_row > last_row:
-                continue
-            run, sideways = _profile(vertices, a, b, c, layers) if layers is not None else (0.0, 0.0)
-            _raise_rows(out, first_row, last_row, ax, ay, az, bx, by, bz, cx, cy, cz, run, sideways, layers)
+            first_row = max(math.ceil(min(a[1], b[1], c[1]) - _EDGE_PX), 0)
+            last_row = min(math.floor(max(a[1], b[1], c[1]) + _EDGE_PX), rows - 1)
+            if first_row <= last_row:
+                profile = (
+                    _profile(vertices[one], vertices[two], vertices[three], layers)
+                    if layers is not None
+                    else (0.0, 0.0)
+                )
+                _raise_rows(out, first_row, last_row, (a, b, c), profile, layers)
+
+
+@compiled
+def _length(row: Numbers) -> float:
+    return math.sqrt(row[0] * row[0] + row[1] * row[1] + row[2] * row[2])
+
+
+@compiled
+def _mapped(affine: Numbers, points: Numbers, index: int) -> Point:
+    x, y, z = points[index, 0], points[index, 1], points[index, 2]
+    return (
+        ((affine[0, 0] * x + affine[0, 1] * y) + affine[0, 2] * z) + affine[0, 3],
+        ((affine[1, 0] * x + affine[1, 1] * y) + affine[1, 2] * z) + affine[1, 3],
+        ((affine[2, 0] * x + affine[2, 1] * y) + affine[2, 2] * z) + affine[2, 3],
+    )
 
 
 @compiled
 def _raise_rows(
-    out: NDArray[np.float64],
+    out: Numbers,
     first_row: int,
     last_row: int,
-    ax: float,
-    ay: float,
-    az: float,
-    bx: float,
-    by: float,
-    bz: float,
-    cx: float,
-    cy: float,
-    cz: float,
-    run: float,
-    sideways: float,
-    layers: NDArray[np.float64] | None,
+    corners: tuple[Point, Point, Point],
+    profile: tuple[float, float],
+    layers: Any,
 ) -> None:
     """Raise the pixels over a triangle that faces upwards, in the rows that it meets."""
     rows, columns = out.shape
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = corners
     abx, aby, abz = bx - ax, by - ay, bz - az
     acx, acy, acz = cx - ax, cy - ay, cz - az
     area = abx * acy - aby * acx
-    low_x, high_x = min(min(ax, bx), cx), max(max(ax, bx), cx)
-    low_z, high_z = min(min(az, bz), cz), max(max(az, bz), cz)
+    low_x, high_x = min(ax, bx, cx), max(ax, bx, cx)
+    low_z, high_z = min(az, bz, cz), max(az, bz, cz)
     along_row = (abz * acy - aby * acz) / area
     along_column = (abx * acz - abz * acx) / area
     l0, m0, r0, s0 = _side(ax, ay, bx, by)
     l1, m1, r1, s1 = _side(bx, by, cx, cy)
     l2, m2, r2, s2 = _side(cx, cy, ax, ay)
     for row in range(first_row, last_row + 1):
-        left = max(max(max(low_x - _EDGE_PX, l0 + m0 * row), l1 + m1 * row), l2 + m2 * row)
-        right = min(min(min(high_x + _EDGE_PX, r0 + s0 * row), r1 + s1 * row), r2 + s2 * row)
+        left = max(low_x - _EDGE_PX, l0 + m0 * row, l1 + m1 * row, l2 + m2 * row)
+        right = min(high_x + _EDGE_PX, r0 + s0 * row, r1 + s1 * row, r2 + s2 * row)
         first, last = max(math.ceil(left), 0), min(math.floor(right), columns - 1)
         if first > last:
             continue
@@ -115,48 +115,32 @@ def _raise_rows(
         # Both ends are bounded by the corners: a steep sliver cannot shoot beyond its own heights.
         rise = (end - start) / max(last - first, 1)
         line = out[rows - 1 - row]
-        if layers is None:
-            for step in range(last - first + 1):
-                height = start + rise * step
-                if height > line[first + step]:
-                    line[first + step] = height
-        else:
-            for step in range(last - first + 1):
-                height = start + rise * step
-                height += _layer_rise(first + step, row, height, run, sideways, layers)
-                if height > line[first + step]:
-                    line[first + step] = height
+        for step in range(last - first + 1):
+            height = start + rise * step
+            if layers is not None:
+                height += _layer_rise(first + step, row, height, profile, layers)
+            if height > line[first + step]:
+                line[first + step] = height
 
 
 @compiled
-def _profile(
-    vertices: NDArray[np.float64], a: int, b: int, c: int, layers: NDArray[np.float64]
-) -> tuple[float, float]:
+def _profile(a: Numbers, b: Numbers, c: Numbers, layers: Numbers) -> tuple[float, float]:
     """Return how far a triangle runs outwards for a step down, and how sideways it is seen."""
-    abx, aby, abz = (
-        vertices[b, 0] - vertices[a, 0],
-        vertices[b, 1] - vertices[a, 1],
-        vertices[b, 2] - vertices[a, 2],
-    )
-    acx, acy, acz = (
-        vertices[c, 0] - vertices[a, 0],
-        vertices[c, 1] - vertices[a, 1],
-        vertices[c, 2] - vertices[a, 2],
-    )
+    abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+    acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
     level = max(math.sqrt(x * x + y * y), layers[11] * abs(z))
     return z / level, (layers[3] * x + layers[4] * y) / level
 
 
 @compiled
-def _layer_rise(
-    column: int, row: int, height: float, run: float, sideways: float, layers: NDArray[np.float64]
-) -> float:
+def _layer_rise(column: int, row: int, height: float, profile: tuple[float, float], layers: Numbers) -> float:
     """Return how far above a point of the solid its layers end, towards the sensor; -inf where none does.
 
     In the section across the contour lines, with the point at the origin of the line of sight, ``across`` and
     ``down`` lead from the middle of the round end of a layer to the point.
     """
+    run, sideways = profile
     layer, slack, count, upward = layers[0], layers[1], layers[2], layers[5]
     over = ((layers[6] * column + layers[7] * row) + layers[8] * height) + layers[9]
     radius = 0.5 * layer
@@ -196,9 +180,7 @@ def _side(start_x: float, start_y: float, end_x: float, end_y: float) -> tuple[f
 
 
 @compiled
-def to_depth(
-    heights_m: NDArray[np.float64], image: NDArray[np.float32], press_m: float, gel_m: float
-) -> float:
+def to_depth(heights_m: Numbers, image: NDArray[np.float32], press_m: float, gel_m: float) -> float:
     """Turn heights into depth, in place, and the depth image; return the greatest height, metres."""
     rows, columns = heights_m.shape
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
@@ -230,13 +212,7 @@ def _mirrored(place: int, count: int) -> int:
 
 
 @compiled
-def blur(
-    image: NDArray[np.float64],
-    out: NDArray[np.float64],
-    between: NDArray[np.float64],
-    across: NDArray[np.float64],
-    down: NDArray[np.float64],
-) -> None:
+def blur(image: Numbers, out: Numbers, between: Numbers, across: Numbers, down: Numbers) -> None:
     """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
 
     Pairs are added from the middle outwards, so the sums of a pixel have one order however many are done at
@@ -306,43 +282,61 @@ def _dilated(mask: NDArray[np.bool_], wide: int, high: int) -> NDArray[np.bool_]
     return out
 
 
-Pair = tuple[NDArray[np.float64], NDArray[np.float64]]
+Pair: TypeAlias = tuple[Numbers, Numbers]
+
+
+class Calibration(NamedTuple):
+    """Tables of Taxim, whatever the size of the picture; lengths in mm.
+
+    ``colours`` (125, 125, 18): six coefficients of three colours by slope and direction; ``fan``
+    (63, rays, 2) float32: cosine and sine of the rays of each direction; ``shadows`` (63, 25, steps, 3) and
+    ``shadow_lengths`` (63, 25); then the pixel, width and height of the calibration, the scale of contacts,
+    the steps of directions and heights, and where heights begin.
+    """
+
+    colours: Numbers
+    fan: NDArray[np.float32]
+    shadows: Numbers
+    shadow_lengths: NDArray[np.int64]
+    pixel_mm: float
+    width: int
+    height: int
+    contact_scale: float
+    direction_step: float
+    height_step: float
+    shadow_depth_mm: float
+    first_height: int
+    flat_slope: float
+
+
+class PictureTables(NamedTuple):
+    """What follows from the size of a picture."""
+
+    gel_mm: Numbers
+    background: Numbers
+    pyramid: tuple[Pair, ...]
+    shadow_blur: Pair
+    windows: NDArray[np.int64]
+    shadow_step: NDArray[np.float32]
 
 
 @compiled
 def _pressed_gel(
-    height_mm: NDArray[np.float64],
-    gel_mm: NDArray[np.float64],
-    contact_scale: float,
-    pyramid: tuple[Pair, ...],
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    height_mm: Numbers, gel_mm: Numbers, contact_scale: float, pyramid: tuple[Pair, ...]
+) -> tuple[Numbers, NDArray[np.bool_]]:
     """Return the surface of the gel, which leaves the solid smoothly, and where it lies on the solid."""
-    rows, columns = height_mm.shape
-    lowest = height_mm[0, 0]
-    for row in range(rows):
-        for column in range(columns):
-            lowest = min(lowest, height_mm[row, column])
-    joined, contact = np.empty((rows, columns)), np.empty((rows, columns), np.bool_)
-    for row in range(rows):
-        for column in range(columns):
-            here, gel = height_mm[row, column], gel_mm[row, column]
-            joined[row, column] = min(here, gel)
-            contact[row, column] = here < 0.0 and joined[row, column] - gel < lowest * contact_scale
-    blurred, between, soft = joined.copy(), np.empty((rows, columns)), np.empty((rows, columns))
+    joined = np.minimum(height_mm, gel_mm)
+    contact = (height_mm < 0.0) & (joined - gel_mm < height_mm.min() * contact_scale)
+    blurred, between, soft = joined.copy(), np.empty_like(joined), np.empty_like(joined)
     for level in range(len(pyramid)):
         blur(blurred, soft, between, pyramid[level][0], pyramid[level][1])
-        if level == len(pyramid) - 1:
-            break
-        for row in range(rows):
-            for column in range(columns):
-                blurred[row, column] = joined[row, column] if contact[row, column] else soft[row, column]
+        for place in range(soft.size if level < len(pyramid) - 1 else 0):
+            blurred.flat[place] = joined.flat[place] if contact.flat[place] else soft.flat[place]
     return soft, contact
 
 
 @compiled
-def _slopes(
-    soft: NDArray[np.float64], per_row: float, per_column: float, flat_slope: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _slopes(soft: Numbers, per_row: float, per_column: float, flat_slope: float) -> tuple[Numbers, Numbers]:
     """Return slope and direction at the inner pixels; those at the edge take those of their neighbours."""
     rows, columns = soft.shape
     slope, direction = np.empty((rows, columns)), np.empty((rows, columns))
@@ -366,73 +360,61 @@ def _slopes(
 
 
 @compiled
-def _shades(
-    slope: NDArray[np.float64],
-    direction: NDArray[np.float64],
-    colours: NDArray[np.float64],
-    plain: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _shades(slope: Numbers, direction: Numbers, tables: Calibration) -> Numbers:
     """Return the colours (3, H, W) of the calibration for slopes in their place.
 
     Directions are rounded up as in single precision: the last bin of the package holds those of pi alone, and
     that of a flat pixel is the middle of the table exactly.
     """
     rows, columns = slope.shape
-    full_width, full_height, bins = plain[1], plain[2], int(plain[8])
+    bins = len(tables.colours)
     per_slope, per_direction = (bins - 1) / (0.5 * math.pi), (bins - 1) / (2.0 * math.pi)
     shade = np.empty((3, rows, columns))
     for row in range(rows):
-        y = row * (full_height / rows)
+        y = row * (float(tables.height) / rows)
         for column in range(columns):
-            x = column * (full_width / columns)
+            x = column * (float(tables.width) / columns)
             steep = int(slope[row, column] * per_slope)
             turned = min(int(direction[row, column] * per_direction + 4e-6), bins - 1)
-            chosen = colours[steep, turned]
+            chosen = tables.colours[steep, turned]
             for colour in range(3):
                 c = 6 * colour
-                shade[colour, row, column] = (
-                    (
-                        ((x * x * chosen[c] + y * y * chosen[c + 1]) + x * y * chosen[c + 2])
-                        + x * chosen[c + 3]
-                    )
-                    + y * chosen[c + 4]
-                ) + chosen[c + 5]
+                squares = (x * x * chosen[c] + y * y * chosen[c + 1]) + x * y * chosen[c + 2]
+                shade[colour, row, column] = ((squares + x * chosen[c + 3]) + y * chosen[c + 4]) + chosen[
+                    c + 5
+                ]
     return shade
 
 
 @compiled
 def _cast_shadows(
-    shade: NDArray[np.float64],
-    soft: NDArray[np.float64],
-    gel_mm: NDArray[np.float64],
-    direction: NDArray[np.float64],
+    shade: Numbers,
+    soft: Numbers,
+    direction: Numbers,
     sources: NDArray[np.bool_],
-    fan: NDArray[np.float32],
-    shadows: NDArray[np.float64],
-    shadow_lengths: NDArray[np.int64],
-    shadow_step: NDArray[np.float32],
-    plain: NDArray[np.float64],
+    tables: Calibration,
+    picture: PictureTables,
 ) -> None:
     """Darken what lies lower behind each of the pixels at the rim of the contact, along a fan of rays."""
     rows, columns = soft.shape
-    heights = shadow_lengths.shape[1] - 1
     for row in range(rows):
         for column in range(columns):
             if not sources[row, column]:
                 continue
             # Tables of the package hold steps of these sizes; it rounds down, too.
-            toward = int(direction[row, column] / plain[4])
+            toward = int(direction[row, column] / tables.direction_step)
             here = soft[row, column]
-            level = math.floor((gel_mm[row, column] - here - plain[6]) / plain[5]) + int(plain[7])
-            if level < 0 or level >= heights:
+            depth = picture.gel_mm[row, column] - here - tables.shadow_depth_mm
+            level = math.floor(depth / tables.height_step) + tables.first_height
+            if level < 0 or level >= tables.shadow_lengths.shape[1] - 1:
                 continue
-            dark = shadows[toward, level]
-            for step in range(shadow_lengths[toward, level]):
-                along_x = shadow_step[0] * np.float32(step + 1)
-                along_y = shadow_step[1] * np.float32(step + 1)
-                for ray in range(fan.shape[1]):
-                    x_px = np.float32(column) + along_x * fan[toward, ray, 0]
-                    y_px = np.float32(row) + along_y * fan[toward, ray, 1]
+            dark = tables.shadows[toward, level]
+            for step in range(tables.shadow_lengths[toward, level]):
+                along_x = picture.shadow_step[0] * np.float32(step + 1)
+                along_y = picture.shadow_step[1] * np.float32(step + 1)
+                for ray in range(tables.fan.shape[1]):
+                    x_px = np.float32(column) + along_x * tables.fan[toward, ray, 0]
+                    y_px = np.float32(row) + along_y * tables.fan[toward, ray, 1]
                     if x_px <= -1.0 or y_px <= -1.0 or x_px >= columns or y_px >= rows:
                         continue
                     # Towards 0, as the package's cast: what leaves the picture by less than a pixel still
@@ -446,39 +428,27 @@ def _cast_shadows(
 
 @compiled
 def render_taxim(
-    out: NDArray[np.float32],
-    height_mm: NDArray[np.float64],
-    gel_mm: NDArray[np.float64],
-    background: NDArray[np.float64],
-    pyramid: tuple[Pair, ...],
-    shadow_blur: Pair,
-    colours: NDArray[np.float64],
-    fan: NDArray[np.float32],
-    shadows: NDArray[np.float64],
-    shadow_lengths: NDArray[np.int64],
-    windows: NDArray[np.int64],
-    plain: NDArray[np.float64],
-    flat_slope: float,
-    shadow_step: NDArray[np.float32],
+    out: NDArray[np.float32], heights_mm: Numbers, tables: Calibration, picture: PictureTables
 ) -> None:
-    """Render one picture (H, W, 3), 0 to 1, of heights over the gel, mm; see `tactile_sim.optics.taxim`."""
-    rows, columns = height_mm.shape
-    soft, contact = _pressed_gel(height_mm, gel_mm, plain[3], pyramid)
-    per_row, per_column = rows / plain[2] / 2.0 / plain[0], columns / plain[1] / 2.0 / plain[0]
-    slope, direction = _slopes(soft, per_row, per_column, flat_slope)
-    shade = _shades(slope, direction, colours, plain)
-    near = _dilated(contact, windows[0, 0], windows[0, 1])
-    near = _dilated(near, windows[1, 0], windows[1, 1])
-    _cast_shadows(
-        shade, soft, gel_mm, direction, near & ~contact, fan, shadows, shadow_lengths, shadow_step, plain
-    )
-    final_across, final_down = pyramid[len(pyramid) - 1]
+    """Render pictures (n, H, W, 3), 0 to 1, of heights over the gel, mm; see :mod:`tactile_sim.optics`."""
+    rows, columns = heights_mm.shape[1:]
+    per_row = rows / float(tables.height) / 2.0 / tables.pixel_mm
+    per_column = columns / float(tables.width) / 2.0 / tables.pixel_mm
+    final_across, final_down = picture.pyramid[len(picture.pyramid) - 1]
     between, lit = np.empty((rows, columns)), np.empty((rows, columns))
-    for colour in range(3):
-        blur(shade[colour], soft, between, shadow_blur[0], shadow_blur[1])
-        blur(soft, lit, between, final_across, final_down)
-        for row in range(rows):
-            for column in range(columns):
-                out[row, column, colour] = np.float32(
-                    min(max(lit[row, column] + background[colour, row, column], 0.0), 1.0)
-                )
+    for number in range(len(heights_mm)):
+        soft, contact = _pressed_gel(
+            heights_mm[number], picture.gel_mm, tables.contact_scale, picture.pyramid
+        )
+        slope, direction = _slopes(soft, per_row, per_column, tables.flat_slope)
+        shade = _shades(slope, direction, tables)
+        near = _dilated(contact, picture.windows[0, 0], picture.windows[0, 1])
+        near = _dilated(near, picture.windows[1, 0], picture.windows[1, 1])
+        _cast_shadows(shade, soft, direction, near & ~contact, tables, picture)
+        for colour in range(3):
+            blur(shade[colour], soft, between, picture.shadow_blur[0], picture.shadow_blur[1])
+            blur(soft, lit, between, final_across, final_down)
+            for row in range(rows):
+                for column in range(columns):
+                    value = lit[row, column] + picture.background[colour, row, column]
+                    out[number, row, column, colour] = np.float32(min(max(value, 0.0), 1.0))

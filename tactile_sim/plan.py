@@ -1,4 +1,4 @@
-"""Where the gel goes, and how the object lies: plans of touches, drawn for each object and round alone."""
+"""What is touched, where the gel goes, and how the object lies: drawn for each object and round alone."""
 
 from __future__ import annotations
 
@@ -9,11 +9,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.poses import pose, product, turn_quaternion
 from tactile_sim.pressing import Pressable
-from tactile_sim.sensor import CELL_M
+from tactile_sim.sensor import CELL_M, pose, product, turn_quaternion
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.mesh.columns import require_mesh_columns
+from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.touch.schema import class_names
 
 REACH_M = (0.0385, 0.0405)
 """How far from the middle of the cell the gel is sent, x and y, metres: half the cell less ``CELL_PADDING``
@@ -22,6 +26,30 @@ of `tactile-mnist` 0.13.0."""
 _MARGIN_M = 0.01  # tactile-mnist 0.13.0, object_placement_margin
 _SHIFT_M = 1e-3  # tactile-mnist 0.13.0, translation_perturbation_scale
 _SHIFT_RAD = 5e-2  # tactile-mnist 0.13.0, rotation_perturbation_scale
+
+
+@dataclass(frozen=True)
+class SolidSplit:
+    """A split of a data set of solids: its files, and the names of its classes."""
+
+    shards: tuple[Shard, ...]
+    names: tuple[str, ...]
+
+    @classmethod
+    def find(cls, place: str, split: str) -> SolidSplit:
+        """Read the footers of a split; InputError for a source without meshes."""
+        shards = find_shards(place, split)
+        schema = ShardedTable(shards).schema
+        require_mesh_columns(schema, place, "mnist3d generate")
+        return cls(shards, class_names(schema, place))
+
+    def __len__(self) -> int:
+        """Count its objects."""
+        return sum(map(len, self.shards))
+
+    def solids(self) -> SolidDataset:
+        """Open it."""
+        return SolidDataset([ShardedTable(self.shards)], label_names=self.names)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

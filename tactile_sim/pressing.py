@@ -1,4 +1,16 @@
-"""Pressing the gel onto a solid: how deep each pixel lies, and how high the sensor stops."""
+"""Pressing the gel onto a solid: how deep each pixel lies, and how high the sensor stops.
+
+Solids are felt as they are modelled, or with the surface that a printer makes of them, in closed form. A
+printer of molten plastic lays a solid down from its foot, flat side down, in layers of one height. Each has
+the outline of the solid at its middle, and its edge bulges as a half circle. Where the solid is about plane,
+its section across the contour lines is a row of half-infinite bars with round ends, one on another; what the
+gel feels at a point is where the line of sight through that point leaves them. That is one quadratic equation
+for each layer nearby, whichever way the solid or the sensor leans.
+
+What follows from that: a layer is printed where the solid reaches its middle, as slicers decide; tops end at
+an integer of layers; edges of faces that meet at an angle are rounded by the slope of each face alone.
+Bridges, seams, strings and the lines inside of a layer are not made.
+"""
 
 from __future__ import annotations
 
@@ -10,13 +22,53 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.layers import checked_layer_m, seen_layers
-from tactile_sim.poses import as_matrices, inverse_times
-from tactile_sim.sensor import CELL_M, Sensor, as_sensor
+from tactile_sim.sensor import CELL_M, Sensor, as_matrices, as_sensor, inverse_times
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import merge_equal_vertices
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike, as_mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.wording import plain_number
+
+Numbers = NDArray[np.float64]
+
+# Printers lay 0.05 to 0.6 mm; a wrong unit is off by a thousand.
+_LEAST_M, _MOST_M = 2e-5, 2e-3
+_SLACK = 0.005  # of a layer: rounding must not decide whether a top at the middle of a layer is printed
+_LEVEL = 1e-9  # least slope: the outline of a level face is far away, and still a finite number
+_AROUND = 2  # layers below and above that a slanted line of sight may leave
+
+
+def checked_layer_m(layer_m: Any) -> float:
+    """Return the height of layers as Python's own number, metres; 0 for none. InputError for any other."""
+    found = plain_number(layer_m, float)
+    if isinstance(found, float) and (found == 0 or _LEAST_M <= found <= _MOST_M):
+        return found
+    raise InputError(
+        f"layers are {layer_m!r} m high; expected {_LEAST_M} to {_MOST_M} m, such as 0.0002, or 0 for none"
+    )
+
+
+def seen_layers(affine: Numbers, layer_m: float, foot_m: float, top_m: float) -> Numbers:
+    """Return how the layers of a solid between two heights are seen through ``affine``, shape (3, 4).
+
+    0: height of a layer; 1: how far below its middle its outline is taken; 2: number of layers; 3 to 5: the
+    line of sight towards the sensor, in the frame of the solid; 6 to 9: factors of column, row and height,
+    and a constant, that give the height over the foot; 10: layers around that may be seen; 11: least slope.
+    """
+    x, y, z = affine[:, :3]
+    # The last row of the inverse, by cofactors: `numpy.linalg.inv` rounds as BLAS likes.
+    over = [one[0] * two[1] - one[1] * two[0] for one, two in ((y, z), (z, x), (x, y))]
+    size = (over[0] * x[2] + over[1] * y[2]) + over[2] * z[2]
+    factors = [each / size for each in over]
+    shift = (factors[0] * affine[0, 3] + factors[1] * affine[1, 3]) + factors[2] * affine[2, 3]
+    slack_m = _SLACK * layer_m
+    count = np.floor((top_m - foot_m + slack_m) / layer_m - 0.5) + 1
+    upright = z[0] == 0 and z[1] == 0 and z[2] > 0
+    return np.array(
+        [layer_m, slack_m, count, *z, *factors, -shift - foot_m, 0 if upright else _AROUND, _LEVEL],
+        np.float64,
+    )
+
 
 _HARMLESS = (None, "overlap")  # bodies that run into one another are felt as one
 
@@ -184,16 +236,14 @@ def press(
     ----------
     solid : Mesh, record, trimesh.Trimesh, Pressable, or a sequence of them
         A closed mesh in metres; a sequence has one for each touch.
-    object_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with ``matrix``
-        From the solid's frame to the cell frame, metres; see :func:`tactile_sim.pose`. Environments stand a
-        solid on the plate: z is minus its lowest corner.
-    sensor_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with ``matrix``
-        Where the sensor is sent; its z axis points away from the plate, at most 90 degrees from the vertical.
-        Its height does not matter, it comes down as far as it goes.
+    object_pose, sensor_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with ``matrix``
+        From the solid's frame to the cell frame, metres, see :func:`tactile_sim.pose`; environments stand a
+        solid on the plate: z is minus its lowest corner. And where the sensor is sent: its z axis points away
+        from the plate, and its height does not matter, it comes down as far as it goes.
     sensor : Sensor, optional
         What it sees; 320 x 240 pixels of its whole surface by default.
     cell_m : tuple of float
-        Width and depth of the plate, metres, whose middle is the origin.
+        Width and depth of the plate, metres.
 
     Returns
     -------
@@ -203,46 +253,43 @@ def press(
     Raises
     ------
     InputError
-        A mesh that is not closed, poses that are not rigid, or a sensor off the cell or pointing away from
-        it.
+        A mesh that is not closed, poses that are not rigid, a sensor off the cell or pointing away from it.
     """
     from tactile_sim.kernels import rasterise, to_depth
 
     sensor = as_sensor() if sensor is None else sensor
     objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
     solids: list[Any] = list(solid) if isinstance(solid, (list, tuple)) else [solid]
-    several = isinstance(solid, (list, tuple)) or objects.ndim == 3 or targets.ndim == 3
+    is_single = not isinstance(solid, (list, tuple)) and objects.ndim == targets.ndim == 2
     objects, targets = objects.reshape(-1, 4, 4), targets.reshape(-1, 4, 4)
-    count = max(len(solids), len(objects), len(targets))
-    for name, given in (("solids", solids), ("object poses", objects), ("sensor poses", targets)):
-        if len(given) not in (1, count):
-            raise InputError(f"{len(given)} {name} for {count} touches; expected 1 or {count}")
+    count = _count_of(solids=solids, object_poses=objects, sensor_poses=targets)
     prepared = [Pressable.of(each) for each in solids]
     _require_above_cell(targets, cell_m)
-    width, height = sensor.size_px
-    depth_m, image = np.empty((count, height, width)), np.empty((count, height, width), np.float32)
+    shape = (count, *sensor.size_px[::-1])
+    depth_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(count)
     affines = _to_pixels(inverse_times(targets, objects), sensor)
     plates = _to_pixels(inverse_times(targets, np.eye(4)[None]), sensor)
-    plate_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [cell_m[0] / 2, cell_m[1] / 2, 0.0]
-    # Nearly always a plate is level and fills the window: one number, no triangle.
-    levels = _level_plates(plate_m, plates, sensor)
-    # Where there is neither object nor plate: the far end of the published camera.
-    nothing_m = -2 * max(cell_m)
-    ball_m = np.array([[0.0, 0.0, 0.0, max(cell_m)]])
-    highest_m = np.empty(count)
+    levels = _level_plates(plates, cell_m, sensor)
     for touch in range(count):
         out, plate = depth_m[touch], touch % len(plates)
-        level = levels[plate]
-        out[...] = nothing_m if level is None else level
-        if level is None:
-            rasterise(out, plate_m, _PLATE_FACES, ball_m, plates[plate], None)
+        _lay_plate(out, levels[plate], plates[plate], cell_m)
         here, affine = prepared[touch % len(prepared)], affines[touch % len(affines)]
         rasterise(out, here.vertices_m, here.faces, here.blocks_m, affine, here.layers(affine))
         highest_m[touch] = to_depth(out, image[touch], sensor.press_m, sensor.gel_m)
     sensor_z_m = targets[:, 2, 3] + targets[:, 2, 2] * (highest_m + sensor.press_m)
-    if several:
-        return Pressed(depth_m, image, sensor_z_m)
-    return Pressed(depth_m[0], image[0], float(sensor_z_m[0]))
+    if is_single:
+        return Pressed(depth_m[0], image[0], float(sensor_z_m[0]))
+    return Pressed(depth_m, image, sensor_z_m)
+
+
+def _count_of(**given: Any) -> int:
+    """Return how many touches are meant: things of each kind are as many, or one for all."""
+    count = max(map(len, given.values()))
+    for name, each in given.items():
+        if len(each) not in (1, count):
+            what = name.replace("_", " ")
+            raise InputError(f"{len(each)} {what} for {count} touches; expected 1 or {count}")
+    return count
 
 
 def depth_image(depth_m: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float32]:
@@ -279,11 +326,15 @@ def _to_pixels(seen: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]
     return affine
 
 
+def _plate_corners(cell_m: tuple[float, float]) -> NDArray[np.float64]:
+    return np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [cell_m[0] / 2, cell_m[1] / 2, 0.0]
+
+
 def _level_plates(
-    plate_m: NDArray[np.float64], plates: NDArray[np.float64], sensor: Sensor
+    plates: NDArray[np.float64], cell_m: tuple[float, float], sensor: Sensor
 ) -> list[float | None]:
     """Return the height of each plate that is level and fills the window; None for others."""
-    x, y, _ = plate_m.T
+    x, y, _ = _plate_corners(cell_m).T
     columns, rows = (plates[:, i, :1] * x + plates[:, i, 1:2] * y + plates[:, i, 3:] for i in range(2))
     width, height = sensor.size_px
     fills = (
@@ -294,3 +345,16 @@ def _level_plates(
         float(level) if simple else None
         for level, simple in zip(plates[:, 2, 3], fills & straight, strict=True)
     ]
+
+
+def _lay_plate(
+    out: NDArray[np.float64], level: float | None, affine: NDArray[np.float64], cell_m: tuple[float, float]
+) -> None:
+    """Fill heights with those of the plate; nearly always it is level: one number, no triangle."""
+    from tactile_sim.kernels import rasterise
+
+    # Where there is neither object nor plate: the far end of the published camera.
+    out[...] = -2 * max(cell_m) if level is None else level
+    if level is None:
+        ball_m = np.array([[0.0, 0.0, 0.0, max(cell_m)]])
+        rasterise(out, _plate_corners(cell_m), _PLATE_FACES, ball_m, affine, None)

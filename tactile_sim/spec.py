@@ -1,4 +1,4 @@
-"""Plans of touches and settings of a training: what commands have options of, imported with nothing heavy."""
+"""What commands of touches, training sets and trainings have options of, imported with nothing heavy."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch.contact import contact_height_option, size_option
+from tactile_toolkit.wording import plain
 
 if TYPE_CHECKING:
     from tactile_sim.given import GivenTouches
@@ -272,4 +274,127 @@ class TrainConfig:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
+        return asdict(self)
+
+
+SENSOR_NOISE = "none|calibrated|FILE"
+"""What an option of the noise of a sensor takes."""
+
+
+def _path(words: str) -> Path:
+    from tactile_toolkit.store.files import expanded
+
+    return expanded(words)
+
+
+@dataclass(frozen=True, slots=True)
+class PictureOptions:
+    """What a touch looks like."""
+
+    size: tuple[int, int] = size_option((64, 64), shown="64x64")
+    optics: str | None = choice(
+        None,
+        ("depth", "taxim", "cyclegan"),
+        optional=True,
+        shown="taxim; depth without the extra sim",
+        help="How depth becomes a picture.",
+    )
+    like: str = choice(
+        "environment",
+        ("environment", "published"),
+        help="environment: rendered in this size, with the window that the environments show; published: "
+        "rendered as 320x240 of the whole sensor and scaled.",
+    )
+    image_format: Literal["jpeg", "png"] = choice(
+        "jpeg", ("jpeg", "png"), name="--format", help="Format of the pictures."
+    )
+    quality: int = integer(95, 1, 100, help="Quality of JPEGs, 1 to 100.")
+    weights: Path | None = text(
+        metavar="FILE", read=_path, help="Weights for cyclegan; those of tactile-mnist by default."
+    )
+    surface: str = choice(
+        "smooth",
+        ("smooth", "printed"),
+        help="Solids as they are modelled, or with the layers that a printer lays.",
+    )
+    layer_mm: float | None = real(
+        None, 0.02, 2.0, optional=True, shown="0.2", help="Height of the layers with --surface printed."
+    )
+    sensor_noise: str = text(
+        "none",
+        metavar=SENSOR_NOISE,
+        help="Noise of a real sensor on the pictures: none, as calibrated in tactile-mnist, or as in a JSON "
+        "file.",
+    )
+
+
+def _metres(words: str) -> float:
+    try:
+        return float(words) / 1e3
+    except ValueError:
+        raise InputError(f"--min-height-mm is {words!r}; expected a number") from None
+
+
+_SIDES_PX = range(16, 2049, 4)
+
+
+@dataclass(frozen=True)
+class PairsSpec:
+    """Everything that decides a training set of learned rendering.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+        Width and height of all pictures, pixels, multiples of 4; 256 x 256 as in the published weights.
+    count : int
+        Depth images, and as many real touches.
+    without_contact : float
+        Share of touches that meet no object, 0 to 1. The paper reduces it and does not say to how much.
+    min_height_m : float or None
+        A gel that stops so far above the plate touched an object, metres; None: the rule of the real touches,
+        see :meth:`realtouch.dataset.Touches.in_contact`, for both.
+    like : str
+        ``"published"``: depth of the whole sensor, squashed into the size as the real touches are;
+        ``"environment"``: the window that the environments show.
+    image_format : str
+        ``"png"`` or ``"jpeg"`` for the real touches; a network learns the blocks of a JPEG.
+    turn_rad : float
+        Objects are turned about z by up to this much either way, radians.
+    seed : int
+        Seed of everything that is drawn.
+    """
+
+    size_px: tuple[int, int] = size_option((256, 256), shown="256x256")
+    count: int = integer(20_000, 1, 10_000_000, help="Depth images, and as many touches.")
+    without_contact: float = real(
+        0.05, 0, 1, metavar="SHARE", help="Share of touches that meet no object, 0 to 1."
+    )
+    min_height_m: float | None = contact_height_option(
+        above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
+    )
+    like: Literal["published", "environment"] = choice(
+        "published",
+        ("published", "environment"),
+        help="Depth of the whole sensor, as real touches show it, or of an environment's window.",
+    )
+    image_format: Literal["png", "jpeg"] = choice(
+        "png", ("png", "jpeg"), name="--format", help="Format of the real touches."
+    )
+    turn_rad: float = real(math.pi / 8, 0, math.pi)
+    seed: int = integer(0, help="Seed of everything that is drawn at random.")
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "size_px", plain(self.size_px))
+        check_fields(self, "the training set")
+        if len(self.size_px) != 2 or not all(side in _SIDES_PX for side in self.size_px):
+            raise InputError(
+                f"size_px of the training set is {self.size_px}; expected multiples of 4 from 16 to 2048"
+            )
+
+    def is_empty(self, number: int) -> bool:
+        """Return whether a touch meets no object: evenly spread, so that every shard has its share."""
+        return int((number + 1) * self.without_contact) > int(number * self.without_contact)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that decide every row."""
         return asdict(self)

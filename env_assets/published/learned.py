@@ -28,8 +28,7 @@ def learned_sensor(
             f"{backend!r}; expected 'cycle_gan' with 'torch'",
             next="choose an environment with CycleGAN in its name",
         )
-    from tactile_sim.learned.networks import generator_of
-    from tactile_sim.learned.weights import read_weights
+    from tactile_sim.learned.networks import generator_of, read_weights
 
     read = read_weights(weights)
     # Named by its content: environments of two files of one name must not share a sensor, which the package
@@ -63,7 +62,7 @@ def _renderer_class() -> Any:
         def _render_direct(self, depth: Any, output_size: tuple[int, int]) -> Any:
             import torch
 
-            from tactile_sim.learned.channels import depth_channels
+            from tactile_sim.learned.networks import depth_channels
             from tactile_sim.pressing import depth_image
             from tactile_sim.sensor import as_environment
 

@@ -11,11 +11,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from tactile_sim.learned.channels import depth_channels, picture_channels
+from tactile_sim.learned.networks import depth_channels, picture_channels
 from tactile_sim.optics import make_optics
-from tactile_sim.pairs.reading import Domain, Pairs
+from tactile_sim.pairs import Pairs
 from tactile_sim.plan import generator
-from tactile_sim.sensor import as_environment, as_sensor
 from tactile_sim.spec import TrainConfig
 
 # Enough for a median without noise, and 100 MB at 256 x 256 pixels.
@@ -49,8 +48,7 @@ _Maker = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
 
 def by_taxim(pairs: Pairs) -> _Maker:
     """Return what makes Taxim's pictures of depth images of a training set; MissingExtraError without."""
-    sensor = (as_sensor if pairs.like == "published" else as_environment)(*pairs.size_px)
-    taxim = make_optics("taxim")
+    sensor, taxim = pairs.sensor, make_optics("taxim")
 
     def made(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
         depth_m = sensor.press_m + depth.astype(np.float64) * (sensor.gel_m - sensor.press_m)
@@ -99,7 +97,8 @@ class Batches:
 
     def _make(self, step: int) -> Batch:
         rng = generator(self._config.seed, step, self._rank, "batch")
-        images = self._pairs.depth.images(self._drawn(self._pairs.depth, rng))
+        depth, real = self._pairs.depth, self._pairs.real
+        images = depth.images(rng.integers(len(depth), size=self._config.batch))
         height, width = images.shape[1:]
         parts = [depth_channels(images)]
         if self._level is not None:
@@ -108,15 +107,15 @@ class Batches:
         if taxim is not None:
             parts.append(self._simulated(images, taxim))
         cropped = self._cropped(torch.cat(parts, dim=1), rng)
-        depth, level = cropped[:, :3], None if self._level is None else cropped[:, 3:6]
+        level = None if self._level is None else cropped[:, 3:6]
         simulated = None if taxim is None else cropped[:, -3:]
-        numbers = self._drawn(self._pairs.real, rng)
-        pictures = picture_channels(self._pairs.real.images(numbers))
+        numbers = rng.integers(len(real), size=self._config.batch)
+        pictures = picture_channels(real.images(numbers))
         # A touch has no depth to go with its row and column: only those two are kept.
         where = depth_channels(np.ones((1, height, width), np.float32))[:, :2]
         touch = self._cropped(torch.cat([pictures, where.expand(len(pictures), -1, -1, -1)], dim=1), rng)
-        contact = torch.from_numpy(self._pairs.real.contact[numbers])[:, None, None, None]
-        return Batch(depth, touch[:, :3], touch[:, 3:], level, contact, simulated)
+        contact = torch.from_numpy(real.contact[numbers])[:, None, None, None]
+        return Batch(cropped[:, :3], touch[:, :3], touch[:, 3:], level, contact, simulated)
 
     def _simulated(self, images: NDArray[np.float32], taxim: _Maker) -> Any:
         """Return the relief that Taxim shows of depth, on what the sensor shows of nothing."""
@@ -124,9 +123,6 @@ class Batches:
         level = shown[-1] if self._level is None else self._level
         # The colours of Taxim's own gel are taken away, and those of the real one put in their place.
         return (level + shown[:-1] - shown[-1]).clip(-1, 1)
-
-    def _drawn(self, domain: Domain, rng: np.random.Generator) -> Any:
-        return rng.integers(len(domain), size=self._config.batch)
 
     def _cropped(self, channels: Any, rng: np.random.Generator) -> Any:
         width, height = self._crop

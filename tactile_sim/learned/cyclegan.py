@@ -3,30 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import chain
 from typing import Any
 
 import numpy as np
 import torch
 
 from tactile_sim.learned.batches import Batch
-from tactile_sim.learned.channels import noisy_channels
-from tactile_sim.learned.networks import Generator, discriminator, initialise
+from tactile_sim.learned.networks import Generator, discriminator, initialise, noisy_channels
 from tactile_sim.spec import TrainConfig
 
-LOSSES = (
-    "touch_adversarial",
-    "depth_adversarial",
-    "touch_cycle",
-    "depth_cycle",
-    "touch_identity",
-    "depth_identity",
-    "touch_level",
-    "depth_level",
-    "touch_start",
-    "depth_start",
-    "touch_judge",
-    "depth_judge",
+LOSSES = tuple(
+    f"{name}_{loss}"
+    for loss in ("adversarial", "cycle", "identity", "level", "start", "judge")
+    for name in ("touch", "depth")
 )
 """What a step reports; those that compare pictures are mean absolute errors of values from -1 to 1."""
 
@@ -46,15 +35,15 @@ class _Pool:
     def exchange(self, pictures: Any, rng: np.random.Generator) -> Any:
         shown = []
         for picture in pictures.detach():
-            if len(self.held) < self.size:
+            place = len(self.held)
+            if place < self.size:
                 self.held.append(picture.clone())
-                shown.append(picture)
             elif self.size and rng.random() < 0.5:
                 place = int(rng.integers(self.size))
                 shown.append(self.held[place])
                 self.held[place] = picture.clone()
-            else:
-                shown.append(picture)
+                continue
+            shown.append(picture)
         return torch.stack(shown)
 
 
@@ -87,7 +76,7 @@ class CycleGan:
             network.to(device, memory_format=torch.channels_last).train()
         names = {"generators": ("touch", "depth"), "judges": ("touch_judge", "depth_judge")}
         self.parameters = {
-            key: list(chain.from_iterable(self.networks[name].parameters() for name in group))
+            key: [each for name in group for each in self.networks[name].parameters()]
             for key, group in names.items()
         }
         moments = (config.first_moment, 0.999)
@@ -96,16 +85,12 @@ class CycleGan:
             for key, parameters in self.parameters.items()
         }
         self.pools = {name: _Pool(config.pool) for name in ("touch", "depth")}
+        of_pixels = {"touch": config.touch_cycle_weight, "depth": config.depth_cycle_weight}
         self._weights = {
-            "touch_cycle": config.touch_cycle_weight,
-            "depth_cycle": config.depth_cycle_weight,
-            "touch_identity": config.identity_weight,
-            "depth_identity": config.identity_weight,
-            "touch_level": config.level_weight,
-            "depth_level": config.level_weight,
-            "touch_start": config.touch_cycle_weight,
-            "depth_start": config.depth_cycle_weight,
+            f"{name}_{loss}": of_pixels[name] for name in of_pixels for loss in ("cycle", "start")
         }
+        self._weights |= {f"{name}_identity": config.identity_weight for name in of_pixels}
+        self._weights |= {f"{name}_level": config.level_weight for name in of_pixels}
         self._noise = torch.Generator(device)
         self._run = {
             name: torch.compile(network) if compiled and not name.endswith("judge") else network
@@ -139,7 +124,8 @@ class CycleGan:
                 # Each picture is normalised alone, so that both kinds can be shown at once.
                 both = self._add_white_noise(name, torch.cat([real[name], shown]), judged)
                 verdicts = self._run[f"{name}_judge"](both)
-                mistaken = _distance(verdicts[: len(shown)], 1) + _distance(verdicts[len(shown) :], 0)
+                # Least squares (Mao et al. 2017), here and above.
+                mistaken = ((verdicts[: len(shown)] - 1) ** 2).mean() + (verdicts[len(shown) :] ** 2).mean()
                 losses[f"{name}_judge"] = 0.5 * mistaken
             judging = losses["touch_judge"] + losses["depth_judge"]
         self._descend("judges", judging)
@@ -183,7 +169,7 @@ class CycleGan:
             made[name] = self._make(name, self._add_cycle_noise(other, real[other], rng), places[other])
             seen = self._add_sensor_noise(name, made[name], rng)
             verdicts = self._run[f"{name}_judge"](self._add_white_noise(name, seen, judged))
-            losses[f"{name}_adversarial"] = _distance(verdicts, 1)
+            losses[f"{name}_adversarial"] = ((verdicts - 1) ** 2).mean()
             again = self._make(other, self._add_cycle_noise(name, seen, rng), places[other])
             losses[f"{other}_cycle"] = _mean_error(other, again, real[other])
             if self.config.identity_weight:
@@ -228,32 +214,24 @@ class CycleGan:
         self.optimisers[key].step()
 
     def state(self) -> dict[str, Any]:
-        """Return all that training changes."""
+        """Return all that training changes, but for the pools."""
         return {
             "networks": {name: network.state_dict() for name, network in self.networks.items()},
             "optimisers": {name: each.state_dict() for name, each in self.optimisers.items()},
         }
 
-    def load_state(self, state: dict[str, Any]) -> None:
-        """Take what :meth:`state` returned."""
-        for name, network in self.networks.items():
-            network.load_state_dict(state["networks"][name])
-        for name, optimiser in self.optimisers.items():
-            optimiser.load_state_dict(state["optimisers"][name])
-
     def pool_state(self) -> dict[str, list[Any]]:
         """Return the pictures in the pools of this process."""
         return {name: [picture.float().cpu() for picture in pool.held] for name, pool in self.pools.items()}
 
-    def load_pools(self, state: dict[str, list[Any]]) -> None:
-        """Take what :meth:`pool_state` returned."""
+    def load_state(self, state: dict[str, Any], pools: dict[str, list[Any]]) -> None:
+        """Take what :meth:`state` and :meth:`pool_state` returned."""
+        for name, network in self.networks.items():
+            network.load_state_dict(state["networks"][name])
+        for name, optimiser in self.optimisers.items():
+            optimiser.load_state_dict(state["optimisers"][name])
         for name, pool in self.pools.items():
-            pool.held = [picture.to(self.device) for picture in state[name]]
-
-
-def _distance(verdicts: Any, wanted: int) -> Any:
-    """Least-squares loss (Mao et al. 2017)."""
-    return ((verdicts - wanted) ** 2).mean()
+            pool.held = [picture.to(self.device) for picture in pools[name]]
 
 
 def _mean_error(name: str, made: Any, real: Any) -> Any:
@@ -263,9 +241,8 @@ def _mean_error(name: str, made: Any, real: Any) -> Any:
 
 def _average_gradients(parameters: Iterable[Any]) -> None:
     """Average over the processes of ``torchrun``."""
-    if not (torch.distributed.is_available() and torch.distributed.is_initialized()):
-        return
-    for parameter in parameters:
+    is_alone = not (torch.distributed.is_available() and torch.distributed.is_initialized())
+    for parameter in () if is_alone else parameters:
         # By hand: four networks and two optimisers in turn do not fit DistributedDataParallel's one backward
         # pass.
         torch.distributed.all_reduce(parameter.grad)

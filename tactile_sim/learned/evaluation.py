@@ -5,28 +5,39 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import nn
 
+from tactile_sim.card import sheet_png
 from tactile_sim.learned.batches import by_taxim
-from tactile_sim.learned.channels import depth_channels, picture_channels, shades_of
-from tactile_sim.learned.checkpoints import DEPTH_WEIGHTS, TOUCH_WEIGHTS
-from tactile_sim.learned.classifier import INPUT_PX, SmallCNN, balanced_accuracy
-from tactile_sim.learned.networks import Generator, generator_of, initialise
-from tactile_sim.learned.weights import read_weights
+from tactile_sim.learned.networks import (
+    Generator,
+    depth_channels,
+    generator_of,
+    initialise,
+    picture_channels,
+    pictures_of,
+    read_weights,
+)
+from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS
 from tactile_sim.noise import SensorNoise, add_noise
-from tactile_sim.pairs.reading import Domain, Pairs
+from tactile_sim.pairs import Domain, Pairs
 from tactile_sim.plan import generator
-from tactile_sim.sheets import sheet_png
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
+
+Pictures: TypeAlias = NDArray[np.uint8]
+Depths: TypeAlias = NDArray[np.float32]
+Places: TypeAlias = NDArray[np.int64]
 
 BASELINES = ("taxim", "untrained")
 """What trained weights may be compared with."""
@@ -39,6 +50,9 @@ _LABEL_STEPS = 1500
 _GEL_UM = 2125.0
 _SHOWN = 6
 _STEPS = 600  # after 120, contact was read at chance from what 400 read at 96 %
+_INPUT_PX = 64  # of classifiers: larger pictures are scaled to this size
+_BATCH = 32
+_RATE = 2e-3
 
 
 @dataclass(frozen=True)
@@ -84,11 +98,8 @@ class Evaluation:
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values; what could not be measured is null."""
         rows = [
-            {
-                name: None if isinstance(value, float) and math.isnan(value) else value
-                for name, value in row.items()
-            }
-            for row in map(asdict, self.measured)
+            {name: None if value != value else value for name, value in asdict(row).items()}
+            for row in self.measured
         ]
         noise = None if self.noise is None else self.noise.to_dict()
         return {"touches": self.touches, "noise": noise, "measured": rows}
@@ -102,12 +113,12 @@ class Evaluation:
         for each in self.measured:
             cells = (
                 each.name,
-                _text(each.depth_um, "{:.0f} um"),
-                _text(100 * each.two_sample, "{:.1f}") + f" ± {100 * each.two_sample_error:.1f} %",
-                _text(100 * each.contact_accuracy, "{:.1f} %"),
-                _text(100 * each.class_accuracy, "{:.1f} %"),
+                f"{each.depth_um:.0f} um",
+                f"{100 * each.two_sample:.1f} ± {100 * each.two_sample_error:.1f} %",
+                f"{100 * each.contact_accuracy:.1f} %",
+                f"{100 * each.class_accuracy:.1f} %",
             )
-            lines.append(f"| {' | '.join(cells)} |")
+            lines.append(f"| {' | '.join('-' if cell.startswith('nan') else cell for cell in cells)} |")
         made = (
             "without noise: a sensor's noise alone separates real touches from them"
             if self.noise is None
@@ -124,10 +135,6 @@ class Evaluation:
         folder.write_bytes("evaluation.md", self.to_markdown().encode())
         folder.write_bytes("evaluation.json", (json.dumps(self.to_dict(), indent=1) + "\n").encode())
         folder.write_bytes("evaluation.png", self.sheet)
-
-
-def _text(value: float, form: str) -> str:
-    return "-" if math.isnan(value) else form.format(value)
 
 
 def evaluate(
@@ -159,10 +166,6 @@ def evaluate(
     seed : int
         Seed of noise and classifiers.
 
-    Returns
-    -------
-    Evaluation
-
     Raises
     ------
     InputError
@@ -170,106 +173,113 @@ def evaluate(
     MissingExtraError
         Taxim is not installed.
     """
-    for name in baselines:
-        if name not in BASELINES:
-            raise InputError(f"baselines has {name!r}; expected some of {', '.join(BASELINES)}")
-    data = Pairs.open(pairs)
-    touch = read_weights(Path(weights) / TOUCH_WEIGHTS)
+    if unknown := set(baselines) - set(BASELINES):
+        raise InputError(f"baselines has {min(unknown)!r}; expected some of {', '.join(BASELINES)}")
+    data, touch = Pairs.open(pairs), read_weights(Path(weights) / TOUCH_WEIGHTS)
     if touch.size_px != data.size_px:
         found, expected = (f"{w} x {h}" for w, h in (data.size_px, touch.size_px))
         raise InputError(
             f"{pairs!r} holds pictures of {found} pixels; these weights were trained with {expected}",
             next=f"make a set with --size {touch.size_px[0]}x{touch.size_px[1]}",
         )
-    untrained = Generator(touch.filters, touch.blocks)
-    initialise(untrained, seed)
-    makers: dict[str, Callable[[NDArray[np.float32]], NDArray[np.uint8]]] = {
-        "trained": _by_network(generator_of(touch)),
-        "untrained": _by_network(untrained),
-        "taxim": by_taxim(data),
-    }
-    depth_rows = _spread(data.depth, count, pairs)
-    depth = data.depth.images(depth_rows)
-    bench = _Bench(data, _spread(data.real, count, pairs), depth, depth_rows, noise, seed)
-    inverse = generator_of(read_weights(Path(weights) / DEPTH_WEIGHTS))
-    made = {name: makers[name](depth) for name in ("trained", *baselines)}
-    measured = [bench.real(), *(bench.measure(name, pictures, inverse) for name, pictures in made.items())]
-    return Evaluation(tuple(measured), len(bench.pictures), _sheet(bench, made, inverse), noise)
+    inverse = generator_of(read_weights(Path(weights) / DEPTH_WEIGHTS)).eval()
+    bench = _Bench(
+        _Chosen.of(data.real, count, pairs), _Chosen.of(data.depth, count, pairs), inverse, noise, seed
+    )
+    makers: dict[str, Callable[[Depths], Pictures]] = {"trained": partial(_by_network, generator_of(touch))}
+    if "untrained" in baselines:
+        untrained = Generator(touch.filters, touch.blocks)
+        initialise(untrained, seed)
+        makers["untrained"] = partial(_by_network, untrained)
+    if "taxim" in baselines:
+        makers["taxim"] = by_taxim(data)
+    made = {name: makers[name](bench.depth.images) for name in ("trained", *baselines)}
+    measured = (bench.measure_real(), *(bench.measure(name, pictures) for name, pictures in made.items()))
+    return Evaluation(measured, len(bench.real.images), bench.sheet(made), noise)
 
 
-def _spread(domain: Domain, count: int, pairs: str) -> NDArray[np.int64]:
-    """Choose rows evenly; InputError where there are too few, or all are of one kind."""
-    rows = np.unique(np.linspace(0, len(domain) - 1, min(count, len(domain))).astype(np.int64))
-    contact = domain.contact[rows]
-    objects = len(np.unique(domain.object_ids[rows]))
-    if len(rows) < _LEAST or not contact.any() or contact.all() or objects < 2:
-        raise InputError(
-            f"{pairs!r} holds {len(rows)} pictures of one kind, {int(contact.sum())} with contact, of "
-            f"{objects} objects; expected at least {_LEAST}, with and without contact, of several objects; "
-            "next: a larger --count or another --without-contact of `tactile-sim pairs`"
+@dataclass(frozen=True, eq=False)
+class _Chosen:
+    """Pictures of one kind, chosen evenly, and what is known of them."""
+
+    images: Any
+    objects: Places
+    contact: Places
+    labels: Places
+    held: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, domain: Domain, count: int, pairs: str) -> _Chosen:
+        """Choose rows; InputError where there are too few, or all are of one kind."""
+        rows = np.unique(np.linspace(0, len(domain) - 1, min(count, len(domain))).astype(np.int64))
+        contact, objects = domain.contact[rows], domain.object_ids[rows]
+        kinds = len(np.unique(objects))
+        if len(rows) < _LEAST or not contact.any() or contact.all() or kinds < 2:
+            raise InputError(
+                f"{pairs!r} holds {len(rows)} pictures of one kind, {int(contact.sum())} with contact, of "
+                f"{kinds} objects; expected at least {_LEAST}, with and without contact, of several objects",
+                next="a larger --count or another --without-contact of `tactile-sim pairs`",
+            )
+        return cls(
+            domain.images(rows), objects, contact.astype(np.int64), domain.labels[rows], _second_half(objects)
         )
-    return rows
+
+    def shown(self) -> Places:
+        """Return the rows of some pictures with contact, for a sheet."""
+        met = np.flatnonzero(self.contact)
+        return met[:: max(1, len(met) // _SHOWN)][:_SHOWN]
 
 
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class _Bench:
-    """Real touches in two halves, and what is known of the depth images."""
+    """Real touches, depth images that pictures are made of, and what measures those."""
 
-    data: Pairs
-    rows: NDArray[np.int64]
-    depth: NDArray[np.float32]
-    depth_rows: NDArray[np.int64]
+    real: _Chosen
+    depth: _Chosen
+    inverse: Generator
     noise: SensorNoise | None
     seed: int
 
-    def __post_init__(self) -> None:
-        real = self.data.real
-        self.pictures = real.images(self.rows)
-        self.objects = real.object_ids[self.rows]
-        self.held = _second_half(self.objects)
-        self.contact = real.contact[self.rows].astype(np.int64)
-        self.labels = real.labels[self.rows]
-
-    def real(self) -> Measured:
+    def measure_real(self) -> Measured:
         """Measure one half of the real touches against the other: nothing can be better."""
+        real = self.real
         # Halves of all touches at random, as made and real pictures are of the same objects too.
-        drawn = np.random.default_rng(self.seed).permutation(len(self.rows))
-        one, other = ((self.pictures[drawn[k::2]], self.objects[drawn[k::2]]) for k in (0, 1))
+        drawn = np.random.default_rng(self.seed).permutation(len(real.images))
+        one, other = ((real.images[drawn[k::2]], real.objects[drawn[k::2]]) for k in (0, 1))
         apart = two_sample_test(one, other, self.seed)
-        return Measured(
-            "real", math.nan, *apart, *self._accuracies(self.pictures, ~self.held, self.contact, self.labels)
-        )
+        return Measured("real", math.nan, *apart, *self._accuracies(real.images, real))
 
-    def measure(self, name: str, pictures: NDArray[np.uint8], inverse: Generator) -> Measured:
+    def measure(self, name: str, pictures: Pictures) -> Measured:
         """Measure pictures that were made of the depth images."""
-        domain, rows = self.data.depth, self.depth_rows
-        contact, objects = domain.contact[rows], domain.object_ids[rows]
-        depth_um = _GEL_UM * np.abs(_depth_again(inverse, pictures) - self.depth)[contact].mean()
+        depth = self.depth
+        off = np.abs(_depth_again(self.inverse, pictures) - depth.images)[depth.contact == 1]
         if self.noise is not None:
-            pictures = add_noise_per_object(pictures, objects, self.noise, self.seed)
-        apart = two_sample_test((self.pictures, self.objects), (pictures, objects), self.seed)
-        accuracies = self._accuracies(
-            pictures, ~_second_half(objects), contact.astype(np.int64), domain.labels[rows]
-        )
-        return Measured(name, float(depth_um), *apart, *accuracies)
+            pictures = add_noise_per_object(pictures, depth.objects, self.noise, self.seed)
+        apart = two_sample_test((self.real.images, self.real.objects), (pictures, depth.objects), self.seed)
+        return Measured(name, float(_GEL_UM * off.mean()), *apart, *self._accuracies(pictures, depth))
 
-    def _accuracies(
-        self, pictures: NDArray[np.uint8], train: NDArray[np.bool_], contact: Any, labels: Any
-    ) -> tuple[float, float]:
+    def _accuracies(self, pictures: Pictures, known: _Chosen) -> tuple[float, float]:
         """Train classifiers of contact and label on some pictures; measure them on held-back real touches."""
-        inputs, held = _inputs(pictures[train]), _inputs(self.pictures[self.held])
-        classifier = SmallCNN(2, self.seed, _STEPS).learn(inputs, contact[train])
-        of_contact = balanced_accuracy(classifier.predict(held), self.contact[self.held])
-        if len(self.rows) < _LABELS_FROM:
+        real, train = self.real, ~known.held
+        inputs, held = _inputs(pictures[train]), _inputs(real.images[real.held])
+        reader = SmallCNN(2, self.seed, _STEPS).learn(inputs, known.contact[train])
+        of_contact = balanced_accuracy(reader.predict(held), real.contact[real.held])
+        if len(real.images) < _LABELS_FROM:
             return of_contact, math.nan
-        classes = int(max(labels.max(), self.labels.max())) + 1
-        classifier = SmallCNN(classes, self.seed, _LABEL_STEPS).learn(inputs, labels[train])
-        return of_contact, balanced_accuracy(classifier.predict(held), self.labels[self.held])
+        classes = int(max(known.labels.max(), real.labels.max())) + 1
+        reader = SmallCNN(classes, self.seed, _LABEL_STEPS).learn(inputs, known.labels[train])
+        return of_contact, balanced_accuracy(reader.predict(held), real.labels[real.held])
+
+    def sheet(self, made: dict[str, Pictures]) -> bytes:
+        """Draw some pictures of each way, and the depth that is recovered of them, as PNG."""
+        shown, real = self.depth.shown(), self.real.images[self.real.shown()]
+        columns = [("real", real), ("its depth", _depth_again(self.inverse, real))]
+        columns.append(("depth", self.depth.images[shown]))
+        columns += [(name, pictures[shown]) for name, pictures in made.items()]
+        return sheet_png([*columns, ("depth again", _depth_again(self.inverse, made["trained"][shown]))])
 
 
-def add_noise_per_object(
-    pictures: NDArray[np.uint8], objects: NDArray[np.int64], noise: SensorNoise, seed: int
-) -> NDArray[np.uint8]:
+def add_noise_per_object(pictures: Pictures, objects: Places, noise: SensorNoise, seed: int) -> Pictures:
     """Return pictures under the noise of a sensor: a round for each object, as real touches have it."""
     noisy = np.empty_like(pictures)
     for each in np.unique(objects):
@@ -280,9 +290,7 @@ def add_noise_per_object(
 
 
 def two_sample_test(
-    real: tuple[NDArray[np.uint8], NDArray[np.int64]],
-    made: tuple[NDArray[np.uint8], NDArray[np.int64]],
-    seed: int,
+    real: tuple[Pictures, Places], made: tuple[Pictures, Places], seed: int
 ) -> tuple[float, float]:
     """Train a classifier of real and made on one half of the objects, and measure it on the other half.
 
@@ -298,45 +306,95 @@ def two_sample_test(
     return share, float(np.sqrt(max(share * (1 - share), 0.25 / count) / count))
 
 
-def _second_half(objects: NDArray[np.int64]) -> NDArray[np.bool_]:
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Compute on one thread: on a busy machine networks this small wait for others many times as long."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+class SmallCNN:
+    """Three convolutions of 16, 32 and 64 filters, the mean over the picture, and a linear layer.
+
+    Parameters
+    ----------
+    classes : int
+        Number of classes.
+    seed : int
+        Seed of weights and order.
+    steps : int
+        Steps of Adam with 32 pictures each; the learning rate falls to 0.
+    """
+
+    def __init__(self, classes: int, seed: int, steps: int) -> None:
+        self._seed, self._steps = seed, steps
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            layers: list[Any] = []
+            for inside, outside in ((3, 16), (16, 32), (32, 64)):
+                layers += [nn.Conv2d(inside, outside, 3, stride=2, padding=1), nn.BatchNorm2d(outside)]
+                layers.append(nn.ReLU())
+            self._network = nn.Sequential(
+                *layers, nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(64, classes)
+            )
+
+    @_one_thread()
+    def learn(self, pictures: Any, labels: Places) -> SmallCNN:
+        """Learn pictures (n, 3, H, W), -1 to 1; each class is drawn equally often."""
+        rng = np.random.default_rng(self._seed)
+        groups = [np.flatnonzero(labels == label) for label in np.unique(labels)]
+        optimiser = torch.optim.Adam(self._network.parameters(), lr=_RATE)
+        self._network.train()
+        for step in range(self._steps):
+            optimiser.param_groups[0]["lr"] = _RATE * (1 - step / self._steps)
+            # A class first, then a picture of it: rare classes are learned as well.
+            chosen = np.array([rng.choice(groups[int(rng.integers(len(groups)))]) for _ in range(_BATCH)])
+            loss: Any = nn.functional.cross_entropy(
+                self._network(pictures[chosen]), torch.from_numpy(labels[chosen])
+            )
+            optimiser.zero_grad(set_to_none=True)
+            loss.backward()
+            optimiser.step()
+        self._network.eval()
+        return self
+
+    @_one_thread()
+    def predict(self, pictures: Any) -> Places:
+        """Return the class of each picture, shape (n,)."""
+        with torch.inference_mode():
+            return np.asarray(self._network(pictures).argmax(dim=1).numpy(), np.int64)
+
+
+def balanced_accuracy(found: Places, truth: Places) -> float:
+    """Return the share of right answers, the mean over the classes that occur."""
+    return float(np.mean([(found[truth == each] == each).mean() for each in np.unique(truth)]))
+
+
+def _second_half(objects: Places) -> NDArray[np.bool_]:
     """Return whether pictures are of every other object."""
     return np.asarray(np.searchsorted(np.unique(objects), objects) % 2 == 1)
 
 
-def _inputs(pictures: NDArray[np.uint8]) -> Any:
+def _inputs(pictures: Pictures) -> Any:
     """Return pictures as classifiers take them."""
     channels = picture_channels(pictures)
-    height, width = channels.shape[-2:]
-    if max(height, width) > INPUT_PX:
-        channels = torch.nn.functional.interpolate(channels, size=(INPUT_PX, INPUT_PX), mode="area")
+    if max(channels.shape[-2:]) > _INPUT_PX:
+        channels = nn.functional.interpolate(channels, size=(_INPUT_PX, _INPUT_PX), mode="area")
     return channels
 
 
-def _by_network(network: Generator) -> Callable[[NDArray[np.float32]], NDArray[np.uint8]]:
+def _by_network(network: Generator, depth: Depths) -> Pictures:
     network.eval()
-
-    def made(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
-        pictures = [network(depth_channels(each[None])) for each in depth]
-        shades = shades_of(torch.cat(pictures), depth.shape[:0:-1])
-        return np.asarray(np.rint(shades.permute(0, 2, 3, 1).numpy() * 255), np.uint8)
-
-    return torch.inference_mode()(made)  # type: ignore[no-any-return]
+    with torch.inference_mode():
+        made = torch.cat([network(depth_channels(each[None])) for each in depth])
+    return pictures_of(made, depth.shape[:0:-1])
 
 
-def _depth_again(inverse: Generator, pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
-    inverse.eval()
+def _depth_again(inverse: Generator, pictures: Pictures) -> Depths:
     with torch.inference_mode():
         made = torch.cat([inverse(picture_channels(each[None]))[:, 2] for each in pictures])
-        return np.asarray(((made + 1) / 2).clip(0, 1).numpy(), np.float32)
-
-
-def _sheet(bench: _Bench, made: dict[str, NDArray[np.uint8]], inverse: Generator) -> bytes:
-    met = np.flatnonzero(bench.data.depth.contact[bench.depth_rows])
-    shown = met[:: max(1, len(met) // _SHOWN)][:_SHOWN]
-    felt = np.flatnonzero(bench.contact)
-    real = bench.pictures[felt[:: max(1, len(felt) // _SHOWN)][:_SHOWN]]
-    columns: list[tuple[str, Any]] = [("real", real), ("its depth", _depth_again(inverse, real))]
-    columns.append(("depth", bench.depth[shown]))
-    columns += [(name, pictures[shown]) for name, pictures in made.items()]
-    columns.append(("depth again", _depth_again(inverse, made["trained"][shown])))
-    return sheet_png(columns)
+    return np.asarray(((made + 1) / 2).clip(0, 1).numpy(), np.float32)

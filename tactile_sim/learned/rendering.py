@@ -12,9 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from tactile_sim.learned.weights import Direction, published_weights, read_weights
+from tactile_sim.learned.networks import (
+    Direction,
+    depth_channels,
+    generator_of,
+    picture_channels,
+    published_weights,
+    read_weights,
+    shades_of,
+)
 from tactile_sim.pressing import depth_image
 from tactile_sim.sensor import Sensor
 from tactile_toolkit.errors import InputError
@@ -25,17 +34,15 @@ _LEAST_PX = 16
 class _Learned:
     """A generator that was read from a file; the published one by default."""
 
-    def __init__(self, direction: Direction, weights: str | Path | None) -> None:
-        from tactile_sim.learned.networks import generator_of
+    direction: Direction
 
-        read = read_weights(published_weights(direction) if weights is None else weights)
+    def __init__(self, weights: str | Path | None = None) -> None:
+        read = read_weights(published_weights(self.direction) if weights is None else weights)
         self.size_px = read.size_px
         self._network = generator_of(read).eval()
 
     def _made(self, channels: Any) -> Any:
         """Run the network on one picture after another; equal ones, such as no contact, only once."""
-        import torch
-
         made: dict[bytes, Any] = {}
         # Most touches may meet nothing (of the real ones four of five), and a network takes far longer than a
         # digest.
@@ -56,8 +63,7 @@ class CycleganOptics(_Learned):
         File of weights; by default the published ones, of the installed `tactile-mnist`.
     """
 
-    def __init__(self, weights: str | Path | None = None) -> None:
-        super().__init__("touch", weights)
+    direction = "touch"
 
     def depth_size(self, width: int, height: int) -> tuple[int, int]:
         """Return the size that the network was trained at, whatever the size of the pictures."""
@@ -77,28 +83,17 @@ class CycleganOptics(_Learned):
         self, depth_m: NDArray[np.float64], sensor: Sensor, size_px: tuple[int, int]
     ) -> NDArray[np.float32]:
         """Return the same as shades of red, green and blue from 0 to 1, float32."""
-        from tactile_sim.learned.channels import depth_channels, shades_of
-
         made = shades_of(self._made(depth_channels(depth_image(depth_m, sensor))), size_px)
         return np.ascontiguousarray(made.permute(0, 2, 3, 1).numpy())
 
 
 class CycleganDepth(_Learned):
-    """Depth of pictures: the other direction.
+    """Depth of pictures: the other direction, with parameters as of :class:`CycleganOptics`."""
 
-    Parameters
-    ----------
-    weights : str or path, optional
-        File of weights; by default the published ones, of the installed `tactile-mnist`.
-    """
-
-    def __init__(self, weights: str | Path | None = None) -> None:
-        super().__init__("depth", weights)
+    direction = "depth"
 
     def images(self, pictures: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.float32]:
         """Return depth images (n, H, W), float32, 0 deepest to 1 no contact, of pictures (n, h, w, 3)."""
-        from tactile_sim.learned.channels import picture_channels, shades_of
-
         shown = (shades_of(picture_channels(pictures), self.size_px) - 0.5) / 0.5
         made = shades_of(self._made(shown)[:, 2:], size_px)
         return np.ascontiguousarray(made[:, 0].numpy())

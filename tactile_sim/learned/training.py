@@ -1,42 +1,67 @@
-"""Training: from a set of ``tactile-sim pairs`` to the weights of both directions."""
+"""Training: from a set of ``tactile-sim pairs`` to the weights of both directions.
+
+::
+
+    training.json              settings, and which pairs
+    checkpoint.pt              a SHA-256 digest and the state of everything; intact or absent
+    depth_to_touch.npz         weights of both generators, in the published format
+    touch_to_depth.npz
+    losses.parquet             the log
+    samples/step-0001000.png   sheets of pictures
+    tensorboard/               the log again, if asked for
+"""
 
 from __future__ import annotations
 
+import hashlib
+import io
+import json
 import math
 import os
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, closing, contextmanager
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
+import pyarrow as pa
 import torch
 
+from tactile_sim.card import sheet_png
 from tactile_sim.learned.batches import Batches, by_taxim
-from tactile_sim.learned.channels import depth_channels, picture_channels, shades_of
-from tactile_sim.learned.checkpoints import (
-    DEPTH_WEIGHTS,
-    TOUCH_WEIGHTS,
-    claim_folder,
-    foreign_checkpoint,
-    read_checkpoint,
-    write_checkpoint,
-    write_log,
-)
 from tactile_sim.learned.cyclegan import LOSSES, CycleGan
-from tactile_sim.learned.networks import weights_of
-from tactile_sim.learned.tensorboard import Events, require_tensorboard
-from tactile_sim.learned.weights import write_weights
-from tactile_sim.pairs.reading import Pairs
-from tactile_sim.pairs.rows import SPLITS
+from tactile_sim.learned.networks import (
+    depth_channels,
+    picture_channels,
+    pictures_of,
+    shades_of,
+    weights_of,
+    write_weights,
+)
+from tactile_sim.pairs import SPLITS, Pairs
 from tactile_sim.plan import generator
-from tactile_sim.sheets import sheet_png
 from tactile_sim.spec import TrainConfig
-from tactile_toolkit.errors import InputError, MissingExtraError, SpecMismatchError, ToolkitError
+from tactile_toolkit.errors import (
+    InputError,
+    IntegrityError,
+    MissingExtraError,
+    SpecMismatchError,
+    ToolkitError,
+)
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
+from tactile_toolkit.store.typed_json import decode
+from tactile_toolkit.touch.jpeg import decode_image
 
+TOUCH_WEIGHTS = "depth_to_touch.npz"
+DEPTH_WEIGHTS = "touch_to_depth.npz"
+_SETTINGS = "training.json"
+_CHECKPOINT = "checkpoint.pt"
+_DIGEST_BYTES = 32
 _SAMPLES = 4
 
 
@@ -57,6 +82,11 @@ class _Place:
     rank: int
     count: int
     device: str
+
+    def wait(self) -> None:
+        """Wait for the other processes."""
+        if self.count > 1:
+            torch.distributed.barrier()
 
 
 def train(
@@ -96,27 +126,32 @@ def train(
     on_progress : callable
         Called with steps done and in all.
 
-    Returns
-    -------
-    Trained
-
     Raises
     ------
     InputError
-        What was given cannot be used: no training set, no GPU, crops that are too small, a folder where
-        another training is at work, TensorBoard is asked for and not installed, or Taxim is not, which the
-        pairs of the first steps come from (``start_steps``).
-    SpecMismatchError
-        The folder holds a training with other settings, or of another number of processes.
-    IntegrityError
-        The checkpoint or the training set is damaged.
-    StorageError
-        The folder cannot be written. The last checkpoint stays.
-    ToolkitError
-        The losses are not finite any more. The last checkpoint stays.
+        What was given cannot be used, or a package is missing that it needs.
+    SpecMismatchError, IntegrityError, StorageError, ToolkitError
+        The folder holds a training with other settings; checkpoint or training set are damaged; the folder
+        cannot be written; the losses are not finite any more. The last checkpoint stays.
     """
-    config = config or TrainConfig()
-    data = Pairs.open(pairs)
+    config, data, folder = config or TrainConfig(), Pairs.open(pairs), DataFolder(os.fspath(out))
+    _require_trainable(pairs, data, config)
+    if tensorboard:
+        _require_tensorboard(folder)
+    with _processes(device, deterministic=deterministic) as place, _alone(folder, place):
+        if place.rank == 0:
+            _claim(folder, {"config": config.to_dict(), "pairs": data.identity}, resume=resume)
+        place.wait()
+        # After the folder is claimed: a refusal should not wait for networks to be built.
+        model = CycleGan(config, place.device, compiled=compiled)
+        run = _Run(config, data, folder, place, model, on_progress)
+        first, log = run.restored()
+        is_logged = tensorboard and place.rank == 0
+        with closing(_Events(folder, first)) if is_logged else nullcontext() as run.events:
+            return run.to_the_end(first, log)
+
+
+def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
     config.crop_px(data.size_px)
     for split, domain in zip(SPLITS, (data.depth, data.real), strict=True):
         if not domain.contact.any():
@@ -132,21 +167,71 @@ def train(
             raise InputError(
                 f"{error}, or leave out the pairs of the first steps: --start-steps 0"
             ) from error
-    folder = DataFolder(os.fspath(out))
-    if tensorboard:
-        require_tensorboard(folder)
-    with _processes(device, deterministic=deterministic) as place, _alone(folder, place):
-        if place.rank == 0:
-            claim_folder(folder, {"config": config.to_dict(), "pairs": data.identity}, resume=resume)
-        _wait()
-        # After the folder is claimed: a refusal should not wait for networks to be built.
-        model = CycleGan(config, place.device, compiled=compiled)
-        run = _Run(config, data, folder, place, model, on_progress)
-        first, log = run.restored()
-        with ExitStack() as stack:
-            if tensorboard and place.rank == 0:
-                run.events = stack.enter_context(closing(Events(folder, LOSSES, first)))
-            return run.to_the_end(first, log)
+
+
+def _require_tensorboard(folder: DataFolder) -> None:
+    if find_spec("tensorboard") is None:
+        raise InputError(
+            "--tensorboard needs the package 'tensorboard', which is not installed",
+            next="pip install tensorboard, or leave it away: losses.parquet and samples/ hold the same",
+        )
+    if not folder.is_local:
+        raise InputError(f"--tensorboard writes to local folders only, not to {folder.address()!r}")
+
+
+class _Events:
+    """Writes for TensorBoard what checkpoints hold; what a stopped run wrote after its own is taken back."""
+
+    def __init__(self, folder: DataFolder, first: int) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        self._written = first
+        self._writer: Any = SummaryWriter(folder.address("tensorboard"), purge_step=first + 1)
+
+    def add(self, log: Any, sheet: bytes) -> None:
+        """Write the lines of the log that are new, and the sheet of its last step."""
+        for step, *losses in log.tolist():
+            for name, loss in zip(LOSSES, losses, strict=True) if step > self._written else ():
+                self._writer.add_scalar(f"losses/{name}", loss, int(step))
+        self._written = int(log[-1, 0])
+        self._writer.add_image("samples", decode_image(sheet), self._written, dataformats="HWC")
+        self._writer.flush()
+
+    def close(self) -> None:
+        """End the file."""
+        self._writer.close()
+
+
+class _Settings(msgspec.Struct):
+    config: dict[str, Any]
+    pairs: str
+
+
+def _claim(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> None:
+    """Make a folder that of a training, or take up the one that is there, of the same settings."""
+    folder.require_folder()
+    if folder.exists(_SETTINGS):
+        there = decode(folder.read_bytes(_SETTINGS), _Settings, folder.address(_SETTINGS))
+        # As they would be read back: tuples become lists.
+        wanted = json.loads(json.dumps(settings))
+        found = {**there.config, "pairs": there.pairs}
+        for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
+            if found.get(name) != value:
+                raise SpecMismatchError(
+                    f"{folder.address()!r} holds a training with other settings: {name} is "
+                    f"{found.get(name)!r:.60} there, {value!r:.60} was asked for; nothing was changed",
+                    next="choose another folder (--out)",
+                )
+        folder.remove_temporaries()
+        return
+    others = [name for name in folder.names() if not name.startswith(".")]
+    if resume or others:
+        held = f" (found {others[0]!r})" if others else ""
+        raise InputError(
+            f"{folder.address()!r} holds no training to continue with{held}; nothing was changed",
+            next="leave --resume away, and choose an empty or new folder (--out)",
+        )
+    folder.write_bytes(_SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
 
 
 @dataclass(eq=False)
@@ -159,7 +244,7 @@ class _Run:
     place: _Place
     model: CycleGan
     on_progress: Callable[[int, int], None]
-    events: Events | None = None
+    events: _Events | None = None
 
     def to_the_end(self, first: int, log: list[list[float]]) -> Trained:
         """Take the steps from the first that is left."""
@@ -185,18 +270,29 @@ class _Run:
 
     def restored(self) -> tuple[int, list[list[float]]]:
         """Take up the checkpoint, if there is one; return how many steps were taken, and their log."""
-        state = read_checkpoint(self.folder)
-        if state is None:
+        if not self.folder.exists(_CHECKPOINT):
             return 0, []
+        stored, where = self.folder.read_bytes(_CHECKPOINT), self.folder.address(_CHECKPOINT)
+        digest, content = stored[:_DIGEST_BYTES], stored[_DIGEST_BYTES:]
+        again = "train again in another folder"
+        if hashlib.sha256(content).digest() != digest:
+            raise IntegrityError(f"{where!r} is damaged: its content does not match its checksum", next=again)
         try:
+            # weights_only: a checkpoint is data, and unpickling it must run no code.
+            state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
             pools, step, log = state["pools"], int(state["step"]), state["log"].tolist()
             if len(pools) == self.place.count:
-                self.model.load_state(state)
-                self.model.load_pools(pools[self.place.rank])
+                self.model.load_state(state, pools[self.place.rank])
         except torch.OutOfMemoryError:
             raise
-        except (AttributeError, LookupError, RuntimeError, TypeError, ValueError) as error:
-            raise foreign_checkpoint(self.folder, error) from error
+        except Exception as error:  # whatever the file of another program runs into
+            # The first sentence: torch continues with advice to run the code of the file.
+            problem = str(error).partition(".")[0] or type(error).__name__
+            raise IntegrityError(
+                f"{where!r} is not a checkpoint of this training ({problem}); expected one that "
+                "`tactile-sim train` wrote with these settings",
+                next=again,
+            ) from error
         if len(pools) != self.place.count:
             raise SpecMismatchError(
                 f"{self.folder.address()!r} was trained by {len(pools)} processes, and now there "
@@ -209,19 +305,26 @@ class _Run:
         return step, log
 
     def _save(self, done: int, log: list[list[float]]) -> None:
-        pools = _gathered(self.model.pool_state(), self.place)
+        pools: list[Any] = [self.model.pool_state()]
+        if self.place.count > 1:
+            own, pools = pools[0], [None] * self.place.count
+            torch.distributed.all_gather_object(pools, own)
         if self.place.rank == 0:
-            lines = torch.tensor(log, dtype=torch.float64)
-            write_checkpoint(self.folder, {**self.model.state(), "pools": pools, "step": done, "log": lines})
+            lines, stream = torch.tensor(log, dtype=torch.float64), io.BytesIO()
+            torch.save({**self.model.state(), "pools": pools, "step": done, "log": lines}, stream)
+            content = stream.getvalue()
+            self.folder.write_bytes(_CHECKPOINT, hashlib.sha256(content).digest() + content)
             self._publish(done, lines)
-        _wait()
+        self.place.wait()
 
     def _publish(self, done: int, log: Any) -> None:
         """Write what follows from a checkpoint: weights, log and a sheet."""
         for name, direction in ((TOUCH_WEIGHTS, "touch"), (DEPTH_WEIGHTS, "depth")):
             network: Any = self.model.networks[direction]
             write_weights(self.folder, name, weights_of(network, self.data.size_px))
-        write_log(self.folder, LOSSES, log)
+        steps, *losses = log.numpy().T
+        table = pa.table([pa.array(steps.astype(np.int64)), *map(pa.array, losses)], names=["step", *LOSSES])
+        self.folder.write_bytes("losses.parquet", encode_parquet(table, ParquetStyle(65_536)))
         sheet = self._sheet()
         self.folder.write_bytes(f"samples/step-{done:07d}.png", sheet)
         if self.events is not None:
@@ -229,24 +332,28 @@ class _Run:
 
     def _sheet(self) -> bytes:
         """Draw the first pictures with contact of both kinds, what becomes of them, and what comes back."""
-        shown = {
-            name: domain.images(np.flatnonzero(domain.contact)[: 8 * _SAMPLES : 8][:_SAMPLES])
-            for name, domain in (("depth", self.data.depth), ("touch", self.data.real))
-        }
-        size = self.data.size_px
-        columns: list[tuple[str, Any]] = []
-        networks = self.model.networks
-        start = {"depth": depth_channels(shown["depth"]), "touch": picture_channels(shown["touch"])}
+        depth, touch = (
+            domain.images(np.flatnonzero(domain.contact)[: 8 * _SAMPLES : 8][:_SAMPLES])
+            for domain in (self.data.depth, self.data.real)
+        )
+        networks, device = self.model.networks, self.place.device
+        where = depth_channels(np.ones(touch.shape[:3], np.float32))[:, :2].to(device)
         with torch.inference_mode():
-            for name, other in (("depth", "touch"), ("touch", "depth")):
-                made = networks[other](start[name].to(self.place.device))
-                if other == "depth":
-                    made = torch.cat([start["depth"][:, :2].to(made.device), made[:, 2:]], dim=1)
-                back = networks[name](made)
-                columns.append((f"{name}", shown[name]))
-                columns.append((f"made {other}", _pictures(made, other, size)))
-                columns.append((f"{name} again", _pictures(back, name, size)))
+            made_touch = networks["touch"](depth_channels(depth).to(device))
+            depth_again = networks["depth"](made_touch)
+            made_depth = networks["depth"](picture_channels(touch).to(device))
+            made_depth = torch.cat([where, made_depth[:, 2:]], dim=1)
+            touch_again = networks["touch"](made_depth)
+        columns = [("depth", depth), ("made touch", self._touches(made_touch))]
+        columns += [("depth again", self._depths(depth_again)), ("touch", touch)]
+        columns += [("made depth", self._depths(made_depth)), ("touch again", self._touches(touch_again))]
         return sheet_png(columns)
+
+    def _touches(self, channels: Any) -> Any:
+        return pictures_of(channels.float().cpu(), self.data.size_px)
+
+    def _depths(self, channels: Any) -> Any:
+        return shades_of(channels.float().cpu(), self.data.size_px)[:, 2].numpy()
 
     def _require_finite(self, losses: dict[str, float], done: int) -> None:
         wrong = [name for name, loss in losses.items() if not math.isfinite(loss)]
@@ -258,13 +365,6 @@ class _Run:
             )
 
 
-def _pictures(channels: Any, name: str, size_px: tuple[int, int]) -> Any:
-    shades = shades_of(channels.float().cpu(), size_px)
-    if name == "depth":
-        return shades[:, 2].numpy()
-    return np.rint(shades.permute(0, 2, 3, 1).numpy() * 255).astype(np.uint8)
-
-
 @contextmanager
 def _alone(folder: DataFolder, place: _Place) -> Iterator[None]:
     """Hold the folder, so that no other training writes there; InputError where one is at work."""
@@ -273,21 +373,24 @@ def _alone(folder: DataFolder, place: _Place) -> Iterator[None]:
         yield
         return
     folder.require_folder()
-    with ExitStack() as stack:
-        try:
-            stack.enter_context(locked(Path(folder.address()), patience_s=0))
-        except BlockingIOError as error:
-            raise InputError(
-                f"another training is at work in {folder.address()!r}; nothing was changed",
-                next="wait for it, or choose another folder (--out)",
-            ) from error
+    lock = locked(Path(folder.address()), patience_s=0)
+    try:
+        lock.__enter__()
+    except BlockingIOError as error:
+        raise InputError(
+            f"another training is at work in {folder.address()!r}; nothing was changed",
+            next="wait for it, or choose another folder (--out)",
+        ) from error
+    try:
         yield
+    finally:
+        lock.__exit__(None, None, None)
 
 
 @contextmanager
 def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
     """Find out where to compute, and join the other processes of ``torchrun`` where there are any."""
-    # torchrun tells each process who it is by these variables.
+    # torchrun names each process by these variables.
     rank, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     chosen = _device(device)
     if deterministic and chosen != "cpu":
@@ -324,16 +427,3 @@ def _device(name: str) -> str:
     if name == "cuda" and not available:
         raise InputError("device is 'cuda', but PyTorch finds no GPU here", next="--device cpu")
     return name
-
-
-def _gathered(pools: dict[str, list[Any]], place: _Place) -> list[Any]:
-    if place.count == 1:
-        return [pools]
-    found: list[Any] = [None] * place.count
-    torch.distributed.all_gather_object(found, pools)
-    return found
-
-
-def _wait() -> None:
-    if torch.distributed.is_available() and torch.distributed.is_initialized():
-        torch.distributed.barrier()

@@ -104,11 +104,12 @@ def _size(words: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def contact_height_option() -> Any:
-    """Declare the height from which a touch counts as contact."""
+def contact_height_option(**option: Any) -> Any:
+    """Declare the height from which a touch counts as contact; other bounds and spellings as of ``real``."""
     return real(
         None,
         optional=True,
+        **option,
         help="Height above the plate from which a touch counts as contact; 6 by default, and any height for "
         "touches of `tactile-sim generate`.",
     )

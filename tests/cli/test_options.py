@@ -9,8 +9,7 @@ from cli.options import _runner_name, local_place, place_of_data
 from starstruck_gen.options import SceneOptions
 from starstruck_gen.spec import SceneSpec
 from tactile_sim import GenerateSpec
-from tactile_sim.options import PictureOptions
-from tactile_sim.spec import TrainConfig
+from tactile_sim.spec import PictureOptions, TrainConfig
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tests.command_line import call
@@ -66,5 +65,5 @@ def test_the_home_of_nobody_is_refused():
 
 def test_options_that_are_not_given_mean_the_defaults_of_the_library():
     assert SceneOptions().spec() == SceneSpec()
-    assert PictureOptions().spec() == GenerateSpec()
+    assert GenerateSpec.of(PictureOptions()) == GenerateSpec()
     assert TrainConfig.read(None, {}) == TrainConfig()

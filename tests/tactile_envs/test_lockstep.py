@@ -177,7 +177,7 @@ def test_settings_are_those_of_the_registration(packages):
 
 @pytest.mark.parametrize("env_id", ["TactileMNIST-train-v0", "Starstruck-train-v0"])
 def test_taxim_within_a_level(env_id, provider, assets, packages):
-    """Where a touch shows, within a level at 99 %; else as `tactile_sim.optics.taxim` states.
+    """Where a touch shows, within a level at 99 %; else as `tactile_sim.optics` states.
 
     Where the gel is flat, the package looks colours up by rounding noise, 26 levels apart at most; pixels
     beside upright walls may be further off.

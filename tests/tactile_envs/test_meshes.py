@@ -10,9 +10,8 @@ import env_assets
 import mnist3d
 from tactile_envs.kernels import LANES, PADDING, raise_object, raise_pixels
 from tactile_envs.meshes import MeshPool
-from tactile_sim.poses import pose
 from tactile_sim.pressing import Pressable, press
-from tactile_sim.sensor import as_environment
+from tactile_sim.sensor import as_environment, pose
 
 
 @numba.njit(error_model="numpy")

@@ -13,7 +13,7 @@ import starstruck_gen
 import tactile_sim
 from realtouch.gallery import RoundChoice, plan_gallery
 from realtouch.previews import CONTACT, draw_grid
-from tactile_sim.pairs.making import PairsSpec, make_pairs
+from tactile_sim.pairs import PairsSpec, make_pairs
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest

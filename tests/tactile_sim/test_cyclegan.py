@@ -20,7 +20,7 @@ from tactile_sim.learned import weights as files  # noqa: E402
 from tactile_sim.learned.networks import Generator, generator_of, initialise, weights_of  # noqa: E402
 from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics  # noqa: E402
 from tactile_sim.optics import make_optics  # noqa: E402
-from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, ToolkitError  # noqa: E402
+from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 
 
@@ -106,7 +106,7 @@ def test_weights_survive_the_file_and_are_the_same_bytes(small):
     assert (read.size_px, read.filters, read.blocks) == ((32, 24), 4, 2)
     assert files.weights_bytes(read) == first.read_bytes()
     with np.load(first) as stored:  # what others read it with
-        assert set(stored.files) == set(files.layer_shapes(4, 2))
+        assert set(stored.files) == set(Generator(4, 2).state_dict())
     network = generator_of(read)
     assert weights_of(network, (32, 24)).arrays.keys() == read.arrays.keys()
     published = files.read_weights(files.published_weights("touch"))
@@ -131,9 +131,9 @@ def test_files_that_are_no_weights_are_named(small, tmp_path, monkeypatch):
     with pytest.raises(InputError, match="a picture of 64 x 15 pixels is too small; expected at least 16 x"):
         make_optics("cyclegan", good).depth_size(64, 15)
     cases = {
-        "absent.npz": (None, InputError, "no file of weights"),
-        "text.npz": (b"no archive", InputError, "not an .npz"),
-        "cut.npz": (good.read_bytes()[:-400], IntegrityError, "damaged"),
+        "absent.npz": (None, InputError, "cannot be read as weights"),
+        "text.npz": (b"no archive", InputError, "cannot be read as weights"),
+        "cut.npz": (good.read_bytes()[:-400], InputError, "cannot be read as weights"),
     }
     for name, (content, error, text) in cases.items():
         if content is not None:
@@ -147,7 +147,7 @@ def test_files_that_are_no_weights_are_named(small, tmp_path, monkeypatch):
         "more.npz": ({**arrays, "more": np.zeros(7, np.float32)}, InputError, "more"),
         "nan.npz": (
             {**arrays, "model.4.bias": np.full(8, np.nan, np.float32)},
-            IntegrityError,
+            InputError,
             "model.4.bias",
         ),
         "other.npz": ({"pictures": np.zeros(3)}, InputError, "pictures"),
@@ -158,15 +158,15 @@ def test_files_that_are_no_weights_are_named(small, tmp_path, monkeypatch):
         with pytest.raises(error, match=text):
             files.read_weights(tmp_path / name)
     for comment, text in (
-        (b'{"size_px": [30, 1000000]}', "is of 30 x 1000000 pixels; expected multiples of 4"),
-        (b'{"size_px": [true, 32]}', "is of True x 32 pixels"),
-        (b'{"size_px": 32}', "does not state the size of its pictures"),
-        (b"made by somebody", "does not state the size of its pictures"),
-        (b"[" * 60_000, "does not state the size of its pictures"),
+        (b'{"size_px": [30, 1000000]}', "of 30 x 1000000 pixels; expected multiples of 4"),
+        (b'{"size_px": [true, 32]}', "of True x 32 pixels"),
+        (b'{"size_px": 32}', "cannot be read as weights"),
+        (b"made by somebody", "cannot be read as weights"),
+        (b"[" * 60_000, "cannot be read as weights"),
     ):
         with zipfile.ZipFile(good, "a") as archive:
             archive.comment = comment
-        with pytest.raises(IntegrityError, match=text):
+        with pytest.raises(InputError, match=text):
             files.read_weights(good)
     monkeypatch.setattr(files, "find_spec", lambda _: None)
     with pytest.raises(MissingExtraError, match="the extra `env`"):

@@ -17,6 +17,7 @@ import tactile_sim
 from tactile_sim.generation import TouchMaking
 from tactile_sim.optics import make_optics
 from tactile_sim.plan import REACH_M
+from tactile_sim.spec import PictureOptions
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.making import plan_build
 from tests.command_line import call
@@ -359,3 +360,33 @@ def test_a_look_at_the_object_meets_what_is_hollow_in_the_middle_or_larger_than_
 def test_optics_that_are_not_there_are_named(given, words):
     with pytest.raises(InputError, match=words):
         make_optics(*given)
+
+
+def test_some_objects_are_touched_as_among_all(scenes, touches, tmp_path):
+    of_all = {row.id: row for split in ("train", "test") for row in realtouch.load(touches, split)}
+    ids = realtouch.load(touches, "train").touches().object_ids
+    some = tactile_sim.GenerateSpec(
+        (64, 48),
+        "depth",
+        plan=PLAN,
+        image_format="png",
+        ids=[int(ids[0]), (2, 4)],
+        labels=["1", "2"],
+        per_class=1,
+    )
+    manifest = tactile_sim.generate(scenes, some, tmp_path / "some", ["train"])
+    assert manifest.spec["options"]["per_class"] == 1
+    made = realtouch.load(tmp_path / "some", "train")
+    assert [row.id for row in made] == ["0-0", "0-1", "4-0", "4-1"]
+    for row in made:
+        assert (row.sensor_image[1] == of_all[row.id].sensor_image[1]).all()
+    unknown = tactile_sim.GenerateSpec(optics="depth", plan=PLAN, ids=[99])
+    with pytest.raises(InputError, match="no object with id 99"):
+        TouchMaking.of(scenes, unknown)
+
+
+def test_the_default_of_the_optics_needs_no_extra(monkeypatch):
+    options = PictureOptions()
+    assert tactile_sim.GenerateSpec.of(options).optics == "taxim"
+    monkeypatch.setattr("tactile_sim.generation.find_spec", lambda _: None)
+    assert tactile_sim.GenerateSpec.of(options).optics == "depth"

@@ -116,8 +116,8 @@ def test_files_that_cannot_be_are_refused(tmp_path, monkeypatch):
         ("poses.txt", b"", r"expected a file \.csv"),
         ("torn.parquet", b"PAR1 and no more", "cannot be read"),
         ("torn.npz", b"PK", "cannot be read"),
-        ("other.csv", b"x_m,q,p,o,n,m\n0,0,0,0,0,0\n", r"unknown columns \['m', 'n', 'o', 'p', 'q'\]"),
-        ("half.csv", b"x_m\n0\n", r"no \['y_m'\]"),
+        ("other.csv", b"x_m,q,p,o,n,m\n0,0,0,0,0,0\n", "its columns are x_m, q, p, o, n, m; expected x_m"),
+        ("half.csv", b"x_m\n0\n", "its columns are x_m; expected"),
         ("hole.csv", b"x_m,y_m\n0.0,\n", "row 0; expected metres"),
         ("empty.csv", b"x_m,y_m\n", "expected"),
     ):
@@ -157,10 +157,10 @@ def test_a_small_table_of_millions_of_rows_is_refused_unread(tmp_path):
     (tmp_path / "columns.csv").write_bytes(b"x_m,y_m" + b",a" * 100_000 + b"\n")
     words = {
         "rows.parquet": "a table of 3,000,000 rows unpacks to",
-        "text.parquet": "column x_m holds BYTE_ARRAY; expected numbers",
+        "text.parquet": "column x_m holds .*string.*; expected numbers",
         "rows.npz": r"a table of 96,000,\d+ bytes unpacks to",
-        "rows.csv": "a table of 2,000,001 rows unpacks to",
-        "columns.csv": "its first line has more than 4,096 bytes",
+        "rows.csv": "a table of 2,000,000 rows unpacks to",
+        "columns.csv": "its columns are x_m, y_m, a, a",
     }
     for name, expected in words.items():
         assert (tmp_path / name).stat().st_size < 10_000_000
@@ -171,7 +171,7 @@ def test_a_small_table_of_millions_of_rows_is_refused_unread(tmp_path):
 def test_columns_of_one_name_and_archives_of_other_methods_are_refused(tmp_path):
     zeros = pa.array(np.zeros(10))
     parquet.write_table(pa.Table.from_arrays([zeros] * 4, ["x_m", "y_m"] * 2), tmp_path / "twice.parquet")
-    with pytest.raises(InputError, match="4 columns, some of one name; expected each once"):
+    with pytest.raises(InputError, match=r"its columns are x_m, y_m, x_m, y_m; expected .* each once"):
         tactile_sim.GivenTouches.read(tmp_path / "twice.parquet")
     with zipfile.ZipFile(tmp_path / "packed.npz", "w", zipfile.ZIP_BZIP2) as archive:
         archive.writestr("x_m.npy", bytes(1000))

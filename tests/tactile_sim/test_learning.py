@@ -23,12 +23,10 @@ from typer.testing import CliRunner
 import mnist3d
 import realtouch
 import tactile_sim
+import tactile_sim.optics
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_sim.noise import add_noise
-from tactile_sim.optics import taxim as taxim_optics
-from tactile_sim.pairs.making import PairsSpec, make_pairs
-from tactile_sim.pairs.reading import Domain, Pairs
-from tactile_sim.pairs.rows import decode_depth, depth_levels, encode_depth
+from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.pictures.writing import png_bytes
@@ -38,16 +36,24 @@ from tests.tactile_sim.sets import NOISE
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
+from tactile_sim.card import sheet_png  # noqa: E402
 from tactile_sim.learned.batches import Batch, by_taxim  # noqa: E402
-from tactile_sim.learned.channels import noisy_channels, picture_channels, shades_of  # noqa: E402
-from tactile_sim.learned.checkpoints import settings_of  # noqa: E402
-from tactile_sim.learned.classifier import SmallCNN, balanced_accuracy  # noqa: E402
 from tactile_sim.learned.cyclegan import CycleGan  # noqa: E402
-from tactile_sim.learned.evaluation import evaluate  # noqa: E402
+from tactile_sim.learned.evaluation import (  # noqa: E402
+    SmallCNN,
+    balanced_accuracy,
+    evaluate,
+)
+from tactile_sim.learned.networks import (  # noqa: E402
+    GeneratorWeights,
+    noisy_channels,
+    picture_channels,
+    read_weights,
+    shades_of,
+    write_weights,
+)
 from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
-from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_weights  # noqa: E402
-from tactile_sim.sheets import sheet_png  # noqa: E402
 from tactile_sim.spec import TrainConfig  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
@@ -93,12 +99,13 @@ def _weights(folder) -> list[bytes]:
 
 def test_depth_survives_its_picture():
     image = np.linspace(0, 1, 32 * 24, dtype=np.float32).reshape(24, 32)
-    assert np.abs(decode_depth(encode_depth(depth_levels(image))) - image).max() < 1e-5
-    assert (depth_levels(np.zeros((4, 4), np.float32)) == 65535).all()  # a level surface counts as no contact
+    assert np.abs(decode_depth(encode_depth(image)) - image).max() < 1e-5
+    level = decode_depth(encode_depth(np.zeros((4, 4), np.float32)))
+    assert (level == 1).all()  # a level surface counts as no contact
     for other, words in (
-        (b"no picture", "cannot be decoded"),
+        (b"no picture", "expected a grey PNG"),
         (png_bytes(image.astype(np.uint8)), "mode L"),
-        (encode_depth(np.zeros((4097, 4097), np.uint16)), "4097 x 4097 pixels; the limit is"),
+        (encode_depth(np.zeros((4097, 4097), np.float32)), "4097 x 4097 pixels"),
     ):
         with pytest.raises(ValueError, match=words):
             decode_depth(other)
@@ -120,7 +127,7 @@ def test_pairs_hold_what_was_asked_for_with_any_number_of_workers(sources, pairs
     assert (empty == 1).all()
     met = data.depth.images(np.flatnonzero(data.depth.contact))
     assert (met.min(axis=(1, 2)) == 0).all()
-    monkeypatch.setattr("tactile_sim.pairs.making._ROWS_PER_SHARD", 25)
+    monkeypatch.setattr("tactile_sim.pairs._ROWS_PER_SHARD", 25)
     make_pairs(*sources, "train", SPEC, tmp_path / "again", workers=2)
     sheets = {
         path.read_bytes() for folder in (pairs, tmp_path / "again") for path in Path(folder).rglob("*.png")
@@ -180,15 +187,15 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
     (file,) = Path(pairs, "data").glob("depth-*")
     table = pq.read_table(file)
     images = table["sensor_image"].to_pylist()
-    images[0]["bytes"] = encode_depth(depth_levels(np.ones((24, 32), np.float32)))
+    images[0]["bytes"] = encode_depth(np.ones((24, 32), np.float32))
     images[1]["bytes"] = images[1]["bytes"][:40]
     place = table.schema.get_field_index("sensor_image")
     column = pa.array(images, table.schema.field(place).type)
     pq.write_table(table.set_column(place, table.schema.field(place), column), data / file.name)
     depth = Domain(ShardedTable(find_shards(str(tmp_path), "depth")), True, (32, 32))
     for row, text in (
-        (0, f"{file.name}', row 0: a picture of 32 x 24 pixels; expected 32 x 32 as in the manifest"),
-        (1, f"{file.name}', row 1: .*cannot be decoded.*next: run `tactile-sim verify`"),
+        (0, f"{file.name}', row 0: a picture of 32 x 24 pixels; expected .32, 32. as in the manifest"),
+        (1, f"{file.name}', row 1: expected a grey PNG .*next: run `tactile-sim verify`"),
     ):
         with pytest.raises(IntegrityError, match=text):
             depth.image(row)
@@ -271,14 +278,14 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
     with pytest.raises(InputError, match="expected a SensorNoise"):
         TrainConfig(sensor_noise="calibrated")
     with monkeypatch.context() as without:
-        without.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
-        taxim_optics._tables.cache_clear()
+        without.setattr("tactile_sim.optics.find_spec", lambda _: None)
+        tactile_sim.optics._taxim.cache_clear()
         with pytest.raises(InputError, match=r"'taxim'.*not installed.*or leave out.*--start-steps 0"):
             train(pairs, tmp_path / "new", CONFIG)
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="finds no GPU"):
             train(pairs, tmp_path / "new", CONFIG, device="cuda")
-    assert settings_of(DataFolder(str(tmp_path / "new"))) is None
+    assert not (tmp_path / "new" / "training.json").exists()
 
 
 def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path, monkeypatch):
@@ -378,7 +385,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
 def test_tensorboard_holds_the_log_or_is_named(pairs, tmp_path, monkeypatch):
     out = tmp_path / "weights"
     with monkeypatch.context() as patch:
-        patch.setattr("tactile_sim.learned.tensorboard.find_spec", lambda name: name)
+        patch.setattr("tactile_sim.learned.training.find_spec", lambda name: name)
         with pytest.raises(InputError, match="writes to local folders only, not to 'memory://weights'"):
             train(pairs, "memory://weights", CONFIG, device="cpu", tensorboard=True)
     if find_spec("tensorboard") is None:

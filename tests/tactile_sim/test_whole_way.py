@@ -149,14 +149,14 @@ def test_poses_that_cannot_be_are_refused():
 
 
 def test_a_set_without_taxim_says_what_to_install(made, tmp_path, monkeypatch):
-    from tactile_sim.optics import taxim
+    import tactile_sim.optics
 
-    monkeypatch.setattr("tactile_sim.optics.taxim.find_spec", lambda _: None)
-    taxim._tables.cache_clear()
+    monkeypatch.setattr("tactile_sim.optics.find_spec", lambda _: None)
+    tactile_sim.optics._taxim.cache_clear()
     result = CliRunner().invoke(
         app, ["generate", str(made.parent / "scenes"), "--out", str(tmp_path / "out")]
     )
-    taxim._tables.cache_clear()
+    tactile_sim.optics._taxim.cache_clear()
     assert result.exit_code == 2
     assert "the extra `sim`" in result.output + str(result.exception)
     assert not (tmp_path / "out").exists()

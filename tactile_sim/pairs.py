@@ -1,0 +1,399 @@
+"""Training sets of learned rendering: splits `depth` and `real`, as many of each, not paired.
+
+The paper (appendix, CycleGAN-based Tactile Rendering): 20,000 synthetic depth images and 20,000 real touches,
+with fewer of those without contact than there are; it does not say how few. A row is one picture; pictures
+stay encoded in memory and are decoded when they are asked for.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from tactile_sim.kind import KIND
+from tactile_sim.optics import scaled
+from tactile_sim.plan import SolidSplit, key_of, plan_round
+from tactile_sim.pressing import Pressable, press
+from tactile_sim.sensor import Sensor, as_environment, as_sensor
+from tactile_sim.spec import PairsSpec, TouchPlan
+from tactile_toolkit import making
+from tactile_toolkit.catalog.kinds import require_manifest
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.read.source import content_fingerprint, file_fingerprint, refuse_source
+from tactile_toolkit.rows import column, plain_schema, row
+from tactile_toolkit.run.processes import Runner
+from tactile_toolkit.store.build import Progress
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.shards import Skipped
+from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, MAX_IMAGE_PIXELS, decode_image, encode_image
+from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
+
+SPLITS = ("depth", "real")
+
+DEPTH_LEVELS = 65535
+"""Levels from deepest in the gel to no contact: 0.03 micrometres each."""
+
+_PICTURE = "depth: grey, 16 bits, 0 deepest in the gel, 65535 no contact; real: colours"
+# Pictures of 256 x 256 pixels take some 100 MB then.
+_ROWS_PER_SHARD = 1000
+# One real touch in five met its object: 16 places in the cell fail 3 times in 100, then places on the object
+# are tried.
+_TRIES = 16
+
+
+@row
+class PairRow:
+    """One depth image or one real touch, encoded."""
+
+    id: str = column(pa.string(), "", "object and number, or round and touch")
+    label: int = column(pa.int64(), "", "class of the touched object")
+    object_id: int = column(pa.int64(), "", "`id` of its mesh")
+    contact: bool = column(pa.bool_(), "", "whether the gel met the object")
+    image: Mapping[str, Any] = column(MEDIA_TYPE, "H x W", _PICTURE, name="sensor_image")
+
+
+@cache
+def pair_schema(class_names: tuple[str, ...]) -> pa.Schema:
+    """Return the Arrow schema of a shard."""
+    return with_features(plain_schema(PairRow), class_names)
+
+
+def encode_depth(image: NDArray[np.float32]) -> bytes:
+    """Encode a depth image, 0 to 1, as a grey PNG of 16 bits; a level surface, all zeros, as no contact."""
+    from PIL import Image
+
+    # A level surface and a bare plate give the same image; the paper's 'non-contact 0' is the plate.
+    shown = image.astype(np.float64) if image.any() else np.ones(image.shape)
+    stream = io.BytesIO()
+    Image.fromarray(np.rint(shown * DEPTH_LEVELS).astype(np.uint16)).save(stream, "PNG", compress_level=6)
+    return stream.getvalue()
+
+
+def decode_depth(data: bytes) -> NDArray[np.float32]:
+    """Decode a PNG of :func:`encode_depth` to a depth image, 0 to 1; ValueError for other pictures."""
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            if image.width * image.height > MAX_IMAGE_PIXELS or image.mode not in ("I;16", "I"):
+                problem = f"{image.width} x {image.height} pixels of mode {image.mode}"
+                raise ValueError(problem)
+            return (np.asarray(image) / np.float32(DEPTH_LEVELS)).astype(np.float32)
+    except Exception as error:  # Pillow raises OSError, SyntaxError, struct.error and more on bad files
+        message = f"expected a grey PNG of 16 bits and at most {MAX_IMAGE_PIXELS:,} pixels, found {error}"
+        raise ValueError(message) from error
+
+
+@dataclass(frozen=True, eq=False)
+class Domain:
+    """One split: depth images or real touches."""
+
+    table: ShardedTable
+    is_depth: bool
+    size_px: tuple[int, int]
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    @cached_property
+    def labels(self) -> NDArray[np.int64]:
+        """Class of each object, shape (n,)."""
+        return np.asarray(self.table.column("label"), np.int64)
+
+    @cached_property
+    def object_ids(self) -> NDArray[np.int64]:
+        """Object of each touch, shape (n,)."""
+        return np.asarray(self.table.column("object_id"), np.int64)
+
+    @cached_property
+    def contact(self) -> NDArray[np.bool_]:
+        """Whether each touch met its object, shape (n,)."""
+        return np.asarray(self.table.column("contact"), bool)
+
+    def image(self, row: int) -> NDArray[Any]:
+        """Decode a picture: depth float32 (H, W), touches uint8 (H, W, 3); IntegrityError if damaged."""
+        group, index = self.table.locate(row)
+        data = group.table.column("sensor_image")[index].as_py()["bytes"]
+        try:
+            image: NDArray[Any] = decode_depth(data) if self.is_depth else decode_image(data)
+            width, height = image.shape[1::-1]
+            if (width, height) != self.size_px:
+                problem = (
+                    f"a picture of {width} x {height} pixels; expected {self.size_px} as in the manifest"
+                )
+                raise ValueError(problem)
+        except ValueError as error:
+            raise IntegrityError(
+                f"{group.path!r}, row {row}: {error}", next="run `tactile-sim verify` on the folder"
+            ) from error
+        return image
+
+    def images(self, rows: Sequence[int] | NDArray[np.int64]) -> NDArray[Any]:
+        """Decode several pictures."""
+        return np.stack([self.image(int(row)) for row in rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """A training set of ``tactile-sim pairs``.
+
+    Attributes
+    ----------
+    depth, real : Domain
+        Depth images and touches, which do not belong together.
+    size_px : tuple of int
+        Width and height of all pictures, pixels.
+    like : str
+        Window of the depth images, ``"published"`` or ``"environment"``.
+    identity : str
+        Names the rows: equal for equal data sets.
+    """
+
+    depth: Domain
+    real: Domain
+    size_px: tuple[int, int]
+    like: str
+    identity: str
+
+    @classmethod
+    def open(cls, folder: str) -> Pairs:
+        """Open a folder; InputError for something else or an unfinished one, IntegrityError if damaged."""
+        manifest = require_manifest(KIND, DataFolder(folder))
+        if manifest.spec.get("operation") != "pairs":
+            raise InputError(
+                f"{folder!r} is not a training set; expected a folder that `tactile-sim pairs` made"
+            )
+        try:
+            options = manifest.spec["options"]
+            (width, height), like = options["size_px"], options["like"]
+        except (KeyError, TypeError, ValueError) as error:
+            raise IntegrityError(
+                f"the specification in {folder!r} does not state size and window of the pictures",
+                next="make the set again",
+            ) from error
+        depth, real = (
+            Domain(ShardedTable(find_shards(folder, split)), split == "depth", (width, height))
+            for split in SPLITS
+        )
+        # Content and order of the rows: what a training may continue with.
+        checksums = "/".join(record.sha256 for split in SPLITS for record in manifest.shards_of(split))
+        return cls(depth, real, (width, height), like, checksums)
+
+    @property
+    def sensor(self) -> Sensor:
+        """What the depth images are of."""
+        return _sensor(self.like, self.size_px)
+
+
+def _sensor(like: str, size_px: tuple[int, int]) -> Sensor:
+    return (as_sensor if like == "published" else as_environment)(*size_px)
+
+
+@dataclass(frozen=True)
+class PairsMaking(making.Making):
+    """How a training set is made: objects are pressed for the split ``depth``, touches drawn for ``real``.
+
+    The items are numbers of depth images, and numbers of touches with whether they met their object.
+    """
+
+    spec: PairsSpec
+    objects: SolidSplit = field(repr=False)
+    real: str
+    split: str
+    names: tuple[str, ...] = field(repr=False)
+    kind = KIND
+
+    @classmethod
+    def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsMaking:
+        """Look at both sources; InputError for what is not of the right kind, or holds no mesh."""
+        solids = SolidSplit.find(place_of(objects), split)
+        if not len(solids):
+            raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
+        touches = KIND.load(real, split)
+        if spec.min_height_m is None:
+            spec = replace(spec, min_height_m=max(rule.min_height_m for rule in touches.contact_rules()))
+        return cls(spec, solids, real, split, tuple(touches.touches().label_names))
+
+    def manifest(self) -> Mapping[str, Any]:
+        """Return options and sources."""
+        return {
+            "operation": "pairs",
+            "options": self.spec.to_dict(),
+            "split": self.split,
+            "source": {
+                "depth": list(map(content_fingerprint, self.objects.shards)),
+                "real": list(map(file_fingerprint, find_shards(place_of(self.real), self.split))),
+            },
+        }
+
+    def items(self) -> Mapping[str, Any]:
+        """Return both splits; reads poses, no picture. InputError where there are too few touches."""
+        return {"depth": range(self.spec.count), "real": _draw(self._touches(), self.spec, self.real)}
+
+    def layout(self) -> making.Layout:
+        """Return how rows are stored: pictures do not compress again."""
+        return making.Layout(
+            ParquetStyle(100, compression_level=3, encodings=(("sensor_image.bytes", "PLAIN"),)),
+            libraries=("numpy", "pillow", "pyarrow"),
+            smallest=_ROWS_PER_SHARD,
+            largest=_ROWS_PER_SHARD,
+        )
+
+    def schema(self, split: str) -> Any:
+        """Return the Arrow schema of a shard, with the classes of the source."""
+        return pair_schema(self.objects.names if split == "depth" else self.names)
+
+    def make(self, split: str, items: Sequence[Any]) -> Iterator[PairRow | Skipped]:
+        """Yield the rows of a split."""
+        return self._depth(items) if split == "depth" else self._real(items)
+
+    def _depth(self, items: Sequence[int]) -> Iterator[PairRow | Skipped]:
+        """Press the gel onto one object after another; of one that bounds no solid yield once why."""
+        spec, solids = self.spec, self.objects.solids()
+        last, solid = -1, None
+        for number in items:
+            place = number * len(self.objects) // spec.count  # neighbours share an object, checked once
+            record = solids[place]
+            if place != last:
+                last, solid = place, None
+                try:
+                    solid = Pressable.of(record)
+                except InputError as error:
+                    # In the shard of its first image.
+                    if not number or (number - 1) * len(self.objects) // spec.count != place:
+                        yield Skipped(record.id, "no-solid", f"object {record.id}: {error}")
+            if solid is not None:
+                key, contact = f"{record.id}-{number}", not spec.is_empty(number)
+                image = encode_depth(_touched(spec, solid, record.id, number))
+                yield PairRow(key, record.label, record.id, contact, {"bytes": image, "path": f"{key}.png"})
+
+    def _real(self, items: Sequence[tuple[int, bool]]) -> Iterator[PairRow]:
+        """Decode, scale and encode touches."""
+        touches, kind = self._touches(), self.spec.image_format
+        for number, contact in items:
+            touch = touches[number]
+            (picture,) = scaled(touch.image[None], self.spec.size_px)
+            key = f"{touch.round_id}-{touch.touch_index}"
+            image = {"bytes": encode_image(picture, kind), "path": f"{key}.{IMAGE_SUFFIX[kind]}"}
+            yield PairRow(key, touch.label, touch.object_id, contact, image)
+
+    def _touches(self) -> Any:
+        return KIND.load(self.real, self.split).touches()
+
+    def statistics(self, rows: Sequence[PairRow]) -> Mapping[str, int]:
+        """Count touches, and those that met the object."""
+        return {"touches": len(rows), "on_object": sum(row.contact for row in rows)}
+
+
+def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> NDArray[np.float32]:
+    """Return the depth image of one touch: the first of some places in the cell that meets the object."""
+    sensor, least_m = _sensor(spec.like, spec.size_px), spec.min_height_m
+    assert least_m is not None, "a plan has the rule of the real touches"
+    if spec.is_empty(number):
+        # Nothing is rendered for it: a bare plate is the same wherever it is touched.
+        return np.ones(spec.size_px[::-1], np.float32)
+    for place in ("cell", "object"):  # small things are seldom met by chance
+        plan = TouchPlan(1, _TRIES, place, turn_rad=spec.turn_rad, shift=False, seed=spec.seed)
+        drawn = plan_round(plan, solid, "depth", object_id, number)
+        for position in drawn.positions_m:
+            target = np.eye(4)
+            target[:2, 3] = position
+            pressed = press(solid, drawn.object_poses[0], target, sensor)
+            if float(pressed.sensor_z_m) - sensor.press_m >= least_m:
+                return np.asarray(pressed.image)
+    raise InputError(
+        f"object {object_id} is nowhere {1e3 * least_m:.1f} mm high: no touch of it counts as contact",
+        next="lower --min-height-mm",
+    )
+
+
+def _draw(touches: Any, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
+    """Draw touches with and without contact, each once, and spread those without as in the other split."""
+    heights_m = touches.heights_m()
+    contact = heights_m >= spec.min_height_m
+    # A seed here, where `plan.generator` has a key: other numbers, which sets that were made so hold.
+    rng = np.random.Generator(np.random.Philox(key_of(spec.seed, "real")))
+    flags = [not spec.is_empty(number) for number in range(spec.count)]
+    wanted = {True: sum(flags), False: spec.count - sum(flags)}
+    found = {flag: np.flatnonzero(contact == flag) for flag in wanted}
+    if any(len(found[flag]) < count for flag, count in wanted.items()):
+        raise InputError(
+            f"{real!r} holds {len(found[True]):,} touches with contact and {len(found[False]):,} without, "
+            f"the highest {1e3 * heights_m.max(initial=0.0):.1f} mm above the plate; expected at least "
+            f"{wanted[True]:,} and {wanted[False]:,}; nothing was written",
+            next="a smaller --count, or another --without-contact or --min-height-mm",
+        )
+    pools = {
+        flag: iter(np.sort(rng.permutation(found[flag])[:count]).tolist()) for flag, count in wanted.items()
+    }
+    return [(next(pools[flag]), flag) for flag in flags]
+
+
+def make_pairs(
+    objects: str,
+    real: str,
+    split: str,
+    spec: PairsSpec,
+    out: str | os.PathLike[str],
+    *,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Make the training set of a CycleGAN: depth images of objects, and real touches, not paired.
+
+    Parameters
+    ----------
+    objects : str
+        Data set of digits or other meshes: a folder, a Parquet file, a repository of the Hub or a short name.
+    real : str
+        Data set of touches, as ``realtouch.load`` takes it; rendered ones do as well.
+    split : str
+        Split of both.
+    spec : PairsSpec
+        What to make of them.
+    out : str or path-like
+        Folder to write: splits ``depth`` and ``real``.
+    workers : int or Runner
+        Number of local processes, or a runner of another kind.
+    overwrite : bool
+        Start again in a folder that holds another data set of this toolkit.
+    on_progress : callable
+        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now.
+
+    Raises
+    ------
+    InputError
+        There are too few touches, or something else cannot be used; nothing is written.
+    IntegrityError, HubError
+        A source is damaged; or on the Hub, and cannot be fetched.
+    SpecMismatchError, StorageError
+        The folder holds a data set of another specification, or cannot be written: what was finished stays.
+    """
+    pairs, folder = PairsMaking.of(objects, real, split, spec), DataFolder(os.fspath(out))
+
+    def require() -> None:
+        for source in (objects, real):
+            refuse_source(folder, source, find_shards(place_of(source), split))
+
+    return making.generate(
+        pairs, out, workers=workers, overwrite=overwrite, on_progress=on_progress, require=require
+    )

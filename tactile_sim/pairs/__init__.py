@@ -1,1 +1,0 @@
-"""Training sets of learned rendering: depth images and real touches that do not belong together."""
