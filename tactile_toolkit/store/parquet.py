@@ -107,6 +107,7 @@ def _write(write: Callable[[bytes], object], schema: Any, groups: Iterable[Any],
         column_encoding=encodings or None,
         write_statistics=others,
         data_page_size=1 << 20,
+        # Pages cut by content would save uploads too little: benchmarks/shared_chunks.py.
         write_page_checksum=True,
         metadata_collector=footers,
     ) as writer:
