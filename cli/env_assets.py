@@ -14,6 +14,7 @@ from cli.export import add_export
 from cli.folders import add_verify, cache, show
 from cli.options import DryRun, Json, LocalOut, Overwrite, local_place
 from cli.output import Sink
+from cli.subsets import add_subsets
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit.checked_fields import switch, text
@@ -152,6 +153,7 @@ def list_environments(
 
 add_export(app, KIND)
 add_verify(app, KIND)
+add_subsets(app, KIND)
 command(app)(show)
 command(app)(cache)
 

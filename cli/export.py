@@ -185,7 +185,7 @@ def _export_flat(
             workers=process_count(job.workers),
             on_progress=lambda progress: update(progress.done, progress.total),
         )
-    print_converted(sink, manifest, out, kind.nouns)
+    print_converted(sink, manifest, out, nouns=kind.nouns)
     sink.line(f"the data set is in {out}")
 
 

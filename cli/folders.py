@@ -16,9 +16,10 @@ from cli.making import PrintMade, print_converted
 from cli.options import AnySet, Folder, Folders, Json, Limit, Split, Workers, local_place, process_count
 from cli.output import Sink, bytes_text, flat_lines
 from cli.pictures import add_mesh_gallery, gallery_of_touches
+from cli.subsets import add_subsets
 from tactile_toolkit.checked_fields import integer, real, switch
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.kind import DatasetKind, is_export
+from tactile_toolkit.kind import DatasetKind, is_copy, is_export
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -62,6 +63,7 @@ def add_shared(
     _add_card(app, kind)
     add_hub_commands(app, kind)
     _add_list(app, kind)
+    add_subsets(app, kind)
     command(app)(cache)
     if geometry is not None:
         add_mesh_gallery(app, kind)
@@ -90,8 +92,8 @@ def _add_info(app: typer.Typer, kind: DatasetKind, print_folder: PrintMade) -> N
             return
         manifest = manifest or require_manifest(kind, place)
         kind.refuse_other(manifest, folder)
-        if is_export(manifest):
-            print_converted(sink, manifest, folder, kind.nouns)
+        if is_copy(manifest):
+            print_converted(sink, manifest, folder, nouns=kind.nouns)
             return
         print_folder(sink, manifest, folder, None)
         sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
@@ -214,7 +216,10 @@ def _cure(kind: DatasetKind, place: DataFolder, manifest: Manifest | None, findi
     # Runs trust sizes, and exports of tables have no option to read what is there.
     if is_export(manifest):
         return f"remove those files, then run the same `{kind.command} export` again"
-    return f"run the same `{kind.made_by}` again with --check, it makes the damaged shards again"
+    made_by = kind.made_by
+    if manifest is not None and is_copy(manifest):
+        made_by = f"{kind.command} {manifest.spec['operation']}"
+    return f"run the same `{made_by}` again with --check, it makes the damaged shards again"
 
 
 def _validate(

@@ -184,7 +184,9 @@ def _shards_planned(manifest: Manifest) -> dict[str, int]:
     return {split: manifest.shards_of(split)[0].shard.count for split in manifest.splits}
 
 
-def print_converted(sink: Sink, manifest: Manifest, out: str, nouns: str) -> None:
+def print_converted(
+    sink: Sink, manifest: Manifest, out: str, _elapsed_s: float | None = None, *, nouns: str
+) -> None:
     """Print what a conversion wrote."""
     table = manifest.split_table()
     sink.document({"folder": out, "splits": table, "spec": manifest.spec})

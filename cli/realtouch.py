@@ -74,8 +74,8 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
         sink.document({"name": name, "complete": False, "splits": manifest.split_table()})
         print_unfinished(sink, manifest, name, KIND.nouns, f"realtouch {manifest.spec.get('operation')}")
         return
-    if manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
-        print_converted(sink, manifest, name, KIND.nouns)
+    if manifest is not None and manifest.spec.get("operation") in ("frames", "export", "merge", "split"):
+        print_converted(sink, manifest, name, nouns=KIND.nouns)
         return
     announce_fetching(sink, name, split)
     source = Source.open(name, revision, split)

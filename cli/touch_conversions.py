@@ -232,7 +232,7 @@ def _add(
         arguments = options.arguments()
         announce_fetching(sink, source, converting.split)
         make = partial(function, source, place, **arguments, split=converting.split, limit=converting.limit)
-        print_made = partial(_print_made, nouns=nouns)
+        print_made = partial(print_converted, nouns=nouns)
         make_with_progress(sink, "converting", nouns, make, converting, place, print_made, KIND.nouns)
 
     convert.__doc__ = spec.__doc__
@@ -244,10 +244,6 @@ def _required(out: str | None) -> str:
     if out is None:
         raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
     return out
-
-
-def _print_made(sink: Sink, manifest: Manifest, out: str, _elapsed_s: float | None, nouns: str) -> None:
-    print_converted(sink, manifest, out, nouns)
 
 
 def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
@@ -317,4 +313,4 @@ def _print_imported(sink: Sink, manifest: Manifest, out: str, _elapsed_s: float 
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, and of how many touches: {counts}")
-    print_converted(sink, manifest, out, "touches")
+    print_converted(sink, manifest, out, nouns="touches")

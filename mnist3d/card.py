@@ -16,7 +16,7 @@ from tactile_toolkit.cards.card import Card, between, bibtex, first_rows, markdo
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.table_card import Terms, write_table_card
 from tactile_toolkit.catalog.choose import short_name
-from tactile_toolkit.kind import is_export
+from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
@@ -111,11 +111,11 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     Raises IntegrityError when a shard or the printability report is missing or damaged.
     """
     # From the manifest, never from defaults: the card may be written again by a later version.
-    spec = manifest.spec["source_spec"] if is_export(manifest) else manifest.spec
+    spec = manifest.spec["source_spec"] if is_copy(manifest) else manifest.spec
     words = _OF_COPIES if spec is None else words_of(str(spec["source"]["name"]))
     # Those of a folder of pictures are not the digits of MNIST 3D.
     is_own = words.name == FolderSource.name
-    if is_export(manifest):
+    if is_copy(manifest):
         title = "3D digits" if is_own else "MNIST 3D"
         write_table_card(folder, manifest, KIND, title, COLUMNS, words.terms())
         return

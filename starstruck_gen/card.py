@@ -18,7 +18,7 @@ from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.cards.card import Card, between, bibtex, first_rows, markdown_table
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.table_card import Terms, write_table_card
-from tactile_toolkit.kind import is_export
+from tactile_toolkit.kind import is_copy
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.printable import markdown_text
@@ -79,7 +79,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
 
     Raises IntegrityError when a shard is missing or damaged.
     """
-    if is_export(manifest):
+    if is_copy(manifest):
         is_ours = manifest.spec["source_spec"] is not None
         text = "MIT, as the toolkit." if is_ours else "The terms of the data set that these rows come from."
         licence = "mit" if is_ours else "other"

@@ -15,8 +15,8 @@ from typing import Any
 
 from tactile_toolkit.errors import InputError
 
-EXPORT = "export"
-"""The operation, in a manifest, that made a copy of a data set for other libraries."""
+EXPORT, MERGE, SPLIT = "export", "merge", "split"
+"""Operations, in a manifest, that made a copy: for other libraries, of several data sets, of some rows."""
 
 _PAPER = "Schneider et al., Tactile MNIST: Benchmarking Active Tactile Perception, 2025"
 _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
@@ -25,6 +25,11 @@ _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
 def is_export(manifest: Any) -> bool:
     """Return whether a manifest is that of a copy for other libraries, with columns of their own."""
     return manifest is not None and manifest.spec.get("operation") == EXPORT
+
+
+def is_copy(manifest: Any) -> bool:
+    """Return whether a manifest is that of a copy: it states what that was made of, not how rows are made."""
+    return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT)
 
 
 def lazy(path: str) -> Callable[..., Any]:

@@ -57,13 +57,13 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     from tactile_toolkit.cards.card import Card, bibtex
     from tactile_toolkit.cards.facts import folder_facts
     from tactile_toolkit.cards.table_card import Terms, write_table_card
-    from tactile_toolkit.kind import is_export
+    from tactile_toolkit.kind import is_copy
     from tactile_toolkit.pictures.render import relief
     from tactile_toolkit.pictures.writing import png_bytes
     from tactile_toolkit.rows import meanings
 
     columns, title = meanings(WrenchRow), "Open-end wrench"
-    if is_export(manifest):
+    if is_copy(manifest):
         text = "The task: Schneider et al. 2025."
         terms = Terms("mit", "MIT, as the toolkit.", text, bibtex("tactile_mnist"))
         write_table_card(folder, manifest, KIND, title, columns, terms)

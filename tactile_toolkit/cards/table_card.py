@@ -1,4 +1,4 @@
-"""The card of tables that were made of a data set of meshes for other libraries."""
+"""The card of copies of data sets of meshes: tables for other libraries, several sets as one, some rows."""
 
 from __future__ import annotations
 
@@ -6,11 +6,14 @@ import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import islice
+from typing import Any
+
+import numpy as np
 
 from tactile_toolkit.cards.card import Card, Column, first_rows
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
-from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.columns import MESH, SIZES
+from tactile_toolkit.kind import DatasetKind, is_export
+from tactile_toolkit.mesh.columns import FACES, MESH, SIZES, VERTICES
 from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
@@ -52,35 +55,47 @@ def write_table_card(
     columns: Mapping[str, Column],
     terms: Terms,
 ) -> None:
-    """Write ``README.md``, its picture and ``croissant.json`` of tables; IntegrityError for a damaged one.
+    """Write ``README.md``, its picture and ``croissant.json`` of a copy; IntegrityError for a damaged one.
 
-    ``columns`` are those of the data set that they were made of, ``title`` is its name.
+    ``columns`` are those of the data set that it was made of, ``title`` is its name.
     """
     facts, source = folder_facts(folder, manifest), manifest.spec["source"]
+    command, template, name = manifest.spec["operation"], "mesh_copy.md", "objects.png"
+    further: Mapping[str, Column] = {}
+    if is_export(manifest):
+        command, template, name, further = "export --format flat", "mesh_tables.md", "tables.png", _COLUMNS
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in source.items())
     Card(
-        template="mesh_tables.md",
-        title=f"{title} as tables",
-        columns={**columns, **_COLUMNS},
-        picture=("tables.png", _sheet(facts), f"The first {kind.nouns}, seen from above"),
+        template=template,
+        title=f"{title} as tables" if further else title,
+        columns={**columns, **further},
+        picture=(
+            name,
+            _sheet(facts, is_glb=bool(further)),
+            f"The first {kind.nouns}, seen from above",
+        ),
         licence=terms.licence,
         tags=["tactile", "active-perception", "3d", "mesh"],
         made=[
-            ("command", f"`{kind.command} export --format flat`"),
+            ("command", f"`{kind.command} {command}`"),
             ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
         ],
         spec=manifest.spec["options"],
-        values=terms.values(),
+        values={**terms.values(), "package": kind.package},
     ).write(folder, facts, manifest, kind)
 
 
-def _sheet(facts: FolderFacts) -> bytes | None:
+def _sheet(facts: FolderFacts, *, is_glb: bool) -> bytes | None:
     """Draw the first objects as PNG; None without rows."""
     import trimesh
 
     tiles = []
-    for row in islice(first_rows(facts, [f"{MESH}.bytes"]), _SHOWN):
-        mesh = trimesh.load_mesh(io.BytesIO(row.value(f"{MESH}.bytes")), file_type="glb")
-        pitch_m = max(float(mesh.extents[:2].max()) / _TILE_PX, 1e-6)
-        tiles.append(Tile(relief(mesh.vertices, mesh.faces, pitch_m)))
+    for row in islice(first_rows(facts, [f"{MESH}.bytes"] if is_glb else [VERTICES, FACES]), _SHOWN):
+        if is_glb:
+            mesh: Any = trimesh.load_mesh(io.BytesIO(row.value(f"{MESH}.bytes")), file_type="glb")
+            vertices_m, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        else:
+            vertices_m, faces = row.array(VERTICES), row.array(FACES)
+        pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)
+        tiles.append(Tile(relief(vertices_m, faces, pitch_m)))
     return png_bytes(sheet(tiles, Sheet(5, margin_px=8))) if tiles else None

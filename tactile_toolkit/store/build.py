@@ -11,6 +11,7 @@ the same is asked for again: a task whose record is true is done.
 from __future__ import annotations
 
 import contextlib
+import io
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
@@ -27,6 +28,7 @@ from tactile_toolkit.store.parquet import (
     REPORT_STYLE,
     ParquetStyle,
     encode_parquet,
+    open_checked,
     sha256_hex,
     unpacked_bytes,
     write_parquet,
@@ -87,7 +89,10 @@ class _WriteShard:
         folder, shard = self.job.folder, task.shard
         content = task.make()
         table = content.table
-        data, footer = write_parquet(table, self.style)
+        if content.encoded is None:
+            data, footer = write_parquet(table, self.style)
+        else:
+            data, footer = content.encoded, open_checked(io.BytesIO(content.encoded)).metadata
         report = None if content.report is None else encode_parquet(content.report, REPORT_STYLE)
         record = ShardRecord(
             shard,

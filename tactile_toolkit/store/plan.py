@@ -21,7 +21,7 @@ class ShardContent:
 
     ``skipped`` are items that gave no row; ``report`` rows are merged over all shards into the plan's
     ``report_file``; ``statistics`` are JSON values that add up over shards, for the manifest. ``files`` lie
-    next to the rows, by path.
+    next to the rows, by path. ``encoded`` are the bytes of a shard that is copied as it is.
     """
 
     table: Any
@@ -29,6 +29,7 @@ class ShardContent:
     report: Any = None
     statistics: Mapping[str, Any] | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
+    encoded: bytes | None = None
 
 
 class ShardTask(Protocol):

@@ -1,0 +1,123 @@
+"""``merge`` and ``split``: every row comes back once and unchanged, in data sets of the same kind."""
+
+from __future__ import annotations
+
+import json
+from importlib import import_module
+from pathlib import Path
+
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tests.command_line import call
+from tests.processes import start_held
+from tests.realtouch import factories
+
+ALONE = ("--workers", 1, "-q")
+
+
+def _made(kind: str, folder: Path) -> Path:
+    if kind == "realtouch":
+        rounds = [factories.make_round(index, 3, (32, 24), (4, 5)) for index in range(6)]
+        return factories.write_set(folder, {"train": factories.single_rows(rounds)}, "single")
+    words = {
+        "mnist3d": ("generate", "--split", "test", "--per-class", 1, "--vertices", 300, *ALONE),
+        "starstruck": ("generate", "--scenes", "train=8,test=4", *ALONE),
+    }[kind]
+    assert call(kind, *words, "--out", folder) == 0
+    return folder
+
+
+def _rows(*folders: Path) -> dict[str, list[dict[str, object]]]:
+    """Return the rows of data sets by split, in order of their ids."""
+    rows: dict[str, list[dict[str, object]]] = {}
+    for folder in folders:
+        for file in sorted((folder / "data").glob("*.parquet")):
+            rows.setdefault(file.name.split("-")[0], []).extend(pq.read_table(file).to_pylist())
+    return {split: sorted(each, key=lambda row: row["id"]) for split, each in rows.items()}
+
+
+@pytest.mark.parametrize("kind", ["mnist3d", "starstruck", "realtouch"])
+def test_parts_are_data_sets_and_together_what_was_divided(kind, tmp_path, capsys):
+    folder = _made(kind, tmp_path / "all")
+    parts = tmp_path / "parts"
+    assert call(kind, "split", folder, "--fractions", "0.75,0.25", "--out", parts, *ALONE) == 0
+    one, two = parts / "part-1", parts / "part-2"
+    back = tmp_path / "back"
+    assert call(kind, "merge", two, one, "--out", back, *ALONE) == 0
+    for made in (one, two, back):
+        assert call(kind, "verify", made, "-q") == 0
+        assert call(kind, "card", made, "-q") == 0
+        assert call(kind, "info", made) == 0
+    assert _rows(one, two) == _rows(back) == _rows(folder)
+    assert {len(each) for each in _rows(two).values()} <= {1, 2, 3}
+    package = {"starstruck": "starstruck_gen"}.get(kind, kind)
+    split = next(iter(_rows(back)))
+    assert len(import_module(package).load(str(back), split)) == len(_rows(back)[split])
+    # Copied, not written again; and the same parts from the same seed.
+    for file in (one / "data").iterdir():
+        assert any(copy.read_bytes() == file.read_bytes() for copy in (back / "data").iterdir())
+    assert call(kind, "split", folder, "--fractions", "0.75,0.25", "--out", tmp_path / "again", *ALONE) == 0
+    for file in one.rglob("*.parquet"):
+        assert (tmp_path / "again" / file.relative_to(parts)).read_bytes() == file.read_bytes()
+    capsys.readouterr()
+    assert call(kind, "merge", one, folder, "--out", tmp_path / "twice", *ALONE) == 2
+    assert " stands twice in " in capsys.readouterr().err
+    assert not (tmp_path / "twice").exists()
+
+
+def test_objects_are_taken_out_by_id(tmp_path, capsys):
+    folder = _made("mnist3d", tmp_path / "all")
+    ids = [row["id"] for row in _rows(folder)["test"]]
+    words = ("split", folder, "--ids", f"{ids[0]},{ids[3]}", "--out", tmp_path / "parts", *ALONE)
+    assert call("mnist3d", *words) == 0
+    assert [row["id"] for row in _rows(tmp_path / "parts/part-1")["test"]] == [ids[0], ids[3]]
+    assert len(_rows(tmp_path / "parts/part-2")["test"]) == len(ids) - 2
+    assert call("mnist3d", "split", folder, "--out", tmp_path / "none", *ALONE) == 2
+    assert "expected either --fractions" in capsys.readouterr().err
+    for wrong in ("0.8,0.3", "0", "a", "nan"):
+        assert call("mnist3d", "split", folder, "--fractions", wrong, "--out", tmp_path / "none") == 2
+        assert f"--fractions is '{wrong}'" in capsys.readouterr().err
+    assert call("starstruck", "merge", folder, "--out", tmp_path / "none", *ALONE) == 2
+    assert "holds a data set of kind 'mnist3d'" in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
+def test_terms_of_imported_touches_are_kept(tmp_path):
+    folder = _made("realtouch", tmp_path / "all")
+    assert (
+        call("realtouch", "frames", folder, "--format", "jpeg", "--out", tmp_path / "pictures", *ALONE) == 0
+    )
+    words = ("import", tmp_path / "pictures", "--format", "folder", "--out", tmp_path / "imported", *ALONE)
+    assert call("realtouch", *words) == 0
+    words = ("split", tmp_path / "imported", "--fractions", "0.5", "--out", tmp_path / "parts", *ALONE)
+    assert call("realtouch", *words) == 0
+    manifest = json.loads((tmp_path / "parts/part-1/manifest.json").read_text())
+    assert manifest["spec"]["options"]["touches"] == "imported"
+    assert len(realtouch.load(tmp_path / "parts/part-1", "train")) == 3
+    assert (
+        call("realtouch", "split", tmp_path / "pictures", "--fractions", "0.5", "--out", tmp_path / "n") == 2
+    )
+
+
+def test_a_killed_merge_continues_and_damage_is_not_copied(tmp_path, capsys):
+    folder = _made("mnist3d", tmp_path / "all")
+    assert call("mnist3d", "split", folder, "--fractions", "0.5,0.5", "--out", tmp_path, *ALONE) == 0
+    one, two, out = tmp_path / "part-1", tmp_path / "part-2", tmp_path / "out"
+    process = start_held("mnist3d", 1, tmp_path / "marker", "merge", one, two, "--out", out, "--workers", 1)
+    process.kill()
+    process.communicate()
+    assert call("mnist3d", "merge", one, two, "--out", out, "--workers", 1) == 0
+    assert "made 5 digits in " in capsys.readouterr().out
+    assert call("mnist3d", "verify", out, "-q") == 0
+    manifest = read_manifest(DataFolder(str(one)))
+    assert manifest is not None
+    file = one / manifest.shards[0].shard.data_path
+    content = bytearray(file.read_bytes())
+    content[len(content) // 3] ^= 1
+    file.write_bytes(content)
+    assert call("mnist3d", "merge", one, two, "--out", tmp_path / "bad", *ALONE) == 3
+    assert file.name in capsys.readouterr().err
