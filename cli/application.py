@@ -19,7 +19,7 @@ from typer.core import TyperCommand
 
 from tactile_toolkit.checked_fields import Rule, check_value, metavar_of, rule_of
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
-from tactile_toolkit.printable import printable
+from tactile_toolkit.wording import printable
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
@@ -65,7 +65,7 @@ class OptionsOf:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from tactile_toolkit.versions import toolkit_version
+        from tactile_toolkit import toolkit_version
 
         sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
         raise typer.Exit

@@ -12,9 +12,9 @@ import typer
 from cli.application import OptionsOf, command, new_app, run
 from cli.export import add_export
 from cli.folders import add_verify, cache, show
+from cli.making import add_subsets
 from cli.options import DryRun, Json, LocalOut, Overwrite, local_place
 from cli.output import Sink
-from cli.subsets import add_subsets
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit.checked_fields import switch, text

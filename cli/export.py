@@ -20,8 +20,7 @@ from tactile_toolkit.printing.spec import MODELS, Physics, PlateSpec
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
-    from tactile_toolkit.printing.checked import Failure
-    from tactile_toolkit.printing.objects import PrintObject
+    from tactile_toolkit.printing.objects import Failure, PrintObject
 
 
 _ROWS_SHOWN = 20

@@ -11,20 +11,18 @@ import typer
 
 from cli.application import EXIT_FAILED, command
 from cli.export import add_export
-from cli.hub_commands import add_hub_commands, print_sets
-from cli.making import PrintMade, print_converted
+from cli.hub_commands import add_download, add_upload, print_sets
+from cli.making import PrintMade, add_subsets, print_converted
 from cli.options import AnySet, Folder, Folders, Json, Limit, Split, Workers, local_place, process_count
 from cli.output import Sink, bytes_text, flat_lines
 from cli.pictures import add_mesh_gallery, gallery_of_touches
-from cli.subsets import add_subsets
 from tactile_toolkit.checked_fields import integer, real, switch
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.kind import DatasetKind, is_copy, is_export
+from tactile_toolkit.kind import DatasetKind, is_copy
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import Manifest
 
 
 _SHOWN = 6
@@ -61,7 +59,8 @@ def add_shared(
     command(app)(show)
     command(app, "preview")(preview)
     _add_card(app, kind)
-    add_hub_commands(app, kind)
+    add_upload(app, kind)
+    add_download(app, kind)
     _add_list(app, kind)
     add_subsets(app, kind)
     command(app)(cache)
@@ -183,6 +182,7 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
     from tactile_toolkit.cards.checks import check_card
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import read_manifest
+    from tactile_toolkit.store.origin import read_record
     from tactile_toolkit.store.verify import verify
 
     place = DataFolder(folder)
@@ -200,26 +200,14 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
     sink.document(document)
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
-    cure = _cure(kind, place, manifest, result.findings)
-    raise IntegrityError(f"{counted(len(findings), 'problems')} in {folder!r}", next=cure)
-
-
-def _cure(kind: DatasetKind, place: DataFolder, manifest: Manifest | None, findings: Sequence[Any]) -> str:
-    from tactile_toolkit.store.origin import read_record
-
-    # Unknown files, links and cards: what no run would mend states itself what to do.
-    if all("; next: " in finding.problem for finding in findings):
-        return "follow the next step of each"
     record = read_record(place)
+    again = "make it again; with --check, the command that made it makes damaged shards again"
     if record is not None:
-        return f"download {record.repo_id} there again, only what is damaged is fetched"
-    # Runs trust sizes, and exports of tables have no option to read what is there.
-    if is_export(manifest):
-        return f"remove those files, then run the same `{kind.command} export` again"
-    made_by = kind.made_by
-    if manifest is not None and is_copy(manifest):
-        made_by = f"{kind.command} {manifest.spec['operation']}"
-    return f"run the same `{made_by}` again with --check, it makes the damaged shards again"
+        again = f"download {record.repo_id} there again, only what is damaged is fetched"
+    # Unknown files, links and cards: what no run would mend states itself what to do.
+    if all("; next: " in finding.problem for finding in result.findings):
+        again = "follow the next step of each"
+    raise IntegrityError(f"{counted(len(findings), 'problems')} in {folder!r}", next=again)
 
 
 def _validate(

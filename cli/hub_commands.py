@@ -51,8 +51,8 @@ class Sending:
     viewer: bool = switch(False, help="Send each mesh as a file that the Hub shows in 3D, too.")
 
 
-def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add ``upload`` and ``download`` to the command line of a kind of data set."""
+def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
+    """Add ``upload`` to the command line of a kind of data set."""
 
     @command(app)
     def upload(
@@ -95,6 +95,10 @@ def add_hub_commands(app: typer.Typer, kind: DatasetKind) -> None:
                 raise typer.Exit(EXIT_FAILED)
             result = run_upload(prepared)
         _print_result(sink, kind, prepared, result)
+
+
+def add_download(app: typer.Typer, kind: DatasetKind) -> None:
+    """Add ``download`` to the command line of a kind of data set."""
 
     @command(app)
     def download(

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any
 
-from cli.options import Making, Work, process_count
+import typer
+
+from cli.application import command
+from cli.options import AnySet, Chosen, Making, Out, Work, process_count
 from cli.output import Sink, bytes_text, duration_text
+from tactile_toolkit.checked_fields import integer, text
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import counted, listed
 
 if TYPE_CHECKING:
     from tactile_toolkit.store.build import Progress
@@ -43,7 +49,7 @@ def generate_set(
     table = manifest.split_table()
     # One that has rows, so that the line works when it is tried.
     split = next((name for name in splits or table if name in table and table[name]["rows"]), None)
-    call = f"{kind.package}.load({out!r}, split={split or next(iter(splits or table))!r})"
+    call = kind.loading_lines(manifest, out, split or next(iter(splits or table)))[1]
     sink.line(f"next: {kind.command} verify {out}   or in Python: {call}")
 
 
@@ -207,3 +213,69 @@ def least_to_most(counts: Sequence[int]) -> str:
     """Write how many rows classes have: ``"10"`` where all have as many, else ``"8-10"``."""
     least, most = min(counts), max(counts)
     return str(most) if least == most else f"{least}-{most}"
+
+
+def _fractions(words: str) -> tuple[float, ...]:
+    try:
+        shares = tuple(map(float, listed(words)))
+    except ValueError:
+        shares = ()
+    if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:
+        raise InputError(
+            f"--fractions is {words!r}; expected shares that add up to 1 or less, such as 0.8,0.2"
+        )
+    return shares
+
+
+def add_subsets(app: typer.Typer, kind: DatasetKind) -> None:
+    """Add the commands for a kind of data set to its command line."""
+    print_made = partial(print_converted, nouns=kind.nouns)
+
+    @command(app)
+    def merge(
+        *,
+        names: Annotated[list[str], typer.Argument(metavar="DIR...", help="Data sets of one kind.")],
+        out: Out = "merged",
+        work: Work,
+        sink: Sink,
+    ) -> None:
+        """Make one data set of several whose ids differ; shards are copied as they are.
+
+        Example: merge DIR OTHER --out both
+        """
+        from tactile_toolkit.exchange.subsets import merge_sets
+
+        make = partial(merge_sets, kind, names, out)
+        make_with_progress(sink, "copying", kind.nouns, make, work, out, print_made)
+
+    @command(app)
+    def split(
+        *,
+        name: AnySet,
+        out: Out = "parts",
+        fractions: tuple[float, ...] = text(
+            (), metavar="0.8,0.2", read=_fractions, help="Shares of the rows of each split, for a part each."
+        ),
+        seed: int = integer(0, help="Seed by which rows are drawn for --fractions."),
+        chosen: Chosen,
+        work: Work,
+        sink: Sink,
+    ) -> None:
+        """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
+
+        At random by --fractions, or into the objects that --ids, --labels and the like choose and all others.
+
+        Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
+        """
+        from tactile_toolkit.exchange.subsets import divide, write_part
+
+        given = {each: value for each, value in chosen.given().items() if value is not None}
+        if bool(given) == bool(fractions):
+            raise InputError(
+                "expected either --fractions, or --ids and the like", next="add --fractions 0.8,0.2"
+            )
+        options = {"fractions": fractions, "seed": seed} if fractions else given
+        for number, rows in enumerate(divide(kind, name, fractions, seed, given), 1):
+            place = f"{out.rstrip('/')}/part-{number}"
+            make = partial(write_part, kind, name, rows, {**options, "part": number}, place)
+            make_with_progress(sink, "copying", kind.nouns, make, work, place, print_made)

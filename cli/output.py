@@ -13,7 +13,7 @@ from itertools import zip_longest
 from typing import Any
 
 from cli.options import Json, Quiet
-from tactile_toolkit.printable import printable, printable_json
+from tactile_toolkit.wording import printable, printable_json
 
 BYTES = "bytes"
 """A unit of progress: counts are sizes."""

@@ -12,7 +12,7 @@ import typer
 
 from cli.application import OptionsOf, command, new_app, run
 from cli.folders import add_shared
-from cli.making import generate_set, make_with_progress, print_made
+from cli.making import generate_set, print_made
 from cli.options import Chosen, LocalOut, Making, Out, local_place
 from cli.output import Sink, bytes_text
 from cli.pictures import preview_touches
@@ -184,26 +184,22 @@ def pairs(
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
     from tactile_sim.pairs import PairsMaking, make_pairs
-    from tactile_toolkit.making import plan_build
+    from tactile_toolkit.making import forecast
     from tactile_toolkit.run.limits import prepare_batch_process
-    from tactile_toolkit.store.build import look_for
-    from tactile_toolkit.store.folder import DataFolder
 
-    if making.dry_run:
-        tasks, state = look_for(
-            DataFolder(out),
-            plan_build(PairsMaking.of(objects, real, split, spec)),
-            making.chosen_runner(),
-            overwrite=making.overwrite,
-        )
-        to_make = sum(task.size for task in state.todo)
-        sink.document({"rows": to_make, "shards": len(tasks)})
-        sink.line(f"would make {counted(to_make, 'rows')} in {out}; nothing was written")
-        return
+    sources = (objects, real, split, spec)
     prepare_batch_process()
-    make = partial(make_pairs, objects, real, split, spec, out)
-    if make_with_progress(sink, "pressing and scaling", "pictures", make, making, out, _print_pairs):
-        sink.line(f"next: tactile-sim train {out} --out weights")
+    generate_set(
+        sink,
+        KIND,
+        making,
+        out,
+        None,
+        what="pressing and scaling",
+        forecast=lambda *work, **how: forecast(PairsMaking.of(*sources), out, None, *work, **how),
+        make=partial(make_pairs, *sources, out),
+        print_made=_print_pairs,
+    )
 
 
 def _print_pairs(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
@@ -211,6 +207,8 @@ def _print_pairs(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | No
     table = manifest.split_table()
     rows = [(name, held["rows"], held["skipped"], bytes_text(held["bytes"])) for name, held in table.items()]
     print_made(sink, KIND, manifest, out, table, elapsed_s, (header, rows))
+    if manifest.complete and elapsed_s is not None:
+        sink.line(f"next: tactile-sim train {out} --out weights")
 
 
 @command(app)

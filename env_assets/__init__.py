@@ -6,6 +6,6 @@ turns a mesh into a height map and ``env_assets.write_wrench`` makes the wrench.
 use, so that ``import env_assets`` costs nothing.
 """
 
-from tactile_toolkit.lazy_names import on_first_use
+from tactile_toolkit import on_first_use
 
 __getattr__, __dir__, __all__ = on_first_use(__name__, __file__)

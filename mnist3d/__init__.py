@@ -5,6 +5,6 @@ mesh and ``mnist3d.inspect`` states whether a mesh prints. Names are imported on
 ``import mnist3d`` costs nothing.
 """
 
-from tactile_toolkit.lazy_names import on_first_use
+from tactile_toolkit import on_first_use
 
 __getattr__, __dir__, __all__ = on_first_use(__name__, __file__)

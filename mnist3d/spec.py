@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_count, is_whole, plain_pairs
+from tactile_toolkit.wording import is_count, is_integer, plain_pairs
 
 PROFILES = ("round", "linear", "flat")
 EROSIONS = ("outline", "disc")
@@ -223,7 +223,7 @@ class SplitSpec:
                 raise InputError(
                     f"unknown split {split!r} in the split sizes; expected one of {', '.join(SPLITS)}"
                 )
-            if not is_whole(size) or size < 0:
+            if not is_integer(size) or size < 0:
                 raise InputError(
                     f"the size of split {split!r} is {size!r}; expected 0 or more digits per class"
                 )

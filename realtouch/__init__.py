@@ -5,6 +5,6 @@ of single touches with its filters. ``to_single``, ``resize``, ``select`` and ``
 are imported on first use, so that ``import realtouch`` costs nothing.
 """
 
-from tactile_toolkit.lazy_names import on_first_use
+from tactile_toolkit import on_first_use
 
 __getattr__, __dir__, __all__ = on_first_use(__name__, __file__)

@@ -32,7 +32,6 @@ from tactile_toolkit.cards.card import (
 from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, folder_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.pictures.writing import png_bytes
-from tactile_toolkit.printable import markdown_text
 from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
@@ -41,6 +40,7 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import ContactHeight, missed_text
 from tactile_toolkit.touch.jpeg import Pixels, decode_image
 from tactile_toolkit.touch.schema import Kind, is_rendered, kind_of
+from tactile_toolkit.wording import markdown_text
 
 Origin = Literal["real", "synthetic", "imported"]
 """Where touches are from; manifests of conversions state it as the option ``touches``."""

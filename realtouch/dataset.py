@@ -21,6 +21,7 @@ from realtouch.images import SensorImages
 from realtouch.integrity import check_round, readable_rows, stated_class_names, stored_touch_counts
 from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
+from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
 from tactile_toolkit.read.order import StoredParts
@@ -37,7 +38,7 @@ from tactile_toolkit.touch.schema import (
     is_per_touch,
     kind_of,
 )
-from tactile_toolkit.wording import counted, is_whole, plain_number, whole_number
+from tactile_toolkit.wording import counted, is_integer, plain_number
 
 _INDEX = "touch_index"
 _POSITION = ("x_m", "y_m")
@@ -470,7 +471,7 @@ class Touches(LazySequence[Touch], Generic[R]):
             Something else than integers is given.
         """
         numbers = list(map(plain_number, flattened(wanted)))
-        if not is_whole(*numbers):
+        if not is_integer(*numbers):
             raise InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
@@ -622,7 +623,11 @@ def with_no_contact(
 
     Raises InputError for a fraction, a seed or a mask that is none.
     """
-    wanted, number, mask = plain_number(fraction, float), whole_number(seed, "the seed"), np.asarray(contact)
+    wanted, number, mask = (
+        plain_number(fraction, float),
+        checked_integer(seed, "the seed"),
+        np.asarray(contact),
+    )
     if not isinstance(wanted, float) or not 0 <= wanted < 1:
         raise InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
     if mask.dtype != bool or mask.shape != (len(touches),):

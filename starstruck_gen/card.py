@@ -21,11 +21,10 @@ from tactile_toolkit.cards.table_card import Terms, write_table_card
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
-from tactile_toolkit.printable import markdown_text
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import counted, markdown_text
 
 
 @dataclass(frozen=True, slots=True)

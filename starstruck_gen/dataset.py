@@ -24,7 +24,7 @@ from tactile_toolkit.read.columns import RaggedColumn, RowGroup, column_names
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.wording import counted, is_whole, plain_number
+from tactile_toolkit.wording import counted, is_integer, plain_number
 
 
 class SceneRecord(SolidRecord):
@@ -327,7 +327,7 @@ class SceneDataset(SceneMeshDataset):
         size, seed = plain_number(size), plain_number(seed)
         if split not in SPLITS:
             raise InputError(f"unknown split {split!r}; expected one of {', '.join(SPLITS)}")
-        if not (is_whole(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
+        if not (is_integer(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
             found = f"size is {size!r} and seed is {seed!r}"
             raise InputError(f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0")
         super().__init__([SceneTable(spec, split, size, seed)], label_names=spec.class_names)

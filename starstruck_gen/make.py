@@ -37,7 +37,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.forecast import Forecast
 from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import Manifest, without_collecting
-from tactile_toolkit.wording import is_whole, plain_pairs
+from tactile_toolkit.wording import is_integer, plain_pairs
 
 
 def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
@@ -156,7 +156,7 @@ class GenerateSpec:
         check_fields(self, "the data set's specification")
         object.__setattr__(self, "scenes", plain_pairs(self.scenes))
         pairs = isinstance(self.scenes, tuple) and all(
-            isinstance(entry, tuple) and len(entry) == 2 and is_whole(entry[1]) for entry in self.scenes
+            isinstance(entry, tuple) and len(entry) == 2 and is_integer(entry[1]) for entry in self.scenes
         )
         if not pairs:
             raise InputError(

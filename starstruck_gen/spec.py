@@ -12,7 +12,7 @@ from typing import Any
 from starstruck_gen.shapes import STAR, Shape
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_whole, plain
+from tactile_toolkit.wording import is_integer, plain
 
 COLLISION_RULES = ("circles", "exact")
 """``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
@@ -90,9 +90,9 @@ class SceneSpec:
             value = plain(getattr(self, name), kind)
             object.__setattr__(self, name, value if isinstance(value, tuple) else (value,))
         stars, shapes, heights = self.stars, self.distractor_shapes, self.heights_m
-        fits = bool(stars) and is_whole(*stars) and stars[0] >= 0 and all(a < b for a, b in pairwise(stars))
+        fits = bool(stars) and is_integer(*stars) and stars[0] >= 0 and all(a < b for a, b in pairwise(stars))
         self._require("stars", fits, "integers from 0, each larger than the one before")
-        fits = len(self.distractors) == 2 and is_whole(*self.distractors)
+        fits = len(self.distractors) == 2 and is_integer(*self.distractors)
         fits = fits and 0 <= self.distractors[0] <= self.distractors[1]
         self._require("distractors", fits, "the least and the most, integers from 0")
         fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MOST_OBJECTS

@@ -6,7 +6,7 @@ Importing the module registers them with gymnasium: ``gymnasium.make``, ``gymnas
 """
 
 from tactile_envs.registration import register
-from tactile_toolkit.lazy_names import on_first_use
+from tactile_toolkit import on_first_use
 
 __getattr__, __dir__, __all__ = on_first_use(__name__, __file__)
 

@@ -14,7 +14,7 @@ from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
-from tactile_toolkit.wording import is_whole, plain
+from tactile_toolkit.wording import is_integer, plain
 
 CELL_M = (0.12, 0.12)
 """Width and depth of the plate that objects lie on, metres (`tactile-mnist` 0.13.0, ``CELL_SIZE``)."""
@@ -58,7 +58,7 @@ class Sensor:
 
     def __post_init__(self) -> None:
         size = plain(self.size_px)
-        if not (isinstance(size, tuple) and len(size) == 2 and is_whole(*size) and min(size) >= 1):
+        if not (isinstance(size, tuple) and len(size) == 2 and is_integer(*size) and min(size) >= 1):
             raise InputError(
                 f"size of the image is {self.size_px!r}; expected width and height in whole pixels"
             )

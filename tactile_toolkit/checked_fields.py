@@ -13,7 +13,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Any, TypedDict, Unpack
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_whole, plain
+from tactile_toolkit.wording import is_integer, plain, plain_number
 
 _RULE = "rule"
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
@@ -58,7 +58,7 @@ def integer(
     def fits(value: Any) -> bool:
         if value is None:
             return optional
-        return is_whole(value) and least <= value and (most is None or value <= most)
+        return is_integer(value) and least <= value and (most is None or value <= most)
 
     span = f"of at least {least:,}" if most is None else f"from {least:,} to {most:,}"
     return _field(default, Rule(int, fits, f"an integer {span}", {"metavar": "N", **option}))
@@ -149,3 +149,12 @@ def check_fields(spec: Any, of: str) -> None:
 
 def _field(default: Any, rule: Rule) -> Any:
     return field(default=default, metadata={_RULE: rule})
+
+
+def checked_integer(value: object, name: str, least: int = 0, most: int | None = None) -> int:
+    """Return an integer within bounds; InputError, which names it, for anything else."""
+    number = plain_number(value)
+    if not (is_integer(number) and least <= number and (most is None or number <= most)):
+        bounds = f"from {least}" if most is None else f"from {least} to {most:,}"
+        raise InputError(f"{name} is {value!r}; expected an integer {bounds}")
+    return int(number)

@@ -21,7 +21,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tactile_toolkit.printable import printable
+from tactile_toolkit.wording import printable
 
 __all__ = [
     "ToolkitError",

@@ -1,13 +1,19 @@
-"""Numbers with what they count, in words."""
+"""Numbers with what they count, in words; and text from data as it is shown to people.
+
+Names of classes, files and splits may be any user's. A terminal obeys control characters, Markdown and pages
+of a browser obey marks; some characters turn the direction of what stands next to them. What such text holds
+is seen here, and is not obeyed.
+"""
 
 from __future__ import annotations
 
+import json
 import numbers
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from tactile_toolkit.errors import InputError
-
+_MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside of a word marks nothing
 _LONGEST_COUNT = 18
 """Digits of a count: more may not fit into 64 bits, and ``int`` itself fails from 4,301 digits on."""
 
@@ -70,7 +76,7 @@ def plain_pairs(values: Any) -> Any:
     return plain(values.items() if isinstance(values, Mapping) else values)
 
 
-def is_whole(*values: object) -> bool:
+def is_integer(*values: object) -> bool:
     """Return whether all values are integers; True and False are not."""
     return all(isinstance(value, int) and not isinstance(value, bool) for value in values)
 
@@ -85,10 +91,35 @@ def listed(text: str) -> list[str]:
     return [part.strip() for part in text.split(",") if part.strip()]
 
 
-def whole_number(value: object, name: str, least: int = 0, most: int | None = None) -> int:
-    """Return an integer within bounds; InputError, which names it, for anything else."""
-    number = plain_number(value)
-    if not (is_whole(number) and least <= number and (most is None or number <= most)):
-        bounds = f"from {least}" if most is None else f"from {least} to {most:,}"
-        raise InputError(f"{name} is {value!r}; expected an integer {bounds}")
-    return int(number)
+def printable(text: str, keep: str = "") -> str:
+    """Return a text in which control characters, and all others that cannot be seen, are written as escapes.
+
+    ``keep`` are some that may stay, such as the ends of lines.
+    """
+    if text.isprintable():
+        return text
+    return "".join(
+        each if each in keep or each.isprintable() else each.encode("unicode_escape").decode("ascii")
+        for each in text
+    )
+
+
+def printable_json(values: Any, indent: int = 2) -> str:
+    """Return JSON of some values; what cannot be seen stands there in JSON's own escapes."""
+    text = json.dumps(values, indent=indent, ensure_ascii=False)
+    # Outside of strings JSON has no other characters than those that can be seen, and ends of lines.
+    odd = {each for each in set(text) if not each.isprintable()} - {"\n"}
+    return text.translate({ord(each): json.dumps(each)[1:-1] for each in odd}) if odd else text
+
+
+def markdown_text(text: str) -> str:
+    """Return a text so that Markdown, and HTML in it, shows it as it is."""
+    # Formulas stand between dollars, and a backslash does not stop them.
+    return _MARKS.sub(r"\\\1", printable(text)).replace("$", "&#36;")
+
+
+def markdown_code(text: str) -> str:
+    """Return a text as a span of code in Markdown."""
+    shown = printable(text)
+    fence = "`" * (1 + max(map(len, re.findall("`+", shown)), default=0))
+    return f"{fence}{shown}{fence}" if len(fence) == 1 else f"{fence} {shown} {fence}"

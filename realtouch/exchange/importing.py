@@ -24,7 +24,6 @@ from realtouch.exchange.flat import require_intact
 from realtouch.exchange.items import ImportColumns, Item, contents_of
 from realtouch.poses import bad_pose
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.printable import printable
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
@@ -33,6 +32,7 @@ from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_h
 from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
+from tactile_toolkit.wording import printable
 
 NOT_IMPORTED = "not_imported"
 """What the statistics call the fields of the source that were not imported: touches that had one, by name."""

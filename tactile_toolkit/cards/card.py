@@ -14,10 +14,10 @@ from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_text
 from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.cards.head import card_head, head_text
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.printable import markdown_code, markdown_text, printable, printable_json
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.wording import markdown_code, markdown_text, printable, printable_json
 
 CARD_FILE = "README.md"
 PREVIEW_FOLDER = "previews"

@@ -16,12 +16,11 @@ from typing import Any
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.cards.head import configs
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.printable import printable_json
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import counted, printable_json
 
 CROISSANT_FILE = "croissant.json"
 

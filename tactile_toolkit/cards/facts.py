@@ -9,6 +9,7 @@ from functools import cached_property, partial
 from pathlib import PurePosixPath
 from typing import Any
 
+from tactile_toolkit import toolkit_version
 from tactile_toolkit.catalog.locate import available_splits, find_shards
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import dtype_name, stored_features
@@ -18,7 +19,6 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.parquet import unpacked_bytes
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName
-from tactile_toolkit.versions import toolkit_version
 
 _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from tactile_toolkit.cards.facts import FolderFacts
-from tactile_toolkit.printable import printable
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, ShardName
+from tactile_toolkit.wording import printable
 
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 

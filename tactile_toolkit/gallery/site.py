@@ -19,6 +19,7 @@ from itertools import accumulate
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
+from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Gallery, Item, ItemTask
 from tactile_toolkit.gallery.page import (
@@ -33,7 +34,6 @@ from tactile_toolkit.gallery.page import (
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.files import expanded, named_failures
-from tactile_toolkit.versions import toolkit_version
 
 MARKER_FILE = "gallery.json"
 """What a site is, and its files; nothing else is ever replaced."""

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh.height_map import MOST_PIXELS
 from tactile_toolkit.mesh.raster import covered_pixels, highest_values
 from tactile_toolkit.mesh.records import SolidRecord
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.wording import whole_number
 
 if TYPE_CHECKING:
     import torch
@@ -230,8 +230,8 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
         self.dataset = dataset
         self.form = form
-        self.points = whole_number(points, "points", 1)
-        self.seed = whole_number(seed, "seed")
+        self.points = checked_integer(points, "points", 1)
+        self.seed = checked_integer(seed, "seed")
         self.box = Box(extent_m or type(self).extent_m, pitch_m)
         self.transform = transform
         self.target = target

@@ -6,5 +6,5 @@
        -> measure(), arrange(): what lies where on plates                packing.py
        -> write_plates(): 3MF, map, table                                plates.py, plate_map.py
 
-Whatever is written is read back from disk and has to be the same solid before it gets its name (checked.py).
+Whatever is written is read back from disk and has to be the same solid before it gets its name (objects.py).
 """

@@ -21,8 +21,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import signed_area_mm2
 from tactile_toolkit.mesh.raster import highest_values, positions_in_runs
 from tactile_toolkit.mesh.solid_check import require_solid
-from tactile_toolkit.printing.checked import Failure, Progress
-from tactile_toolkit.printing.objects import PrintObject, require_scale, standing
+from tactile_toolkit.printing.objects import Failure, PrintObject, Progress, require_scale, standing
 from tactile_toolkit.printing.spec import Physics, PlateSpec
 
 if TYPE_CHECKING:

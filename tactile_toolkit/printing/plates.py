@@ -19,7 +19,7 @@ from tactile_toolkit.mesh.files import BROKEN_FILE
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.printing.checked import (
+from tactile_toolkit.printing.objects import (
     CHANGED,
     OFF_PLATE,
     UNREADABLE,
@@ -32,8 +32,8 @@ from tactile_toolkit.printing.checked import (
     local_folder,
     require_free,
     require_same_solid,
+    standing,
 )
-from tactile_toolkit.printing.objects import standing
 from tactile_toolkit.printing.packing import Layout, Placed
 from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf, read_mjcf

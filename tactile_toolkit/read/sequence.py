@@ -16,11 +16,11 @@ from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.printable import printable
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.wording import class_name, counted, is_whole, plain_number, whole_number
+from tactile_toolkit.wording import class_name, counted, is_integer, plain_number, printable
 
 T = TypeVar("T")
 
@@ -337,7 +337,7 @@ class LazySequence(Sequence[T], Generic[T]):
         InputError
             There are fewer items, or a number is not a whole one from 0.
         """
-        return self._select(self._order(seed)[: whole_number(n, "n, the size of a sample,", 0, len(self))])
+        return self._select(self._order(seed)[: checked_integer(n, "n, the size of a sample,", 0, len(self))])
 
     def split(self, *parts: float, seed: int, stratify: bool = False) -> tuple[Self, ...]:
         """Divide the items at random into parts that share none and leave none out.
@@ -496,7 +496,7 @@ class LazySequence(Sequence[T], Generic[T]):
         known, number = self.label_names, plain_number(label)
         if number in known:
             return known.index(number)
-        if is_whole(number) and 0 <= number < len(known):
+        if is_integer(number) and 0 <= number < len(known):
             return int(number)
         listed = ", ".join(known)
         raise InputError(f"no class {label!r}; expected an integer below {len(known)} or one of {listed}")
@@ -522,12 +522,12 @@ class LazySequence(Sequence[T], Generic[T]):
 
 def _numbers(seed: int, count: int) -> NDArray[np.uint64]:
     """Return random bits: of the stream of PCG64, which numpy promises to keep, unlike its shuffles."""
-    return np.asarray(np.random.PCG64(whole_number(seed, "seed")).random_raw(count), np.uint64)
+    return np.asarray(np.random.PCG64(checked_integer(seed, "seed")).random_raw(count), np.uint64)
 
 
 def _part_ends(parts: Sequence[Any], length: int) -> list[int]:
     """Return where each part ends, the one that is left over included; InputError for impossible sizes."""
-    numbers, shares = is_whole(*parts), all(isinstance(part, float) and 0 <= part <= 1 for part in parts)
+    numbers, shares = is_integer(*parts), all(isinstance(part, float) and 0 <= part <= 1 for part in parts)
     total, whole = (sum(parts), length) if numbers or shares else (0, 0)
     whole = whole if numbers else 1
     if not parts or not (numbers or shares) or total > whole + _ROUNDING or min(parts) < 0:

@@ -11,10 +11,11 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler
 from tactile_toolkit.read.sequence import LazySequence
-from tactile_toolkit.wording import is_whole, plain_number, whole_number
+from tactile_toolkit.wording import is_integer, plain_number
 
 if TYPE_CHECKING:
     import torch
@@ -131,13 +132,13 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
                 "such as realtouch.torch.TouchTensors"
             )
         self.data = data
-        self.batch_size = whole_number(batch_size, "batch_size", 1)
+        self.batch_size = checked_integer(batch_size, "batch_size", 1)
         self.drop_last = drop_last
         self.collate_fn = collate_fn
         self.rank, self.world_size = _rank_of(rank, world_size)
-        seed = None if seed is None else whole_number(seed, "seed")
+        seed = None if seed is None else checked_integer(seed, "seed")
         self._sequence = sequence
-        self._order = GlobalOrder(sequence._stored_parts(), seed, whole_number(window, "window", 1))
+        self._order = GlobalOrder(sequence._stored_parts(), seed, checked_integer(window, "window", 1))
         self._resumed = (0, 0)
         self._current: _Pass | None = None
         # What the next pass is, for this process and for each worker: epoch, start, batches given already,
@@ -155,7 +156,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
 
         Needed only to repeat or skip epochs, or when another number of workers takes over.
         """
-        number = whole_number(epoch, "epoch")
+        number = checked_integer(epoch, "epoch")
         self._set(number, self._resumed[1] if number == self._resumed[0] else 0)
 
     def __len__(self) -> int:
@@ -345,7 +346,7 @@ def _rank_of(rank: int | None, world_size: int | None) -> tuple[int, int]:
         numbers = distributed.get_rank(), distributed.get_world_size()
     else:
         numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
-    if not (is_whole(*numbers) and 0 <= numbers[0] < numbers[1]):
+    if not (is_integer(*numbers) and 0 <= numbers[0] < numbers[1]):
         raise InputError(
             f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
         )

@@ -120,8 +120,8 @@ def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
     names = ("ID", "COUNT", "MIN", "MAX")
     index, count, first, last = (_number(environment, f"SLURM_ARRAY_TASK_{name}") for name in names)
     if index is not None:
-        is_whole = count is not None and first in (0, 1) and last == first + count - 1
-        return index, count if is_whole else None
+        is_integer = count is not None and first in (0, 1) and last == first + count - 1
+        return index, count if is_integer else None
     index = _number(environment, "JOB_COMPLETION_INDEX")
     if index is None:
         raise InputError(

@@ -19,11 +19,11 @@ from typing import Annotated, Any
 import msgspec
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.printable import printable_json
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.shards import ShardEntry, ShardName, ShardRecord, add_up
 from tactile_toolkit.store.typed_json import Sha256, damaged, decode
+from tactile_toolkit.wording import printable_json
 
 MANIFEST_FILE = "manifest.json"
 SCHEMA_VERSION = 1

@@ -7,12 +7,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+from tactile_toolkit import library_versions, toolkit_version
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
-from tactile_toolkit.versions import library_versions, toolkit_version
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,9 @@ from typing import Annotated, Any, NamedTuple
 import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.printable import printable
 from tactile_toolkit.store.folder import PENDING_FOLDER
 from tactile_toolkit.store.typed_json import LARGEST, Count, Sha256
-from tactile_toolkit.wording import did_you_mean
+from tactile_toolkit.wording import did_you_mean, printable
 
 DAMAGED = "damaged"
 """Reason to leave an item out whose stored data is damaged."""

@@ -17,7 +17,7 @@ from tactile_toolkit.cards.card import column_type_text, markdown_table
 from tactile_toolkit.cards.facts import yaml_features
 from tactile_toolkit.cards.head import head_text
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.printable import markdown_code, markdown_text, printable, printable_json
+from tactile_toolkit.wording import markdown_code, markdown_text, printable, printable_json
 
 WILD = [
     "[/b0]",

@@ -14,8 +14,13 @@ from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold, require_solid
-from tactile_toolkit.printing.checked import require_same_solid, write_checked
-from tactile_toolkit.printing.objects import export_files, forecast_files, standing
+from tactile_toolkit.printing.objects import (
+    export_files,
+    forecast_files,
+    require_same_solid,
+    standing,
+    write_checked,
+)
 from tests.forked import start_forked
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
