@@ -35,10 +35,11 @@ if TYPE_CHECKING:
     from tactile_toolkit.pictures.writing import PicturePlan
 
 
-def _ids(words: str) -> tuple[int, ...]:
-    numbers = parse_ids(words)
+def _ids(text: str) -> tuple[int, ...]:
+    """Read ids without ranges."""
+    numbers = parse_ids(text)
     if not all(isinstance(number, int) for number in numbers):
-        raise InputError(f"--ids has the range {words!r}; expected single numbers such as 12,408")
+        raise InputError(f"--ids has the range {text!r}; expected single numbers such as 12,408")
     return tuple(numbers)
 
 
@@ -84,7 +85,10 @@ class Rows:
 
     split: Split = None
     ids: tuple[int, ...] = text(
-        (), metavar="ID,ID", read=_ids, help="Only the objects with these ids; draws each one by default."
+        (),
+        metavar="ID,ID",
+        read=_ids,
+        help="Only the objects with these ids; draws each one by default.",
     )
     labels: tuple[str, ...] = text((), metavar="3,7", read=listed, help="Only the objects of these classes.")
     per_class: int | None = integer(

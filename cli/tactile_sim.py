@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -191,7 +192,7 @@ def pairs(
     prepare_batch_process()
     generate_set(
         sink,
-        KIND,
+        replace(KIND, nouns="pictures", made_by="tactile-sim pairs"),
         making,
         out,
         None,

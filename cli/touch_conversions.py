@@ -43,24 +43,7 @@ def _frame() -> Any:
 
 
 @dataclass(frozen=True, slots=True)
-class Converting(Work):
-    """Options of all conversions."""
-
-    split: Split = None
-    limit: Limit = None
-
-
-@dataclass(frozen=True, slots=True)
-class _Conversion:
-    """Options of one conversion, named as the parameters of its function; the docstring is the help."""
-
-    def arguments(self) -> dict[str, Any]:
-        """Return what the function takes."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
-
-
-@dataclass(frozen=True, slots=True)
-class ToSingle(_Conversion):
+class ToSingle:
     """Make a data set of single images of one of clips: a frame of each, with the pose at that moment.
 
     Example: realtouch to-single real-seq --frame peak --out touches
@@ -70,7 +53,7 @@ class ToSingle(_Conversion):
 
 
 @dataclass(frozen=True, slots=True)
-class Resize(_Conversion):
+class Resize:
     """Write the same data set with pictures or clips of another size.
 
     Example: realtouch resize real-single-320x240 --size 64x64 --out small
@@ -79,13 +62,9 @@ class Resize(_Conversion):
     size: tuple[int, int] = size_option(MISSING)
     quality: int = integer(95, 1, 100, help="JPEG quality of what is encoded again, 1 to 100.")
 
-    def arguments(self) -> dict[str, Any]:
-        """Return what the function takes."""
-        return {"width": self.size[0], "height": self.size[1], "quality": self.quality}
-
 
 @dataclass(frozen=True, slots=True)
-class Frames(_Conversion):
+class Frames:
     """Write touches as plain image files with an index in CSV and Parquet.
 
     Example: realtouch frames real-single-64x64 --format jpeg --out pictures
@@ -109,7 +88,7 @@ class Frames(_Conversion):
 
 
 @dataclass(frozen=True, slots=True)
-class Select(_Conversion):
+class Select:
     """Write some rounds and touches of a data set; pictures pass through byte for byte.
 
     Example: realtouch select real-single-64x64 --contact --labels 3,5 --out touched
@@ -132,17 +111,9 @@ class Select(_Conversion):
     labels: tuple[str, ...] = text((), metavar="3,7", read=listed, help="Only the objects of these classes.")
     per_class: PerClass = None
 
-    def arguments(self) -> dict[str, Any]:
-        """Return what the function takes; InputError for options that would have no effect."""
-        if not self.contact and (self.min_height_mm is not None or not self.recalibrate_z):
-            raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
-        found = _Conversion.arguments(self)
-        height_mm = found.pop("min_height_mm")
-        return {**found, "min_height_m": None if height_mm is None else height_mm / 1000}
-
 
 @dataclass(frozen=True, slots=True)
-class Export(_Conversion):
+class Export:
     """Write touches for other libraries; stored JPEGs are copied, never encoded again.
 
     Example: realtouch export real-single-64x64 --split train --format flat --out flat
@@ -211,11 +182,14 @@ def add_conversions(app: typer.Typer) -> None:
 def _add(
     app: typer.Typer,
     name: str,
-    spec: type[_Conversion],
+    options_of: type,
     function: Callable[..., Manifest],
     nouns: str = KIND.nouns,
 ) -> None:
-    """Add a command: print what will be fetched, convert with progress, print what was made."""
+    """Add a command: print what will be fetched, convert with progress, print what was made.
+
+    ``options_of`` declares its options, named as the parameters of its function; the docstring is the help.
+    """
 
     def convert(
         *,
@@ -223,21 +197,35 @@ def _add(
         former_out: FormerOut = None,
         out: str | None = _out(),
         options: Any,
-        converting: Converting,
+        split: Split = None,
+        limit: Limit = None,
+        work: Work,
         sink: Sink,
     ) -> None:
         if former_out is not None:
             sink.warn(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
         place = _required(out or former_out)
-        arguments = options.arguments()
-        announce_fetching(sink, source, converting.split)
-        make = partial(function, source, place, **arguments, split=converting.split, limit=converting.limit)
+        make = partial(function, source, place, **_arguments(options), split=split, limit=limit)
+        announce_fetching(sink, source, split)
         print_made = partial(print_converted, nouns=nouns)
-        make_with_progress(sink, "converting", nouns, make, converting, place, print_made, KIND.nouns)
+        make_with_progress(sink, "converting", nouns, make, work, place, print_made, KIND.nouns)
 
-    convert.__doc__ = spec.__doc__
-    convert.__annotations__["options"] = spec
+    convert.__doc__ = options_of.__doc__
+    convert.__annotations__["options"] = options_of
     command(app, name)(convert)
+
+
+def _arguments(options: Any) -> dict[str, Any]:
+    """Return what a function takes; InputError for options that would have no effect."""
+    found = {each.name: getattr(options, each.name) for each in fields(options)}
+    if isinstance(options, Resize):
+        found["width"], found["height"] = found.pop("size")
+    if isinstance(options, Select):
+        height_mm = found.pop("min_height_mm")
+        if not options.contact and (height_mm is not None or not options.recalibrate_z):
+            raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
+        found["min_height_m"] = None if height_mm is None else height_mm / 1000
+    return found
 
 
 def _required(out: str | None) -> str:
