@@ -254,7 +254,7 @@ def test_an_unreadable_file_hides_no_verdict(tmp_path, capsys):
 def test_the_next_step_names_a_split_that_has_rows(tmp_path, capsys):
     options = ("--split-sizes", "train=0,test=1", "--vertices", "2000", "--workers", "1")
     assert call("generate", *options, "--limit", 1, "--out", tmp_path / "set") == 0
-    assert "split='test'" in capsys.readouterr().out
+    assert 'split="test"' in capsys.readouterr().out
 
 
 def pictures(folder: Path, *greys: int) -> Path:
