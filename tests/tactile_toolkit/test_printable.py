@@ -7,7 +7,6 @@ from io import StringIO
 
 import pyarrow as pa
 import pytest
-import rich.console
 import yaml
 from hypothesis import example, given
 from hypothesis import strategies as st
@@ -64,9 +63,6 @@ def test_the_command_line_prints_data_as_text(texts):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.stdout", out)
         patch.setattr("sys.stderr", err)
-        patch.setattr(
-            rich.console.Console, "size", property(lambda _: rich.console.ConsoleDimensions(900, 9))
-        )
         sink = Sink()
         sink.table(texts, [texts, texts], title=texts[0])
         sink.line(texts[0])
