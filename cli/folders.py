@@ -201,7 +201,10 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
     record = read_record(place)
-    again = "make it again; with --check, the command that made it makes damaged shards again"
+    made_by = kind.made_by
+    if manifest is not None and is_copy(manifest):
+        made_by = f"{kind.command} {manifest.spec['operation']}"
+    again = f"remove those files, then run the same `{made_by}` again"
     if record is not None:
         again = f"download {record.repo_id} there again, only what is damaged is fetched"
     # Unknown files, links and cards: what no run would mend states itself what to do.
