@@ -79,15 +79,11 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
 
         Exit code 1 when an object or plate could not be written as a solid.
         """
-        from tactile_toolkit.catalog.choose import choose_rows
-        from tactile_toolkit.catalog.locate import splits_of
+        from tactile_toolkit.catalog.choose import choose_rows, open_splits
         from tactile_toolkit.printing.objects import choose
 
         some = chosen.given()
-        split = some.pop("split")
-        # One by one, as no loader opens several splits as one data set.
-        splits = splits_of(name) if split is None else (split,)
-        datasets = ((each, kind.load(name, each)) for each in splits)
+        datasets = open_splits(name, some.pop("split"), kind.load, kind.nouns).items()
         # What cannot be used is reported before any work.
         if file_format == "flat":
             given = {**distances, **material, "plate": plate, "scale": None if scale == 1 else scale}
@@ -160,7 +156,7 @@ def _export_files(
 def _export_flat(
     sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], job: Job
 ) -> None:
-    from tactile_toolkit.exchange.tables import export_tables, forecast_tables
+    from tactile_toolkit.exchange.tables import export_tables, forecast_tables, plan_tables
 
     ids, labels = some["ids"], some["labels"]
     chosen_by = {
@@ -170,16 +166,17 @@ def _export_flat(
         "limit": some["limit"],
         **({} if some["per_class"] is None else {"per_class": some["per_class"]}),
     }
-    what, out = (kind, name, choices, chosen_by), str(job.out)
+    out = str(job.out)
+    plan = plan_tables(kind, name, choices, chosen_by, out)
     if job.dry_run:
-        rows, size = forecast_tables(*what, out, overwrite=job.overwrite)
+        rows, size = forecast_tables(plan, out, overwrite=job.overwrite)
         sink.document({"folder": out, "rows": rows, "bytes": size})
         made = f"{counted(rows, kind.nouns)} to {out}, about {bytes_text(size)}"
         sink.line(f"would write {made}; nothing was written")
         return
     with sink.progress("writing", kind.nouns) as update:
         manifest = export_tables(
-            *(*what, out),
+            *(kind, plan, out),
             overwrite=job.overwrite,
             workers=process_count(job.workers),
             on_progress=lambda progress: update(progress.done, progress.total),

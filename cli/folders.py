@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -333,14 +333,14 @@ def _add_list(app: typer.Typer, kind: DatasetKind) -> None:
 
         Examples: list;  list .
         """
-        from tactile_toolkit.catalog.local import local_sets
+        from tactile_toolkit.catalog.kinds import local_sets
 
         sink = Sink(as_json)
         if folder is None:
             print_sets(sink, kind)
             return
         found = local_sets(local_place(folder))
-        sink.document([each.to_dict() for each in found])
+        sink.document([asdict(each) for each in found])
         rows = [
             (each.name, each.kind, each.splits, each.rows, bytes_text(each.bytes), each.state)
             for each in found

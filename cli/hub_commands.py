@@ -127,7 +127,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         A download that broke off continues where it stopped when the same command is given again. The command
         list names the published sets.
         """
-        from tactile_toolkit.catalog.published import kind_that_published
+        from tactile_toolkit.catalog.kinds import kind_that_published
         from tactile_toolkit.exchange.download import download as carry_out
         from tactile_toolkit.exchange.download import plan_download
 
@@ -182,11 +182,6 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
     for paths, words in (
         (prepared.left_out, "left out, no part of the data set: {}"),
         (plan.kept, "kept on the Hub, though the folder lacks it: {} (--delete removes it)"),
-        (
-            prepared.mixed,
-            "{}: named like shards of this data set, but not of it; the card leaves them out, other readers "
-            "may not; --delete removes them",
-        ),
     ):
         if paths:
             sink.info(words.format(_listed(paths)))
@@ -216,12 +211,11 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
 def _print_result(
     sink: Sink, kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None
 ) -> None:
-    pull, where = result.pull if result else prepared.pull, _where(prepared)
+    where = _where(prepared)
     address, lines = _address(prepared, result), _python_lines(kind, prepared, result)
     sink.document(_document(prepared, result, address, lines))
     if prepared.plan.is_done:
-        held = f"{pull} of {where}" if pull else where
-        sink.line(f"{held} holds all of it already, compared by checksum; nothing was sent")
+        sink.line(f"{where} holds all of it already, compared by checksum; nothing was sent")
     elif result is None:
         sink.line("nothing was sent")
     else:
@@ -254,7 +248,6 @@ def _document(
         "bytes_to_send": sum(file.size for file in plan.to_send),
         "to_remove": list(plan.removed),
         "kept": list(plan.kept),
-        "mixed": list(prepared.mixed),
         "left_out": list(prepared.left_out),
         "tags": list(prepared.tags),
         "commit": result.commit if result else None,
@@ -288,7 +281,7 @@ def _python_lines(kind: DatasetKind, prepared: PreparedUpload, result: UploadRes
 
 def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     """Print what is fetched, how large it is, and under which terms it stands."""
-    from tactile_toolkit.catalog.published import published_set
+    from tactile_toolkit.catalog.kinds import published_set
 
     known, facts = published_set(name), _facts(plan)
     licence = (known.licence if known else None) or plan.repository.snapshot.licence
@@ -341,7 +334,7 @@ def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> 
 
 def print_sets(sink: Sink, kind: DatasetKind) -> None:
     """Print the published data sets: what they hold, their terms, what is here, and how large they are."""
-    from tactile_toolkit.catalog.published import states
+    from tactile_toolkit.catalog.kinds import states
 
     documents, rows = [], []
     for state in states(kind.published):

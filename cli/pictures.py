@@ -212,7 +212,7 @@ class Page:
         out, nouns, workers = self.out, gallery.nouns[1], process_count(self.workers)
         if self.dry_run:
             view = forecast_site(gallery, str(out), workers, overwrite=self.overwrite)
-            sink.document(view.to_dict())
+            sink.document(asdict(view))
             sink.table(("split", nouns), list(view.splits.items()))
             sink.line(
                 f"would make {out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from env_assets.mesh_view import MeshView
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.gallery.page import natural_order
+from tactile_toolkit.gallery.items import natural_order
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.store.files import expanded, is_there

@@ -166,7 +166,7 @@ class AssetProvider:
             As :meth:`meshes`.
         """
         from realtouch.opening import load
-        from tactile_toolkit.catalog.published import place_of
+        from tactile_toolkit.catalog.kinds import place_of
 
         name = fspath(name)
         opened = self._opened.get(("touches", name, split))
@@ -290,7 +290,7 @@ class AssetProvider:
         """Name the command that makes what is missing; damaged data keeps its own message."""
         if isinstance(error, IntegrityError):
             return error
-        found = str(error).partition("; next: ")[0] if self._maker.place(name).is_dir() else "it is not there"
+        found = error.what if self._maker.place(name).is_dir() else "it is not there"
         message = (
             f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}; next: "
             f"{self._maker.next_step(name, split)}"

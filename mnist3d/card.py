@@ -12,9 +12,8 @@ import numpy as np
 from mnist3d.columns import REPORT_FILE, DigitRow, digit_schema
 from mnist3d.kind import KIND
 from mnist3d.sources.folder import FolderSource
-from tactile_toolkit.cards.card import Card, between, bibtex, first_rows, markdown_table
+from tactile_toolkit.cards.card import Card, between, bibtex, first_rows, markdown_table, write_table_card
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
-from tactile_toolkit.cards.table_card import Terms, write_table_card
 from tactile_toolkit.catalog.choose import short_name
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh.columns import FACES, VERTICES
@@ -117,7 +116,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     is_own = words.name == FolderSource.name
     if is_copy(manifest):
         title = "3D digits" if is_own else "MNIST 3D"
-        write_table_card(folder, manifest, KIND, title, COLUMNS, words.terms())
+        write_table_card(folder, manifest, KIND, title, COLUMNS, words.licence, **words.terms())
         return
     facts = folder_facts(folder, manifest, digit_schema())
     summaries = summarise(folder, manifest)
@@ -146,7 +145,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
             "report_columns": ", ".join(f"`{name}`" for name in report_columns(folder, REPORT_FILE)),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
             "limits": _limits(manifest, summaries, words),
-            **words.terms().values(),
+            **words.terms(),
         },
     ).write(folder, facts, manifest, KIND)
 
@@ -230,14 +229,18 @@ class SourceWords:
             fields["marks"] = ", ".join(f"`{part['images_sha256']:.12}`" for part in fields["parts"])
         return f"`{self.name}`: {self.text.format(**fields)}"
 
-    def terms(self) -> Terms:
+    def terms(self) -> dict[str, str]:
         """Return whose the meshes are."""
         citation = (
             "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the "
             f"handwriting of HWD+ (Beaulac and Rosenthal 2022){self.citation_end}."
         )
         cited = ("tactile_mnist", *(["mnist"] if self.name == "mnist" else []), "hwd_plus")
-        return Terms(self.licence, self.licence_text, citation, bibtex(*cited))
+        return {
+            "licence_text": self.licence_text,
+            "citation_text": citation,
+            "bibtex": bibtex(*cited),
+        }
 
 
 _SOURCES = (

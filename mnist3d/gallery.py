@@ -13,8 +13,19 @@ from mnist3d.dataset import MeshDataset, MeshRecord
 from mnist3d.kind import KIND
 from mnist3d.sources import NO_WRITER
 from tactile_toolkit.catalog.choose import Choice
-from tactile_toolkit.gallery.items import NONE, Facet, Gallery, Item, Measure, gallery_of_rows
-from tactile_toolkit.gallery.packing import THUMBNAIL_PX, packed_mesh, require_mesh, size_text, thumbnail
+from tactile_toolkit.gallery.items import (
+    NONE,
+    THUMBNAIL_PX,
+    Facet,
+    Gallery,
+    Item,
+    Measure,
+    gallery_of_rows,
+    packed_mesh,
+    require_mesh,
+    size_text,
+    thumbnail,
+)
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
 from tactile_toolkit.pictures.render import relief

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.catalog.checking import check_rows, shards_to_check
+from tactile_toolkit.catalog.choose import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.mesh.files import read_mesh

@@ -18,11 +18,10 @@ from realtouch.kind import KIND
 from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.touch import Touch
-from tactile_toolkit.catalog.choose import Choice, splits_to_show
-from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.catalog.choose import Choice, open_splits
+from tactile_toolkit.catalog.kinds import place_of
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows
-from tactile_toolkit.gallery.packing import thumbnail
+from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows, thumbnail
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
 from tactile_toolkit.wording import class_name
@@ -86,8 +85,13 @@ def plan_gallery(choice: RoundChoice) -> Gallery:
         least_m = [rule.min_height_m for rule in rows.contact_rules()]
         return [(choice.touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
-    splits = splits_to_show(place_of(choice.name), choice.split, choice.revision)
-    opened = ((split, load(choice.name, split, revision=choice.revision)) for split in splits)
+    opened = open_splits(
+        place_of(choice.name),
+        choice.split,
+        lambda place, split: load(place, split, revision=choice.revision),
+        KIND.nouns,
+        choice.revision,
+    )
     return gallery_of_rows(KIND, choice, "Real touches", _FACETS, _MEASURES, _item, 1, known, opened)
 
 

@@ -15,9 +15,8 @@ from starstruck_gen.make import Acceptance
 from starstruck_gen.placement import Placement
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.cards.card import Card, between, bibtex, first_rows, markdown_table
+from tactile_toolkit.cards.card import Card, between, first_rows, markdown_table, write_table_card
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
-from tactile_toolkit.cards.table_card import Terms, write_table_card
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
@@ -82,8 +81,8 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         is_ours = manifest.spec["source_spec"] is not None
         text = "MIT, as the toolkit." if is_ours else "The terms of the data set that these rows come from."
         licence = "mit" if is_ours else "other"
-        terms = Terms(licence, text, "The task: Schneider et al. 2025.", bibtex("tactile_mnist"))
-        write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, terms)
+        terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}
+        write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, licence, **terms)
         return
     spec = SceneSpec.from_dict(manifest.spec["scene"])
     facts = folder_facts(folder, manifest, scene_schema(spec.class_names))

@@ -10,9 +10,13 @@ from starstruck_gen.scene import draw_scene
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.choose import Choice
-from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows
-from tactile_toolkit.gallery.packing import (
+from tactile_toolkit.gallery.items import (
     THUMBNAIL_PX,
+    Facet,
+    Gallery,
+    Item,
+    Measure,
+    gallery_of_rows,
     packed_mesh,
     require_mesh,
     size_text,

@@ -14,7 +14,7 @@ from starstruck_gen.kind import KIND
 from starstruck_gen.placement import build_meshes
 from starstruck_gen.shapes import KINDS, Proportions, add_kind
 from starstruck_gen.solid import own_kinds
-from tactile_toolkit.catalog.checking import check_rows, shards_to_check
+from tactile_toolkit.catalog.choose import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh

@@ -25,9 +25,8 @@ from tactile_sim.pressing import Pressable, press
 from tactile_sim.sensor import Sensor, as_environment, as_sensor
 from tactile_sim.spec import PairsSpec, TouchPlan
 from tactile_toolkit import making
-from tactile_toolkit.catalog.kinds import require_manifest
+from tactile_toolkit.catalog.kinds import place_of, require_manifest
 from tactile_toolkit.catalog.locate import find_shards
-from tactile_toolkit.catalog.published import place_of
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, file_fingerprint, refuse_source

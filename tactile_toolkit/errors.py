@@ -55,6 +55,11 @@ class ToolkitError(Exception):
         self.message = f"{what}; next: {next}" if next else str(what)
         super().__init__(self.message)
 
+    @property
+    def what(self) -> str:
+        """What was found, without the next step."""
+        return str(self).partition("; next: ")[0]
+
     def __str__(self) -> str:
         return printable(self.message)
 

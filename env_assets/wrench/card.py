@@ -54,9 +54,8 @@ def wrench_facts(spec: WrenchSpec) -> WrenchFacts:
 def write_card(folder: DataFolder, manifest: Manifest) -> None:
     """Write ``README.md`` of the folder of a wrench and the picture that it shows."""
     from env_assets.wrench.columns import WrenchRow
-    from tactile_toolkit.cards.card import Card, bibtex
+    from tactile_toolkit.cards.card import Card, write_table_card
     from tactile_toolkit.cards.facts import folder_facts
-    from tactile_toolkit.cards.table_card import Terms, write_table_card
     from tactile_toolkit.kind import is_copy
     from tactile_toolkit.pictures.render import relief
     from tactile_toolkit.pictures.writing import png_bytes
@@ -64,9 +63,11 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
 
     columns, title = meanings(WrenchRow), "Open-end wrench"
     if is_copy(manifest):
-        text = "The task: Schneider et al. 2025."
-        terms = Terms("mit", "MIT, as the toolkit.", text, bibtex("tactile_mnist"))
-        write_table_card(folder, manifest, KIND, title, columns, terms)
+        terms = {
+            "licence_text": "MIT, as the toolkit.",
+            "citation_text": "The task: Schneider et al. 2025.",
+        }
+        write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
         return
     wrench, facts = wrench_facts(WrenchSpec(**manifest.spec)), folder_facts(folder, manifest)
     spec, report = wrench.spec, wrench.report

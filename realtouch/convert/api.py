@@ -35,7 +35,7 @@ from realtouch.convert.steps import (
     write_index,
 )
 from realtouch.dataset import dataset_of
-from tactile_toolkit.catalog.choose import class_by_class
+from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.store.manifest import Manifest
@@ -256,7 +256,8 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
         inside = [(low <= numbers) & (numbers <= high) for low, high in ranges]
         dataset = dataset[np.logical_or.reduce(inside).astype(bool)]
     if "per_class" in options and len(dataset):
-        dataset = dataset[np.sort(class_by_class(dataset, (), options["per_class"]))]
+        ((_, _, rows_kept),) = choose_rows([("", dataset)], per_class=options["per_class"])
+        dataset = dataset[rows_kept]
     rows = dataset.row_numbers.tolist()
     if not options["contact"]:
         return list(map(RowChoice, rows))[:limit]

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from importlib.resources import files
+from itertools import islice
 from string import Template
 from typing import Any
 
+import numpy as np
+
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_text
-from tactile_toolkit.cards.facts import FolderFacts
-from tactile_toolkit.cards.head import card_head, head_text
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts, head_text
+from tactile_toolkit.kind import DatasetKind, is_export
+from tactile_toolkit.mesh.columns import FACES, MESH, SIZES, VERTICES
+from tactile_toolkit.pictures.render import relief
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
+from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -29,6 +36,14 @@ MESH_TASKS = {
     "task_ids": ["task-planning"],
 }
 """What meshes are for, in words of the Hub."""
+
+_TABLE_COLUMNS: dict[str, Column] = {
+    "label_name": ("", "name of the class"),
+    **{name: ("m", f"extent along {name[5]}") for name in SIZES},
+    f"{MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
+}
+_SHOWN = 10
+_TILE_PX = 120
 
 _UNKNOWN: Column = ("", "a column of this copy; not in the published schema")
 # Templates have "FOLDER" there: a folder has no name by which others could load it.
@@ -97,6 +112,64 @@ class Card:
         }
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
         write_card_files(folder, facts, manifest, self.template, values, self.picture, **head)
+
+
+def write_table_card(
+    folder: DataFolder,
+    manifest: Manifest,
+    kind: DatasetKind,
+    title: str,
+    columns: Mapping[str, Column],
+    licence: str,
+    **terms: str,
+) -> None:
+    """Write the card of a copy of a data set of meshes; IntegrityError for a damaged one.
+
+    A copy has tables for other libraries, several sets as one, or some of the rows. ``columns`` are those of
+    the data set that it was made of, ``title`` is its name. ``terms`` fill ``licence_text``,
+    ``citation_text`` and ``bibtex`` of the template, the last that of the paper by default.
+    """
+    facts, source = folder_facts(folder, manifest), manifest.spec["source"]
+    command, template, name = manifest.spec["operation"], "mesh_copy.md", "objects.png"
+    further: Mapping[str, Column] = {}
+    if is_export(manifest):
+        command, template, name, further = (
+            "export --format flat",
+            "mesh_tables.md",
+            "tables.png",
+            _TABLE_COLUMNS,
+        )
+    rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in source.items())
+    Card(
+        template=template,
+        title=f"{title} as tables" if further else title,
+        columns={**columns, **further},
+        picture=(name, _table_sheet(facts, is_glb=bool(further)), f"The first {kind.nouns}, seen from above"),
+        licence=licence,
+        tags=["tactile", "active-perception", "3d", "mesh"],
+        made=[
+            ("command", f"`{kind.command} {command}`"),
+            ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
+        ],
+        spec=manifest.spec["options"],
+        values={**terms, "package": kind.package},
+    ).write(folder, facts, manifest, kind)
+
+
+def _table_sheet(facts: FolderFacts, *, is_glb: bool) -> bytes | None:
+    """Draw the first objects as PNG; None without rows."""
+    import trimesh
+
+    tiles = []
+    for row in islice(first_rows(facts, [f"{MESH}.bytes"] if is_glb else [VERTICES, FACES]), _SHOWN):
+        if is_glb:
+            mesh: Any = trimesh.load_mesh(io.BytesIO(row.value(f"{MESH}.bytes")), file_type="glb")
+            vertices_m, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+        else:
+            vertices_m, faces = row.array(VERTICES), row.array(FACES)
+        pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)
+        tiles.append(Tile(relief(vertices_m, faces, pitch_m)))
+    return png_bytes(sheet(tiles, Sheet(5, margin_px=8))) if tiles else None
 
 
 def split_table(facts: FolderFacts, nouns: str, figures: Mapping[str, Sequence[object]]) -> str:

@@ -12,8 +12,7 @@ from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, placeholders
 from tactile_toolkit.cards.croissant import check_croissant
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
-from tactile_toolkit.cards.head import card_head
+from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
@@ -26,6 +25,8 @@ _DOLLAR = re.compile(r"\$(?:(?P<bare>[a-z_]\w*)|\{(?P<braced>[a-z_]\w*)\})")
 _CODE = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
 _PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
 _MOST_SHOWN = 300
+# YAML gives values of any type in any place.
+_UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
 
 
@@ -41,54 +42,30 @@ def check_card(
     ``text`` is a card to check instead of the stored ones; ``held`` are files that will lie next to it where
     it is to stand elsewhere: its pictures must be among them. ``manifest`` is the one that it will have.
     """
-    is_stored = text is None
-    if text is None:
-        if not folder.exists(CARD_FILE):
-            return [_finding("is missing; next: write it with the command `card`")]
-        text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
-    try:
-        head = _head(text)
-        manifest = manifest or read_manifest(folder)
-        facts = folder_facts(folder, manifest)
-        missing = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
-        problems = [*missing, *_lies(head, facts), *_gaps(text)]
-    except ToolkitError as error:
-        return [_finding(f"cannot be compared with the data: {error}")]
-    except (
-        ValueError,
-        TypeError,
-        KeyError,
-        AttributeError,
-    ) as error:  # YAML gives values of any type in any place
-        return [_finding(f"its YAML head cannot be read: {_first_line(error)}")]
-    return [
-        *map(_finding, problems),
-        *_pictures(folder, text, held),
-        *(check_croissant(folder, facts, manifest) if is_stored else ()),
-    ]
-
-
-def _finding(problem: str) -> Finding:
-    return Finding(CARD_FILE, problem)
-
-
-def _head(text: str) -> dict[str, Any]:
-    """Read the YAML head with the Hub's own class; ValueError where there is none, or none that it takes."""
     import yaml
     from huggingface_hub import DatasetCard
 
+    is_stored = text is None
+    if text is None:
+        if not folder.exists(CARD_FILE):
+            return [Finding(CARD_FILE, "is missing; next: write it with the command `card`")]
+        text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
     try:
-        parsed: dict[str, Any] = DatasetCard(text).data.to_dict()  # type: ignore[no-untyped-call]
-        return parsed
-    except (yaml.YAMLError, RecursionError) as error:
-        raise ValueError(_first_line(error)) from error
+        manifest = manifest or read_manifest(folder)
+        head = DatasetCard(text).data.to_dict()  # type: ignore[no-untyped-call]
+        facts = folder_facts(folder, manifest)
+        problems = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
+        problems += [*_contradictions(head, facts), *_gaps(text)]
+    except ToolkitError as error:
+        return [Finding(CARD_FILE, f"cannot be compared with the data: {error}")]
+    except (*_UNREADABLE, yaml.YAMLError) as error:
+        first_line = next(iter(str(error).splitlines()), type(error).__name__)
+        return [Finding(CARD_FILE, f"its YAML head cannot be read: {first_line}")]
+    found = [*(Finding(CARD_FILE, problem) for problem in problems), *_pictures(folder, text, held)]
+    return [*found, *(check_croissant(folder, facts, manifest) if is_stored else ())]
 
 
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
-
-
-def _lies(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
+def _contradictions(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
     """Yield every file, number or column in the head that the folder contradicts."""
     if not isinstance(head.get("dataset_info"), dict):
         yield "its head has no 'dataset_info'; next: write the card again with the command `card`"
@@ -158,11 +135,11 @@ def _pictures(folder: DataFolder, text: str, held: Collection[str] | None) -> It
             yield Finding(path, f"is shown by {CARD_FILE} and is not part of what is sent (previews/ is)")
         elif not folder.exists(path) and held is None:
             yield Finding(path, f"is missing; {CARD_FILE} shows it")
-        elif folder.exists(path) and not _is_whole(folder.read_bytes(path)):
+        elif folder.exists(path) and not _is_picture(folder.read_bytes(path)):
             yield Finding(path, "is not an intact picture; next: write it again with the command `card`")
 
 
-def _is_whole(content: bytes) -> bool:
+def _is_picture(content: bytes) -> bool:
     from PIL import Image
 
     try:

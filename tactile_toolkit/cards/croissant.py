@@ -13,8 +13,7 @@ from importlib.resources import files
 from mimetypes import guess_type
 from typing import Any
 
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
-from tactile_toolkit.cards.head import configs
+from tactile_toolkit.cards.facts import FolderFacts, configs
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
@@ -96,21 +95,37 @@ def _section(body: str, title: str) -> list[str]:
     return [" ".join(line.split()) for line in plain if line.strip(": ")]
 
 
-def _structure(folder: DataFolder, facts: FolderFacts, manifest: Manifest | None) -> dict[str, Any]:
-    """Return what follows from files and columns alone."""
-    includes = {entry["split"]: entry["path"] for entry in configs(facts)[0]["data_files"]}
-    file_sets = [
-        {
-            "@type": "cr:FileSet",
-            "@id": f"files-{split.split}",
-            "description": f"{counted(split.rows, 'rows')} in {counted(len(split.paths), 'files')}",
-            "encodingFormat": _PARQUET,
-            "includes": includes[split.split],
+def _structure(
+    folder: DataFolder,
+    facts: FolderFacts,
+    manifest: Manifest | None,
+    page: str | None = None,
+    others: Sequence[str] = (),
+) -> dict[str, Any]:
+    """Return what follows from files and columns alone; a repository has a ``page``."""
+    includes = {entry["split"]: entry["path"] for entry in configs(facts, others)[0]["data_files"]}
+    files = [*_file_objects(folder, manifest)]
+    for split in facts.splits:
+        files.append(
+            {
+                "@type": "cr:FileSet",
+                "@id": f"files-{split.split}",
+                "description": f"{counted(split.rows, 'rows')} in {counted(len(split.paths), 'files')}",
+                "encodingFormat": _PARQUET,
+                "includes": includes[split.split],
+            }
+        )
+    if page is not None:
+        repository = {
+            "@type": "cr:FileObject",
+            "@id": _REPOSITORY,
+            "contentUrl": page,
+            "encodingFormat": "git+https",
+            "sha256": _GIT_HAS_NO_DIGEST,
         }
-        for split in facts.splits
-    ]
+        files = [repository, *({**each, "containedIn": {"@id": _REPOSITORY}} for each in files)]
     record_sets = [_record_set(split.split, facts.features) for split in facts.splits]
-    return {"distribution": [*_file_objects(folder, manifest), *file_sets], "recordSet": record_sets}
+    return {"distribution": files, "recordSet": record_sets}
 
 
 def _file_objects(folder: DataFolder, manifest: Manifest | None) -> Iterator[dict[str, Any]]:
@@ -205,69 +220,41 @@ def _unpacked(entry: Any) -> tuple[list[int], Any]:
     return shape, entry
 
 
-def croissant_of_folder(text: str, folder: DataFolder) -> str:
-    """Return the text of a repository for a folder that has the manifest, and all of the set or some splits.
+def croissant_again(
+    text: str,
+    folder: DataFolder,
+    facts: FolderFacts,
+    manifest: Manifest | None,
+    page: str | None = None,
+    others: Sequence[str] = (),
+) -> str:
+    """Return the text anew for a folder that has other files by now, or for the ``page`` of a repository.
 
-    ValueError where it is not JSON.
+    There ``others`` lie next to the files of the folder. ValueError where the text is not a JSON object.
     """
-    manifest = read_manifest(folder)
     values = json.loads(text)
     if not isinstance(values, dict):
         raise ValueError("not a JSON object")
-    # That is the page of the repository, of which the folder may be a part only.
+    # That of the repository that a folder came from, of which it may be a part only.
     values.pop("url", None)
-    return printable_json({**values, **_structure(folder, folder_facts(folder, manifest), manifest)}) + "\n"
-
-
-def croissant_for_hub(text: str, page: str, card: str, manifest: bytes) -> str:
-    """Return the text of a folder for a repository, in which files are those of its git repository.
-
-    ``card`` and ``manifest`` are those that will stand there: the card's head tells which files are whose.
-    """
-    import yaml
-
-    values = json.loads(text)
-    head = yaml.safe_load(card.split("---\n", 2)[1])
-    includes = {entry["split"]: entry["path"] for entry in head["configs"][0]["data_files"]}
-    repository = {
-        "@type": "cr:FileObject",
-        "@id": _REPOSITORY,
-        "contentUrl": page,
-        "encodingFormat": "git+https",
-        "sha256": _GIT_HAS_NO_DIGEST,
-    }
-    held = [{**each, "containedIn": {"@id": _REPOSITORY}} for each in values["distribution"]]
-    for each in held:
-        if each["@id"] == MANIFEST_FILE:
-            each["sha256"] = sha256_hex(manifest)
-        if each["@type"] == "cr:FileSet":
-            each["includes"] = includes[each["@id"].removeprefix("files-")]
-    return printable_json({**values, "url": page, "distribution": [repository, *held]}) + "\n"
+    structure = _structure(folder, facts, manifest, page, others)
+    return printable_json({**values, **structure, **({} if page is None else {"url": page})}) + "\n"
 
 
 def check_croissant(folder: DataFolder, facts: FolderFacts, manifest: Manifest | None) -> list[Finding]:
     """List what of the file is not as the folder is; none where there is no such file."""
     if not folder.exists(CROISSANT_FILE):
         return []  # data sets made before there was one
-    cure = "; next: write it again with the command `card`"
     try:
-        values = json.loads(folder.read_bytes(CROISSANT_FILE).decode())
-    except (ValueError, RecursionError, ToolkitError) as error:
-        return [Finding(CROISSANT_FILE, f"cannot be read as JSON ({error}){cure}")]
-    expected = _structure(folder, facts, manifest)
-    if not isinstance(values, dict):
-        return [Finding(CROISSANT_FILE, f"is not a JSON object{cure}")]
-    stated = {**values, "distribution": _at_home(values.get("distribution"))}
+        stated = json.loads(folder.read_bytes(CROISSANT_FILE).decode())
+        expected = _structure(folder, facts, manifest, stated.get("url"))
+        wrong = [
+            f"its {name!r} is not that of the files here"
+            for name in expected
+            if stated.get(name) != expected[name]
+        ]
+    except (ValueError, AttributeError, RecursionError, ToolkitError) as error:
+        wrong = [f"cannot be read as a JSON object ({error})"]
     return [
-        Finding(CROISSANT_FILE, f"its {name!r} is not that of the files here{cure}")
-        for name, found in expected.items()
-        if stated.get(name) != found
+        Finding(CROISSANT_FILE, f"{each}; next: write it again with the command `card`") for each in wrong
     ]
-
-
-def _at_home(distribution: Any) -> Any:
-    """Return files as those of a folder: a copy made by other tools has them as those of its repository."""
-    if not isinstance(distribution, list) or not all(isinstance(each, dict) for each in distribution):
-        return distribution
-    held = (each for each in distribution if each.get("@id") != _REPOSITORY)
-    return [{name: value for name, value in each.items() if name != "containedIn"} for each in held]

@@ -1,21 +1,29 @@
-"""Which rows of a data set to show: by split, by id, or the first of each class."""
+"""Which rows of a data set are shown or checked: by split, by id, or the first of each class."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias, TypeVar
+from itertools import islice
+from pathlib import Path
+from typing import Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.catalog.locate import splits_of
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.catalog.locate import find_shards, folder_named, splits_of
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.mesh.columns import require_mesh_columns
+from tactile_toolkit.read.columns import null_fields
+from tactile_toolkit.read.dataset import RecordDataset, Row
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.store.address import is_remote, place_of_data
 from tactile_toolkit.store.files import expanded
+from tactile_toolkit.store.job import manifest_so_far
 
+T = TypeVar("T")
 D = TypeVar("D", bound=RecordDataset[Any])
 
 _IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
@@ -24,18 +32,15 @@ IdChoice: TypeAlias = Sequence[int | tuple[int, int]]
 """Ids, and first and last ids of ranges."""
 
 
-def open_splits(name: str, split: str | None, load: Callable[[str, str], D], things: str) -> dict[str, D]:
-    """Open one split of a local data set, or all of them; those without rows are left out.
+def open_splits(
+    name: str, split: str | None, load: Callable[[str, str], D], things: str, revision: str | None = None
+) -> dict[str, D]:
+    """Open one split of a data set, or all of them; those without rows are left out.
 
     ``load`` opens a split of a path; ``things`` is what the rows are, for messages, such as ``"digits"``.
     InputError where there is no such split, or nothing in it.
     """
-    known = splits_of(name)
-    if split is not None and split not in known:
-        raise InputError(
-            f"no split {split!r} in {name!r}: it has {', '.join(known)}", next="choose one of them"
-        )
-    chosen = known if split is None else (split,)
+    chosen = splits_of(name, revision=revision) if split is None else (split,)
     opened = {each: load(name, each) for each in chosen}
     filled = {each: rows for each, rows in opened.items() if len(rows)}
     if not filled:
@@ -43,42 +48,6 @@ def open_splits(name: str, split: str | None, load: Callable[[str, str], D], thi
             f"{', '.join(chosen)} of {name!r}: no {things}", next="generate some, or choose another split"
         )
     return filled
-
-
-def chosen_records(
-    datasets: Mapping[str, RecordDataset[Any]], ids: Sequence[int], name: str, things: str
-) -> list[tuple[str, Any]]:
-    """Return the records of some ids with their splits, or the first of all when no id is given.
-
-    Raises InputError where there is no row of some id.
-    """
-    if not ids:
-        split, dataset = next(iter(datasets.items()))
-        return [(split, dataset[0])]
-    found: dict[int, tuple[str, Any]] = {}
-    for split, dataset in datasets.items():
-        known = dataset.ids  # each time, a copy of the rows chosen
-        rows = np.flatnonzero(np.isin(known, ids)).tolist()
-        found = {int(known[row]): (split, dataset[row]) for row in reversed(rows)} | found
-    missing = [str(number) for number in dict.fromkeys(ids) if number not in found]
-    if missing:
-        raise InputError(
-            f"no {things} of id {', '.join(missing)} in {', '.join(datasets)} of {name!r}",
-            next="give ids of the data set, such as those on its contact sheet",
-        )
-    return [found[number] for number in dict.fromkeys(ids)]
-
-
-def class_by_class(dataset: RecordDataset[Any], ids: Sequence[int], per_class: int) -> NDArray[np.int64]:
-    """Return rows, class after class: those of some ids, or the first so many of each class.
-
-    Reads the id and label columns only.
-    """
-    labels = dataset.labels
-    if ids:
-        rows = np.flatnonzero(np.isin(dataset.ids, ids))
-        return rows[np.argsort(labels[rows], kind="stable")]
-    return np.concatenate([np.flatnonzero(labels == label)[:per_class] for label in np.unique(labels)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,12 +60,6 @@ class Choice:
     per_class: int | None = None
     ids: IdChoice | None = None
     labels: Sequence[str] | None = None
-
-    def rows(self, datasets: Iterable[tuple[str, D]]) -> list[tuple[str, D, NDArray[np.int64]]]:
-        """Return splits with the rows that are chosen; InputError as of :func:`choose_rows`."""
-        return choose_rows(
-            datasets, ids=self.ids, labels=self.labels, per_class=self.per_class, limit=self.limit
-        )
 
 
 def choose_rows(
@@ -168,20 +131,109 @@ def parse_ids(text: str) -> list[int | tuple[int, int]]:
     return numbers
 
 
-def portions(rows: NDArray[np.int64], size: int) -> Iterator[NDArray[np.int64]]:
-    """Cut rows into portions of at most ``size``."""
-    for start in range(0, len(rows), size):
-        yield rows[start : start + size]
-
-
-def splits_to_show(name: str, split: str | None, revision: str | None = None) -> tuple[str, ...]:
-    """Return the splits of a data set, or the one asked for."""
-    return splits_of(name, revision=revision) if split is None else (split,)
-
-
 def short_name(name: str) -> str:
     """Return a data set's name without the folders that it lies in: a site may be given to others."""
     if is_remote(name):
         return name.rstrip("/").rpartition("/")[2]
     place = expanded(place_of_data(name))
     return place.resolve().name if place.exists() else name
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedRow(Generic[T]):
+    """What was found about one row, by its number in a file, and by its id where it has one.
+
+    ``found`` is what the check returned, or None where ``null_field`` is null.
+    """
+
+    split: str
+    file: str
+    row: int
+    id: int | None
+    found: T | None
+    null_field: str = ""
+
+
+def shards_to_check(path: str, split: str | None, made_by: str) -> list[tuple[str, Shard]]:
+    """Return the files of a data set of meshes, each with its split; ``made_by`` writes such data sets.
+
+    Raises InputError where there is none, IntegrityError where a shard is damaged or missing, or the run that
+    makes the data set is under way or was interrupted: a check of the rest would pass for one of all.
+    """
+    folder = folder_named(path) if split is None else None
+    so_far = None if folder is None else manifest_so_far(folder)
+    if so_far is not None and not so_far.complete:
+        raise IntegrityError(
+            f"the run that makes {path!r} is not finished", next="run the same command again, it continues"
+        )
+    splits = splits_of(path) if split is None else (split,)
+    shards = [(name, shard) for name in splits for shard in find_shards(path, name)]
+    for _, shard in shards:
+        require_mesh_columns(shard.schema, path, made_by)
+    return shards
+
+
+def check_rows(
+    shards: Sequence[tuple[str, Shard]],
+    check: Callable[[Row], T],
+    columns: Sequence[str],
+    limit: int | None = None,
+    workers: int = 1,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[CheckedRow[T]]:
+    """Check rows in processes and return what was found, in the order of the rows.
+
+    ``check``, which has to be picklable, is given each row in which none of ``columns`` is null at any depth;
+    only the first ``limit`` rows of each split, where given. ``on_progress`` is called with rows done and in
+    all.
+    """
+    parts = list(_parts(shards, limit))
+    total, done = sum(part.rows for part in parts), 0
+    results: dict[int, list[CheckedRow[T]]] = {}
+    for number, found in runner_for(workers).run(_CheckPart(check, tuple(columns)), list(enumerate(parts))):
+        results[number] = found
+        done += parts[number].rows
+        on_progress(done, total)
+    return [row for number in sorted(results) for row in results[number]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """The first rows of one row group: small and picklable."""
+
+    split: str
+    shard: Shard
+    group: int
+    rows: int
+
+
+def _parts(shards: Sequence[tuple[str, Shard]], limit: int | None) -> Iterator[_Part]:
+    left: dict[str, int] = {}
+    for split, shard in shards:
+        for group, (start, stop) in enumerate(zip(shard.group_starts, shard.group_starts[1:], strict=False)):
+            rows = stop - start if limit is None else min(stop - start, left.get(split, limit))
+            if limit is not None:
+                left[split] = left.get(split, limit) - rows
+            if rows:
+                yield _Part(split, shard, group, rows)
+
+
+@dataclass(frozen=True, slots=True)
+class _CheckPart(Generic[T]):
+    check: Callable[[Row], T]
+    columns: tuple[str, ...]
+
+    def __call__(self, numbered: tuple[int, _Part]) -> tuple[int, list[CheckedRow[T]]]:
+        number, part = numbered
+        return number, list(islice(self._rows(part), part.rows))
+
+    def _rows(self, part: _Part) -> Iterator[CheckedRow[T]]:
+        file = Path(part.shard.path).name
+        for block in part.shard.blocks(part.group):
+            nulls = null_fields(block.table, self.columns)
+            for index, row_id in enumerate(block.table["id"].to_pylist()):
+                # In data sets of others it may be null, or a text.
+                known_id = row_id if isinstance(row_id, int) else None
+                null_field = nulls.get(index, "")
+                found = None if null_field else self.check(Row(block, index))
+                yield CheckedRow(part.split, file, block.first_row + index, known_id, found, null_field)

@@ -7,15 +7,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.hub.errors import named_failures
+from tactile_toolkit.hub.calls import named_failures, not_cached
 from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.address import is_remote, place_of_data, scheme_of
 from tactile_toolkit.store.files import expanded, is_there, readable
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import manifest_so_far
-from tactile_toolkit.store.manifest import MANIFEST_FILE, read_manifest, without_collecting
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, without_collecting
 from tactile_toolkit.store.overwrite import settle
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
@@ -46,21 +45,20 @@ def find_shards(
     IntegrityError (a damaged manifest, an interrupted run) or HubError.
     """
     place = _place_of(name, revision)
-    if isinstance(place, str):
-        _require_split(place, split)
-        return (Shard(place),)
     if isinstance(place, DataFolder):
         with without_collecting():
             return _folder_shards(place, split)
+    if isinstance(place, str) or _is_file(place):
+        # `train` may be what is asked for by default: a file named alone is opened then, whatever its split.
+        found = _split_in_name(place)
+        if split not in (None, found or split, _USUAL_SPLIT):
+            raise no_split(str(split), (str(found),), name)
+        return find_files([name], revision=revision, streaming=streaming)
     repository = HubRepository(place.repo_id, place.revision)
-    if _is_file(place):
-        _require_split(place.path, split)
-        return _hub_shards(repository, [place.path], streaming)
-    found = _shards_below(repository, place.path)
-    chosen = _split_of([file.split for file in found], split, name)
-    with repository.missing_as_not_cached(f"split {chosen!r}"):
-        files = files_of_split(found, chosen, name)
-    return _hub_shards(repository, [file.path for file in files], streaming)
+    files = _shards_below(repository, place.path)
+    chosen = _split_of([file.split for file in files], split, name)
+    paths = [file.path for file in hub_split(repository, files, chosen)]
+    return _hub_shards(repository, paths, streaming)
 
 
 def find_files(
@@ -155,9 +153,9 @@ def _is_file(named: HubName) -> bool:
     return named.path.endswith(_PARQUET)
 
 
-def _split_in_name(path: str) -> str | None:
+def _split_in_name(place: str | HubName) -> str | None:
     """Return the split that the name of a file tells, such as ``test-00000-of-00002.parquet``."""
-    shard = ShardName.parse(Path(path).name)
+    shard = ShardName.parse(Path(place.path if isinstance(place, HubName) else place).name)
     return None if shard is None else shard.split
 
 
@@ -167,26 +165,40 @@ def _split_of(known: Sequence[str], split: str | None, name: str) -> str:
         return split
     only, *further = dict.fromkeys(known or [_USUAL_SPLIT])
     if further:
-        found = f"{_shown(name)} has the splits {', '.join([only, *further])}; expected one of them"
-        raise InputError(found, next=f"name it, split={only!r} (in a shell --split {only})")
+        raise InputError(
+            f"{_shown(name)} has the splits {', '.join([only, *further])}; expected one of them",
+            next=f"name it, split={only!r} (in a shell --split {only})",
+        )
     return only
-
-
-def _require_split(path: str, split: str | None) -> None:
-    """Refuse to take a file of one split for another that was asked for."""
-    # `train` may be what is asked for by default: a file named alone is opened then, whatever its split.
-    found = _split_in_name(path)
-    if split is not None and found not in (None, split) and split != _USUAL_SPLIT:
-        raise no_split(split, (str(found),), path)
 
 
 def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool) -> tuple[Shard, ...]:
     if not streaming:
-        return tuple(map(Shard, repository.fetch(paths)))
+        return tuple(Shard(str(place)) for place in repository.fetch(paths))
     for path in paths:
         repository.file(path)  # a file that is not there is named now, not when it is read
-    failures = functools.partial(named_failures, repository.repo_id, repository.revision, "streaming")
+    failures = functools.partial(named_failures, repository.repo_id, "streaming")
     return tuple(Shard(repository.address(path), failures=failures) for path in paths)
+
+
+def hub_split(repository: HubRepository, files: list[ShardFile], split: str) -> list[ShardFile]:
+    """Return the files of one split of a repository; HubError for what may be there but is not cached."""
+    try:
+        return files_of_split(files, split, repository.repo_id)
+    except (InputError, IntegrityError) as error:
+        if not repository.snapshot.is_cache or repository.manifest is not None:
+            raise
+        raise not_cached(repository.repo_id, f"split {split!r}") from error
+
+
+def repository_shards(repository: HubRepository) -> list[ShardFile]:
+    """Sort the Parquet files of a repository by split."""
+    files = shard_files(repository.files())
+    if repository.manifest is None:
+        return files
+    # An upload removes nothing that it was not asked to: shards of an older layout may lie next to these.
+    listed = {record.shard.data_path for record in repository.manifest.shards}
+    return [file for file in files if file.path in listed]
 
 
 def _shards_below(repository: HubRepository, folder: str) -> list[ShardFile]:
@@ -200,12 +212,12 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
     if isinstance(place, DataFolder):
         splits = available_splits(place)
     elif isinstance(place, str) or _is_file(place):
-        splits = (_split_in_name(place if isinstance(place, str) else place.path) or _USUAL_SPLIT,)
+        splits = (_split_in_name(place) or _USUAL_SPLIT,)
     else:
         files = _shards_below(HubRepository(place.repo_id, place.revision), place.path)
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
-        raise InputError(f"no Parquet files in {name!r}", next="give the folder or repository of a data set")
+        raise no_split("", (), name)
     return splits
 
 
@@ -219,18 +231,14 @@ def available_splits(folder: DataFolder) -> tuple[str, ...]:
 
 def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
     settle(folder)  # files of two sets lie in one that is being replaced
-    manifest = read_manifest(folder)
+    manifest, root = read_manifest(folder), folder.address()
     if manifest is None:
         found = _folder_files(folder)
-        chosen = _split_of([file.split for file in found], split, folder.address())
-        return tuple(
-            Shard(folder.address(file.path)) for file in files_of_split(found, chosen, folder.address())
-        )
-    chosen = _split_of(manifest.splits, split, folder.address())
+        chosen = _split_of([file.split for file in found], split, root)
+        return tuple(Shard(folder.address(file.path)) for file in files_of_split(found, chosen, root))
+    chosen = _split_of(manifest.splits, split, root)
+    _refuse_unfinished(folder, manifest, chosen)
     records = manifest.shards_of(chosen)
-    _refuse_unfinished(folder, chosen, [record.shard for record in records], manifest.complete)
-    if not records:
-        raise no_split(chosen, manifest.splits, folder.address())
     small: list[tuple[Shard, str] | None] = [None] * len(records)
     for file in small_files(manifest, chosen):
         if file.path in (manifest.files or ()):
@@ -238,7 +246,6 @@ def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
             entry = (Shard(folder.address(file.path), file.rows), file.made_of)
             small[first : first + len(file.records)] = [entry] * len(file.records)
     # Names were checked when the manifest was read: address(PATH) would do so again for each of 50,000.
-    root = folder.address()
     return tuple(
         [
             Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry, size_bytes=record.bytes)
@@ -247,23 +254,19 @@ def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
     )
 
 
-def _refuse_unfinished(folder: DataFolder, split: str, shards: list[ShardName], complete: bool) -> None:
-    """Refuse a split of which a running or interrupted command has made only some shards."""
-    if shards and len(shards) == shards[0].count:
+def _refuse_unfinished(folder: DataFolder, manifest: Manifest, split: str) -> None:
+    """Refuse a split that is not there, and one of which a command has made only some shards."""
+    records = manifest.shards_of(split)
+    if records and len(records) == records[0].shard.count:
         return
-    if complete and shards:
-        raise IntegrityError(
-            f"{len(shards)} of {shards[0].count} shards of split {split!r} are listed in "
-            f"{folder.address(MANIFEST_FILE)!r}, all were expected",
-            next="download or generate the data set again",
-        )
     there = [file.path for file in _folder_files(folder) if file.split == split]
-    if there or not complete:
-        raise IntegrityError(
-            f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
-            f"{split!r} are there, {MANIFEST_FILE} does not list them all)",
-            next="run the same command again, it continues",
-        )
+    if not (records or there) and manifest.complete:
+        raise no_split(split, manifest.splits, folder.address())
+    raise IntegrityError(
+        f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
+        f"{split!r} are there, {MANIFEST_FILE} lists {len(records)} of them)",
+        next="run the same command again, it continues, or download the data set again",
+    )
 
 
 def _folder_files(folder: DataFolder) -> list[ShardFile]:
@@ -279,36 +282,3 @@ def _numbered(folder: DataFolder) -> list[str]:
     root = Path(folder.address())
     found = [file for pattern in ("[!.]*/*.parquet", "[!.]*/[!.]*/*.parquet") for file in root.glob(pattern)]
     return [file.relative_to(root).as_posix() for file in found if file.stem.isdigit()]
-
-
-def repository_shards(repository: HubRepository) -> list[ShardFile]:
-    """Sort the Parquet files of a repository by split."""
-    files = shard_files(repository.files())
-    if repository.manifest is None:
-        return files
-    # An upload removes nothing that it was not told to: shards of an older layout may lie next to these.
-    listed = {record.shard.data_path for record in repository.manifest.shards}
-    return [file for file in files if file.path in listed]
-
-
-def splits_to_check(path: str) -> tuple[str, ...]:
-    """List the splits of a folder that is to be checked as a whole; InputError where it holds none.
-
-    Raises IntegrityError when the run that makes it is under way or was interrupted: a check of the rest
-    would pass for one of all.
-    """
-    folder = DataFolder(path)
-    manifest, so_far = read_manifest(folder), manifest_so_far(folder)
-    if manifest is not None and so_far is not None and not so_far.complete:
-        # A split that was begun is named before one that was not.
-        for split in (*so_far.splits, *manifest.split_order):
-            records = manifest.shards_of(split)
-            if not records or len(records) < records[0].shard.count:
-                find_shards(path, split)  # says what is unfinished about it
-                break
-    splits = available_splits(folder)
-    if not splits:
-        raise InputError(
-            f"{path!r} holds no data set (no manifest and no Parquet files)", next="name a generated folder"
-        )
-    return splits

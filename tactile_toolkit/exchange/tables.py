@@ -61,51 +61,13 @@ class _WriteTable:
         return ShardContent(flat_table(self.rows))
 
 
-def export_tables(
-    kind: DatasetKind,
-    name: str,
-    choices: Choices,
-    options: Mapping[str, Any],
-    out: str,
-    *,
-    overwrite: bool = False,
-    workers: int = 1,
-    on_progress: Callable[[Progress], None] = lambda _: None,
-) -> Manifest:
-    """Write chosen rows of splits as Parquet that other libraries read, with manifest and card.
+def plan_tables(
+    kind: DatasetKind, name: str, choices: Choices, options: Mapping[str, Any], out: str
+) -> BuildPlan:
+    """Plan Parquet files of chosen rows of splits, which other libraries read.
 
     ``options`` are JSON values by which the rows were chosen. Raises as all makers of folders do.
     """
-    plan = _plan(kind, name, choices, options, out)
-    return build(
-        DataFolder(out),
-        plan,
-        runner_for(workers),
-        overwrite=overwrite,
-        on_progress=on_progress,
-        write_card=kind.write_card,
-    )
-
-
-def forecast_tables(
-    kind: DatasetKind,
-    name: str,
-    choices: Choices,
-    options: Mapping[str, Any],
-    out: str,
-    *,
-    overwrite: bool = False,
-) -> tuple[int, int]:
-    """Return rows and bytes that :func:`export_tables` would write, guessed from a few; raises as it does."""
-    plan = _plan(kind, name, choices, options, out)
-    if not overwrite:
-        look(DataFolder(out), plan)
-    tasks = [task for task in plan.tasks if isinstance(task, _WriteTable)]
-    sample, rows = tasks[0].rows[:_SAMPLED], sum(task.size for task in tasks)
-    return rows, round(rows * len(encode_parquet(flat_table(sample), _STYLE)) / len(sample))
-
-
-def _plan(kind: DatasetKind, name: str, choices: Choices, options: Mapping[str, Any], out: str) -> BuildPlan:
     tasks, shards = [], {}
     for split, rows, chosen in choices:
         shards[split] = [shard for table in rows._tables for shard in table.shards]
@@ -125,6 +87,35 @@ def _plan(kind: DatasetKind, name: str, choices: Choices, options: Mapping[str, 
     return BuildPlan(
         kind.name, spec, tuple(shards), tuple(tasks), _STYLE, libraries=("numpy", "pyarrow", "trimesh")
     )
+
+
+def export_tables(
+    kind: DatasetKind,
+    plan: BuildPlan,
+    out: str,
+    *,
+    overwrite: bool = False,
+    workers: int = 1,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Write the planned tables with manifest and card; raises as all makers of folders do."""
+    return build(
+        DataFolder(out),
+        plan,
+        runner_for(workers),
+        overwrite=overwrite,
+        on_progress=on_progress,
+        write_card=kind.write_card,
+    )
+
+
+def forecast_tables(plan: BuildPlan, out: str, *, overwrite: bool = False) -> tuple[int, int]:
+    """Return rows and bytes that :func:`export_tables` would write, guessed from a few; raises as it does."""
+    if not overwrite:
+        look(DataFolder(out), plan)
+    tasks = [task for task in plan.tasks if isinstance(task, _WriteTable)]
+    sample, rows = tasks[0].rows[:_SAMPLED], sum(task.size for task in tasks)
+    return rows, round(rows * len(encode_parquet(flat_table(sample), _STYLE)) / len(sample))
 
 
 def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:

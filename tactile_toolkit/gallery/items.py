@@ -1,23 +1,49 @@
-"""What a gallery shows: items, what they can be filtered by, and the work that makes them."""
+"""What a gallery shows: items, what they can be filtered by, and the work that makes them.
+
+Meshes and thumbnails are made small. A mesh is packed in integer steps of 10 µm, differences, deflated, as
+text: a digit of 5,000 vertices takes about 30 kB so, where its plain arrays take 180 kB.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+import base64
+import io
+import re
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tactile_toolkit.catalog.choose import Choice, portions, short_name, splits_to_show
+from tactile_toolkit.catalog.choose import Choice, choose_rows, open_splits, short_name
 from tactile_toolkit.catalog.kinds import require_kind
+from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.mesh.raster import highest_faces
 from tactile_toolkit.read.dataset import RecordDataset
+
+if TYPE_CHECKING:
+    from tactile_toolkit.mesh.records import SolidRecord
 
 NONE = "none"
 """Facet value of items without a value, so that these can be looked at too."""
 
 SPLIT = "split"
 """Name of the facet of splits; its values stand in the order of the data set."""
+
+STEP_MM = 0.01
+"""Grid that corners are rounded to, a twentieth of a printed layer; coarser for meshes above 655 mm and finer
+for those below 10 mm."""
+
+THUMBNAIL_PX = 144
+"""Longer side of a thumbnail."""
+
+_FEWEST_STEPS = 1_000
+_LEAST_STEP_MM = 1e-6
+_MOST_STEPS = np.iinfo(np.uint16).max
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +78,7 @@ class Item:
     measures: Mapping[str, float | None]  # None, or no entry, where it is unknown
     thumbnail: bytes = field(repr=False)  # PNG
     # JSON values that the page loads when the item is opened: "notes" (pairs of a title and a text) and
-    # either "mesh" (see tactile_toolkit.gallery.packing.packed_mesh) or "touches".
+    # either "mesh" (see packed_mesh) or "touches".
     content: Mapping[str, Any] = field(repr=False)
     # Further files by the end of their name, such as "000.jpg".
     media: Mapping[str, bytes] = field(default_factory=dict, repr=False)
@@ -124,30 +150,145 @@ def gallery_of_rows(
     item: Callable[[Any, str, tuple[str, ...], Any], Item],
     rows_per_task: int,
     known: Callable[[Any, str], Sequence[Any]] = lambda rows, _: [None] * len(rows),
-    splits: Iterable[tuple[str, RecordDataset[Any]]] | None = None,
+    opened: Mapping[str, RecordDataset[Any]] | None = None,
 ) -> Gallery:
     """Plan a gallery of the rows that are chosen of some splits; see :class:`RowsTask` for ``item``.
 
-    ``known`` takes the chosen rows and their split, and says what is known of each beforehand. ``splits`` are
-    those chosen, opened as data of the kind, by default.
+    ``known`` takes the chosen rows and their split, and says what is known of each beforehand. ``opened`` are
+    the splits, by default those of the choice as data of the kind.
 
     InputError: no such data set or split, or one of another kind. IntegrityError: it is damaged or
     unfinished. HubError: the repository cannot be reached or does not exist.
     """
+    if opened is None:
+        opened = open_splits(choice.name, choice.split, kind.load, kind.nouns)
+        require_kind(kind, "gallery", choice.name, opened.values())
     tasks: list[ItemTask] = []
     shown: dict[str, int] = {}
-    for split, dataset, chosen in choice.rows(_opened(kind, choice) if splits is None else splits):
-        rows = dataset[chosen]
+    chosen = choose_rows(
+        opened.items(),
+        ids=choice.ids,
+        labels=choice.labels,
+        per_class=choice.per_class,
+        limit=choice.limit,
+    )
+    for split, dataset, positions in chosen:
+        rows = dataset[positions]
         shown[split] = len(rows)
         given = known(rows, split)
-        for portion in portions(np.arange(len(rows)), rows_per_task):
-            tasks.append(RowsTask(rows[portion], split, item, tuple(given[row] for row in portion)))
+        for start in range(0, len(rows), rows_per_task):
+            part = slice(start, start + rows_per_task)
+            tasks.append(RowsTask(rows[part], split, item, tuple(given[part])))
     heading = f"{title} · {short_name(choice.name)}"
     return Gallery(kind.name, heading, (kind.noun, kind.nouns), facets, measures, tuple(tasks), shown)
 
 
-def _opened(kind: DatasetKind, choice: Choice) -> Iterator[tuple[str, RecordDataset[Any]]]:
-    for split in splits_to_show(choice.name, choice.split):
-        dataset = kind.load(choice.name, split)
-        require_kind(kind, "gallery", choice.name, [dataset])
-        yield split, dataset
+def natural_order(values: Iterable[str]) -> list[str]:
+    """Sort texts so that numbers in them count as numbers: ``["2", "10", "a"]``; each once."""
+
+    def key(text: str) -> tuple[list[tuple[int, float, str]], str]:
+        parts = re.findall(r"\d+|\D+", text)
+        return [(0, float(part), "") if part.isdecimal() else (1, 0.0, part) for part in parts], text
+
+    return sorted(set(values), key=key)
+
+
+def packed_mesh(
+    vertices_m: NDArray[np.floating[Any]],
+    faces: NDArray[np.integer[Any]],
+    parts: Sequence[tuple[int, str]] = (),
+    *,
+    flat: bool = False,
+) -> dict[str, Any]:
+    """Pack a mesh, (V, 3) in metres with z up and (F, 3), as JSON values for the viewer of the page.
+
+    ``parts`` are runs of triangles and the paint of each, ``"main"`` or ``"other"``; all are ``"main"`` by
+    default. ``flat`` shows edges sharp instead of rounding the shade off. ``vertices`` and ``faces`` become
+    base64 of zlib of four planes of bytes (lowest first) of zigzag numbers, each the difference to the number
+    before; vertices as x of all, y of all, z of all in steps of ``step_mm`` above ``low_mm``.
+    """
+    vertices_mm = np.asarray(vertices_m, np.float64) * MM_PER_M
+    low_mm = vertices_mm.min(axis=0)
+    extent_mm = float((vertices_mm.max(axis=0) - low_mm).max())
+    step_mm = max(min(STEP_MM, max(extent_mm / _FEWEST_STEPS, _LEAST_STEP_MM)), extent_mm / _MOST_STEPS)
+    steps = np.round((vertices_mm - low_mm) / step_mm).astype(np.int64)
+    return {
+        "vertices": _packed(steps.T.reshape(-1)),
+        "faces": _packed(np.asarray(faces, np.int64).reshape(-1)),
+        "vertex_count": len(vertices_mm),
+        "face_count": len(faces),
+        "step_mm": step_mm,
+        "low_mm": [round(float(value), 6) for value in low_mm],
+        "parts": [list(part) for part in parts] or [[len(faces), "main"]],
+        "flat": flat,
+    }
+
+
+def _packed(numbers: NDArray[np.int64]) -> str:
+    # Neighbours differ little, so the upper planes of bytes are almost all zero and deflate to nothing.
+    change = np.diff(numbers, prepend=0)
+    # Small differences of either sign become small numbers (as in Protocol Buffers).
+    zigzag = ((change << 1) ^ (change >> 63)).astype("<u4")
+    planes = zigzag.view(np.uint8).reshape(-1, 4).T
+    return base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode("ascii")
+
+
+def size_text(vertices_m: NDArray[np.floating[Any]]) -> str:
+    """Write the size of a mesh for people: ``"38.2 x 52.1 x 8.0 mm"``."""
+    size_mm = np.ptp(np.asarray(vertices_m, np.float64), axis=0) * MM_PER_M
+    return " x ".join(f"{side:.1f}" for side in size_mm) + " mm"
+
+
+def require_mesh(record: SolidRecord, split: str) -> None:
+    """Refuse a stored mesh that nothing can draw, with an IntegrityError."""
+    vertices, faces = record.vertices_m, record.faces
+    whole = len(vertices) and len(faces) and np.isfinite(vertices).all()
+    if not whole or faces.min() < 0 or faces.max() >= len(vertices):
+        raise IntegrityError(
+            f"the mesh of id {record.id} in split {split!r} ({len(vertices):,} vertices, {len(faces):,} "
+            "triangles) cannot be drawn: it is empty, or has corners that are missing or not finite",
+            next="run `verify` and `validate` on the data set, then generate or download it again",
+        )
+
+
+def thumbnail(pixels: NDArray[np.uint8], opaque_from: int | None = None) -> bytes:
+    """Make the thumbnail, a PNG, of grey levels, (H, W), or colours, (H, W, 3).
+
+    With ``opaque_from``, paper, which has the colour of the top left pixel, becomes transparent, so that it
+    looks right on light and dark pages: what is so many levels darker is opaque, what is less dark shows the
+    page through. 1 is for pictures without smoothed edges.
+    """
+    from PIL import Image
+
+    picture = Image.fromarray(np.ascontiguousarray(pixels))
+    if opaque_from is not None:
+        layers = pixels.reshape(*pixels.shape[:2], -1).astype(np.float32)
+        paper = layers[0, 0]
+        share = np.clip((paper - layers).max(axis=-1) / opaque_from, 0, 1)[..., None]
+        # What the paper adds to a smoothed edge is taken out again, so that no light rim shows on a dark
+        # page.
+        ink = np.clip((layers - (1 - share) * paper) / np.maximum(share, 1 / 255), 0, 255)
+        levels = np.concatenate([np.where(share > 0, ink, 0), 255 * share], axis=-1).round().astype(np.uint8)
+        picture = Image.fromarray(levels, "LA" if levels.shape[-1] == 2 else "RGBA")
+    picture.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.BOX)
+    stream = io.BytesIO()
+    picture.save(stream, "PNG", compress_level=6)
+    return stream.getvalue()
+
+
+def top_view(
+    vertices_m: NDArray[np.floating[Any]],
+    faces: NDArray[np.integer[Any]],
+    size_m: tuple[float, float],
+    px_per_mm: float,
+) -> NDArray[np.uint8]:
+    """Draw what of a mesh faces up in one grey, (H, W), 255 paper: flat tops that nothing else is known of.
+
+    The origin is in the middle of the picture, whose width and height are ``size_m``; y is up.
+    """
+    scale = px_per_mm * MM_PER_M
+    shape = [max(1, round(side * scale)) for side in reversed(size_m)]
+    # Rows grow with y here, so that triangles keep their orientation; the picture is turned over at the end.
+    flat = np.asarray(vertices_m, np.float64)[:, :2] * scale + (shape[1] / 2 - 0.5, shape[0] / 2 - 0.5)
+    seen = highest_faces(np.stack([*flat.T, np.zeros(len(flat))]), faces, (shape[0], shape[1]))
+    return np.where(seen[::-1] < 0, 255, 110).astype(np.uint8)

@@ -1,36 +1,32 @@
 """Making the folder of a gallery: next to its place, or within it, and put in place when it is complete.
 
 A page cannot be made in place: whoever looks at it would see half of it for hours. Its marker lists its
-files, so that a run replaces those and no other.
+files, so that a run replaces those and no other. Pages opened from a file system may not fetch files; scripts
+they may load. So data is written as scripts that call a function of the page.
 """
 
 from __future__ import annotations
 
-import filecmp
+import html
 import json
 import os
+import re
 import shutil
 import time
 import uuid
-from collections.abc import Callable, Generator, Iterable, Iterator
+import zipfile
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
+from importlib import metadata, resources
+from importlib.util import find_spec
 from itertools import accumulate
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
 from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.gallery.items import Gallery, Item, ItemTask
-from tactile_toolkit.gallery.page import (
-    ASSETS,
-    asset,
-    content_script,
-    index_of,
-    index_script,
-    page,
-    viewer_library,
-)
+from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, ItemTask, natural_order
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.run.system import locked
 from tactile_toolkit.store.files import expanded, named_failures
@@ -73,12 +69,12 @@ def build_site(
 ) -> Site:
     """Make the site of a gallery in a folder that appears whole or not at all; equal galleries, equal bytes.
 
-    ``overwrite`` replaces another gallery that is there; the same one may be there, so that a run can be
-    repeated; anything else is never touched. A folder that is there stays, and whoever is in it stays in it.
+    ``overwrite`` replaces a gallery that is there; anything else is never touched. A folder that is there
+    stays, and whoever is in it stays in it.
     InputError: the folder holds something, there is nothing to show, or the site would be too large.
     StorageError: it cannot be written, or the disk is full.
     """
-    path = _require_free(gallery, out, overwrite=overwrite)
+    path = _require_free(out, overwrite=overwrite)
     _require_size(gallery)
     with named_failures(str(path)), _staging(path) as staging:
         site = _Files(gallery, staging)
@@ -135,19 +131,26 @@ class _Files:
         for number, item in enumerate(items, start=first):
             self.shown[number] = replace(item, thumbnail=b"", content={}, media={})
             self._write(f"thumbs/{number:06d}.png", item.thumbnail)
-            self._write(f"items/{number:06d}.js", content_script(number, item.content))
+            self._write(f"items/{number:06d}.js", f"gallery.receive({number},{script_json(item.content)});\n")
             for ending, content in item.media.items():
                 self._write(f"media/{number:06d}-{ending}", content)
 
     def finish(self) -> None:
         """Write the index of the items, and the marker, which lists all files but itself."""
         shown = [self.shown[number] for number in sorted(self.shown)]
-        self._write("items.js", index_script(index_of(self.gallery, shown)))
+        self._write("items.js", f"gallery.start({script_json(index_of(self.gallery, shown))});\n")
         self._write(MARKER_FILE, self.marker())
 
     def marker(self, further: Iterable[str] = ()) -> bytes:
         """Return the marker, with further files of which it says that they are those of a gallery."""
-        return _marker(self.gallery, {*self.names, *further} - {MARKER_FILE})
+        content = {
+            "what": _MARK,
+            "kind": self.gallery.kind,
+            "items": self.gallery.size,
+            "version": toolkit_version(),
+            "files": sorted({*self.names, *further} - {MARKER_FILE}),
+        }
+        return (json.dumps(content, indent=1) + "\n").encode()
 
     def _write(self, name: str, content: str | bytes) -> None:
         encoded = content.encode() if isinstance(content, str) else content
@@ -157,17 +160,6 @@ class _Files:
             path.write_bytes(encoded)
         self.names.append(name)
         self.size += len(encoded)
-
-
-def _marker(gallery: Gallery, files: Iterable[str]) -> bytes:
-    content = {
-        "what": _MARK,
-        "kind": gallery.kind,
-        "items": gallery.size,
-        "version": toolkit_version(),
-        "files": sorted(files),
-    }
-    return (json.dumps(content, indent=1) + "\n").encode()
 
 
 @contextmanager
@@ -206,12 +198,7 @@ def _put_in_place(staging: Path, path: Path, site: _Files, *, overwrite: bool) -
         else:
             return
     with locked(path):
-        former = _require_replaceable(path, overwrite or _is_part_of(path, staging))
-        try:
-            _replace(staging, path, site, former)
-        except KeyboardInterrupt:
-            # In the last second of a run: all others of its moments leave no half a page behind either.
-            _replace(staging, path, site, former)
+        _replace(staging, path, site, _require_replaceable(path, overwrite=overwrite))
 
 
 def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
@@ -235,7 +222,7 @@ def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
     mark(site.marker())
 
 
-def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> Path:
+def _require_free(out: str, *, overwrite: bool) -> Path:
     """Return where a site may be made; InputError where something stands that may not be replaced."""
     if "://" in out:
         raise InputError(
@@ -244,8 +231,7 @@ def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> Path:
     # Where a symbolic link leads: the link itself is not ours to replace.
     path = Path(os.path.realpath(expanded(out)))
     if path.is_dir():
-        # Whether it is this gallery is known for certain when this one is made, and mostly before.
-        _require_replaceable(path, overwrite or _may_be(gallery, path))
+        _require_replaceable(path, overwrite=overwrite)
     elif path.exists():
         raise InputError(
             f"{str(path)!r} is a file; a gallery is a folder; nothing was changed", next="another --out"
@@ -253,7 +239,7 @@ def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> Path:
     return path
 
 
-def _require_replaceable(path: Path, may_replace: bool) -> set[str]:
+def _require_replaceable(path: Path, *, overwrite: bool) -> set[str]:
     """Return the files of the gallery that a folder holds; InputError where it holds anything else.
 
     So too where it holds a gallery that may not be replaced.
@@ -269,7 +255,8 @@ def _require_replaceable(path: Path, may_replace: bool) -> set[str]:
                 f"{str(path)!r} holds {name!r}, which is not part of a gallery; nothing was changed",
                 next="choose an empty or new folder with --out",
             )
-    if not may_replace:
+    # Of one whose run was killed while it appeared, some files are missing.
+    if marker and listed.issubset(found) and not overwrite:
         raise InputError(
             f"{str(path)!r} holds a gallery already; nothing was changed",
             next="replace it with --overwrite, or choose another folder with --out",
@@ -304,25 +291,6 @@ def _entries(folder: Path) -> Iterator[str]:
         yield from ((inside / name).as_posix() for name in sorted(files + links))
 
 
-def _may_be(gallery: Gallery, folder: Path) -> bool:
-    """Return whether a folder may hold this gallery, or be empty, as far as its page and marker show."""
-    if next(_entries(folder), None) is None:
-        return True
-    found = {**(_marker_in(folder) or {}), "files": []}
-    index = folder / "index.html"
-    return found == json.loads(_marker(gallery, ())) and (
-        not index.exists() or index.read_bytes() == page(gallery.title).encode()
-    )
-
-
-def _is_part_of(folder: Path, staging: Path) -> bool:
-    """Return whether everything that a folder holds is in another one too, byte for byte."""
-    return all(
-        (staging / name).is_file() and filecmp.cmp(folder / name, staging / name, shallow=False)
-        for name in _entries(folder)
-    )
-
-
 def _require_size(gallery: Gallery) -> None:
     one, many = gallery.nouns
     if gallery.size == 0:
@@ -349,14 +317,10 @@ class SiteForecast:
     fits: bool  # sites that do not fit are refused
     splits: dict[str, int]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return asdict(self)
-
 
 def forecast_site(gallery: Gallery, out: str, workers: int, *, overwrite: bool = False) -> SiteForecast:
     """Make a few items, write nothing, and tell what all would take; InputError as :func:`build_site`."""
-    _require_free(gallery, out, overwrite=overwrite)
+    _require_free(out, overwrite=overwrite)
     _require_size(gallery)
     site, tasks = _Files(gallery), gallery.tasks
     if len(tasks) > _SAMPLED_TASKS:  # some, evenly from first to last
@@ -379,3 +343,110 @@ def forecast_site(gallery: Gallery, out: str, workers: int, *, overwrite: bool =
         fits=total <= MOST_BYTES,
         splits=dict(gallery.splits),
     )
+
+
+_SCRIPTS = ("state.js", "filters.js", "grid.js", "viewer.js", "film.js", "dialog.js", "page.js")
+
+ASSETS = ("page.css", "theme.js", *_SCRIPTS)
+"""Our own files of the page, as they lie in the folder ``assets`` next to this module."""
+
+
+def asset(name: str) -> str:
+    """Read one of our own files of the page."""
+    return (resources.files("tactile_toolkit.gallery") / "assets" / name).read_text(encoding="utf-8")
+
+
+def page(title: str) -> str:
+    """Return the page itself."""
+    scripts = "\n".join(f'<script src="assets/{name}" defer></script>' for name in _SCRIPTS)
+    filled = asset("page.html").replace("<!-- scripts -->", scripts)
+    return filled.replace("{{title}}", html.escape(title))
+
+
+def script_json(value: Any) -> str:
+    """Write JSON that is harmless in a script and in a page: no ``<``, ``>`` or ``&``, ASCII only."""
+    text = json.dumps(value, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
+    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
+
+
+def index_of(gallery: Gallery, items: Sequence[Item]) -> dict[str, Any]:
+    """Return what the page filters and sorts items by, as JSON values: columns, one entry per item."""
+    facets = []
+    for facet in gallery.facets:
+        rows = [tuple(item.facets.get(facet.name, ())) for item in items]
+        found = {value for row in rows for value in row}
+        known = [
+            value for value in (gallery.splits if facet.name == SPLIT else facet.values) if value in found
+        ]
+        values = known + natural_order(found.difference(known))
+        numbers = {value: number for number, value in enumerate(values)}
+        chosen = [[numbers[value] for value in row] for row in rows]
+        facets.append({"title": facet.title, "values": values, "rows": chosen})
+    return {
+        "kind": gallery.kind,
+        "title": gallery.title,
+        "nouns": list(gallery.nouns),
+        "version": toolkit_version(),
+        "ids": [item.id for item in items],
+        "titles": [item.title for item in items],
+        "facets": facets,
+        "measures": [
+            {
+                "title": measure.title,
+                "unit": measure.unit,
+                "decimals": measure.decimals,
+                "values": [_rounded(item.measures.get(measure.name), measure.decimals) for item in items],
+            }
+            for measure in gallery.measures
+        ],
+    }
+
+
+def _rounded(value: float | None, decimals: int) -> float | None:
+    # NaN stands for "not measured" in reports, and JSON has no NaN.
+    if value is None or value != value:
+        return None
+    return round(float(value), decimals or None)
+
+
+# trimesh carries three.js in the template of its own notebook viewer, joined with that viewer's controls.
+# Only the library itself is taken: one line of minified code below a comment that names its authors and
+# licence.
+_TEMPLATE = "resources/templates/viewer.zip"
+_LIBRARY = re.compile(
+    r"(?P<notice>/\*\*\n \* @license\n(?: \*[^\n]*\n)*? \*/)\n(?P<code>!function[^\n]*\.THREE=[^\n]*)\n"
+)
+_RELEASE = re.compile(r'const \w+="(\d{2,3})"')
+_LICENSE_FILE = re.compile(r"(?:^|/)LICEN[CS]E[^/]*$", re.IGNORECASE)
+
+
+def viewer_library() -> tuple[str, str]:
+    """Take three.js out of the installed trimesh: its code, and the text of its licence.
+
+    InputError where that does not carry it as known releases do, or not under the MIT licence.
+    """
+    distribution = metadata.distribution("trimesh")
+    origin = f"trimesh {distribution.version}"
+    # Found without importing trimesh, which takes two seconds and has no part in this.
+    spec = find_spec("trimesh")
+    try:
+        with zipfile.ZipFile(Path(spec.origin if spec and spec.origin else "").parent / _TEMPLATE) as archive:
+            found = _LIBRARY.search(archive.read("viewer.html.template").decode())
+    except (OSError, KeyError, zipfile.BadZipFile):
+        found = None
+    licences = (str(file.read_text()) for file in distribution.files or [] if _LICENSE_FILE.search(str(file)))
+    terms = next((text for text in licences if "Permission is hereby granted, free of charge" in text), None)
+    if found is None or terms is None or "SPDX-License-Identifier: MIT" not in found["notice"]:
+        raise InputError(
+            f"the installed {origin} carries no three.js with its licence where releases 4.9 to 5.2 do "
+            f"({_TEMPLATE})",
+            next="pip install 'trimesh>=4.9,<=5.2.0'",
+        )
+    release = _RELEASE.search(found["code"])
+    name = f"three.js r{release[1]}" if release else "three.js"
+    text = (
+        f"{name}, in assets/three.js, was taken out of the Python package {origin} when this page was\n"
+        f"built. Its notice:\n\n{found['notice']}\n\n"
+        f"The MIT licence, as the package {origin} states it:\n\n{terms.strip()}\n"
+    )
+    return f"{found['notice']}\n{found['code']}\n", text

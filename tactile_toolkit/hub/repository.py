@@ -1,4 +1,7 @@
-"""A data set repository of the Hub at one commit: what it holds, and its files, intact or not handed out."""
+"""A data set repository of the Hub at one commit: what it holds, and its files, intact or not handed out.
+
+Files lie in the cache of the Hub's own client, so that either finds what the other has fetched.
+"""
 
 from __future__ import annotations
 
@@ -9,19 +12,18 @@ import json
 import os
 import re
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
-from typing import Any, NoReturn, TypeVar
+from typing import Any, TypeVar
 
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
-from tactile_toolkit.hub.cache import commit_of, matches_digest, remember_commit, snapshot_folder
-from tactile_toolkit.hub.calls import call_with_retry, is_unanswered
-from tactile_toolkit.hub.errors import not_cached
+from tactile_toolkit.hub.calls import TooLargeError, call_with_retry, is_unanswered, not_cached
+from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
-from tactile_toolkit.store.names import names_inside
+from tactile_toolkit.store.names import names_inside, problem_of_name
 from tactile_toolkit.store.origin import Digest, HubFile
 
 _PREFIX = "hf://datasets/"
@@ -31,14 +33,12 @@ _NAME = re.compile(
     r"(?:@(?P<revision>refs/convert/[\w.-]+|refs/pr/\d+|[^/@]+))?"
     r"(?:/(?P<path>[^/].*?))?/?"
 )
-# No longer, where the cache can answer in the Hub's place.
-_PROBE_TIMEOUT_S = 5.0
+_COMMIT = re.compile(r"[0-9a-f]{40}")
 _MAIN = "main"
 _SHA256_DIGITS = 64
 _FILES_AT_ONCE = 8  # as many as the Hub's own client fetches at once
 
 T = TypeVar("T")
-R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,10 +62,38 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
     named = match["revision"].replace("%2F", "/") if match["revision"] else None
     if named and revision and named != revision:
         raise InputError(
-            f"{name!r} names the revision {named!r}, and {revision!r} is given next to it; "
-            "next: leave one of them out"
+            f"{name!r} names the revision {named!r}, and {revision!r} is given next to it",
+            next="leave one of them out",
         )
     return HubName(match["repo"], named or revision, match["path"] or "")
+
+
+def snapshot_folder(repo_id: str, commit: str) -> Path:
+    """Return the folder of a commit's files, which are links to their contents where the system has links."""
+    return _folder(repo_id) / "snapshots" / commit
+
+
+def commit_of(repo_id: str, revision: str) -> str | None:
+    """Return the commit that a revision named when it was last looked at; None when it never was."""
+    found = revision
+    if not _COMMIT.fullmatch(revision) and not problem_of_name(revision):
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            found = (_folder(repo_id) / "refs" / revision).read_text().strip()
+    return found if _COMMIT.fullmatch(found) else None
+
+
+def remember_commit(repo_id: str, revision: str, commit: str) -> None:
+    """Note which commit a revision names; a cache that cannot be written is not an error."""
+    if commit_of(repo_id, revision) not in (commit, revision) and not problem_of_name(revision):
+        with contextlib.suppress(OSError), atomic_file(_folder(repo_id) / "refs" / revision) as stream:
+            stream.write(commit.encode())
+
+
+def _folder(repo_id: str) -> Path:
+    from huggingface_hub import constants
+
+    # The layout of the Hub's own client, so that either finds what the other has fetched.
+    return Path(constants.HF_HUB_CACHE) / f"datasets--{repo_id.replace('/', '--')}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,54 +121,14 @@ class HubSnapshot:
     is_private: bool = False
 
 
-def fetch_repo_info(
-    repo_id: str,
-    revision: str | None = None,
-    *,
-    patient: bool | None = None,
-    on_wait: Callable[[str], None] = lambda _: None,
-) -> HubSnapshot:
-    """Ask the Hub what a revision holds (``main`` by default); if it is silent, the cache.
+def listing(repo_id: str, revision: str | None = None) -> HubSnapshot:
+    """Ask the Hub for all files of a revision; failures are the client's."""
+    from huggingface_hub import HfApi, constants
 
-    A ``patient`` question waits for a Hub in trouble; by default where nothing of the revision is in the
-    cache. Raises HubError when the Hub refused, or cannot be reached and the revision is not in the cache.
-    """
-    from huggingface_hub import constants
-
-    named = revision or _MAIN
-    known = commit_of(repo_id, named)
-    cached = cached_snapshot(repo_id, known) if known is not None else None
-    waits = patient or (patient is None and not (cached and cached.files))
-    timeout_s = constants.HF_HUB_ETAG_TIMEOUT if waits else _PROBE_TIMEOUT_S
-    ask = functools.partial(listing, repo_id, revision, timeout_s)
-    try:
-        found = call_with_retry(ask, repo_id, revision, waits_s=None if waits else (), on_wait=on_wait)
-    except HubError as error:
-        if cached and cached.files and is_unanswered(error):
-            return cached
-        raise
-    remember_commit(repo_id, named, found.commit)
-    return found
-
-
-def listing(
-    repo_id: str, revision: str | None = None, timeout_s: float | None = None, *, in_pages: bool = False
-) -> HubSnapshot:
-    """Ask the Hub for all files of a revision; failures are the client's.
-
-    One answer lists some 50,000 files reliably, and quickly; ``in_pages`` lists any number.
-    """
-    from huggingface_hub import HfApi
-    from huggingface_hub.hf_api import RepoFile
-
-    api: Any = HfApi()
-    answer = api.dataset_info(repo_id, revision=revision, files_metadata=not in_pages, timeout=timeout_s)
-    entries = answer.siblings or ()
-    if in_pages:
-        tree = api.list_repo_tree(repo_id, recursive=True, revision=answer.sha, repo_type="dataset")
-        entries = [entry for entry in tree if isinstance(entry, RepoFile)]
+    timeout_s = constants.HF_HUB_ETAG_TIMEOUT
+    answer: Any = HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
     files = {}
-    for entry in entries:
+    for entry in answer.siblings or ():
         # Files that git keeps itself are named by git's own digest.
         digest = Digest("sha256", entry.lfs.sha256) if entry.lfs else Digest("git-sha1", entry.blob_id)
         files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
@@ -181,33 +169,34 @@ class Transfers:
         self._is_stopped = False
         self._lock = threading.Lock()
 
-    def each(self, action: Callable[[T], R], items: Sequence[T]) -> list[R]:
+    def each(self, action: Callable[[T], object], items: Sequence[T]) -> None:
         """Call a function for each item, several at once; the first failure is raised, Ctrl-C ends all."""
         try:
             # Daemons, not an executor, whose threads the interpreter waits for.
             with ThreadPool(max(1, min(_FILES_AT_ONCE, len(items)))) as pool:
-                work = pool.imap_unordered(lambda index: (index, action(items[index])), range(len(items)))
-                done = dict(work)
+                for _ in pool.imap_unordered(action, items):
+                    pass
         except BaseException:
             self._is_stopped = True
             raise
-        return [done[index] for index in range(len(items))]
 
-    def count(self, path: str, size_bytes: int) -> None:
-        """Note how much of a file is there; what is to stop stops here."""
+    def count(self, file: HubFile, size_bytes: int) -> None:
+        """Note how much of a file is there; what is to stop stops here, and so does what has no end."""
+        if size_bytes > file.size_bytes:
+            raise TooLargeError(f"more than the {file.size_bytes:,} bytes that were expected")
         with self._lock:
             if self._is_stopped:
                 raise _StoppedError
-            self._total += size_bytes - self._arrived.get(path, 0)
-            self._arrived[path] = size_bytes
+            self._total += size_bytes - self._arrived.get(file.path, 0)
+            self._arrived[file.path] = size_bytes
             self._on_bytes(self._total)
 
-    def client_options(self, path: str) -> dict[str, Any]:
+    def client_options(self, file: HubFile) -> dict[str, Any]:
         """Return what makes the client count bytes here; early releases draw bars of their own instead."""
         from huggingface_hub import hf_hub_download
         from huggingface_hub.utils.tqdm import tqdm
 
-        count = functools.partial(self.count, path)
+        count = functools.partial(self.count, file)
 
         class Bar(tqdm):
             """Passes on what is written to the disk."""
@@ -242,8 +231,8 @@ class HubRepository:
     revision : str or None
         Branch, tag or commit. What it names is looked up on first use and stays so for this object, so that
         all files are of one commit.
-    patient : bool or None
-        Whether to wait for a Hub in trouble; by default where the cache could not answer in its place.
+    patient : bool
+        Whether to wait for a Hub in trouble also where the cache could answer in its place.
     known : HubSnapshot or None
         What it holds, where that was looked up already.
     on_wait : callable
@@ -257,23 +246,40 @@ class HubRepository:
 
     repo_id: str
     revision: str | None = None
-    patient: bool | None = None
+    patient: bool = False
     known: HubSnapshot | None = field(default=None, repr=False, compare=False)
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
 
     @cached_property
     def snapshot(self) -> HubSnapshot:
-        """What the repository holds; from the cache when the Hub is silent, see :func:`fetch_repo_info`."""
-        return self.known or fetch_repo_info(
-            self.repo_id, self.revision, patient=self.patient, on_wait=self.on_wait
-        )
+        """What a revision holds (``main`` by default), as the Hub says; if it is silent, as the cache does.
+
+        Raises HubError when the Hub refused, or cannot be reached and the revision is not in the cache.
+        """
+        if self.known is not None:
+            return self.known
+        named = self.revision or _MAIN
+        known = commit_of(self.repo_id, named)
+        cached = cached_snapshot(self.repo_id, known) if known is not None else None
+        waits = self.patient or not (cached and cached.files)
+        ask = functools.partial(listing, self.repo_id, self.revision)
+        try:
+            waits_s = None if waits else ()
+            found = call_with_retry(ask, self.repo_id, waits_s=waits_s, on_wait=self.on_wait)
+        except HubError as error:
+            if cached and cached.files and is_unanswered(error):
+                return cached
+            raise
+        remember_commit(self.repo_id, named, found.commit)
+        return found
 
     @cached_property
     def manifest(self) -> Manifest | None:
         """The manifest of a data set made by the toolkit; None of any other, or IntegrityError."""
         if MANIFEST_FILE not in self.snapshot.files:
             return None
-        text = self._fetch(MANIFEST_FILE, Transfers()).read_text(encoding="utf-8", errors="replace")
+        place = self.cached(MANIFEST_FILE) or self.download(MANIFEST_FILE, Transfers())
+        text = place.read_text(encoding="utf-8", errors="replace")
         try:
             values = json.loads(text)
         except ValueError:
@@ -283,25 +289,20 @@ class HubRepository:
         return Manifest.from_json(text, f"{self.repo_id}/{MANIFEST_FILE}") if is_ours else None
 
     @cached_property
-    def _shards(self) -> dict[str, HubFile]:
-        """The shards that the manifest lists, by path."""
-        records = self.manifest.shards if self.manifest is not None else ()
+    def _listed(self) -> dict[str, HubFile]:
+        """What the manifest states of its shards, and of other files that are there, by path."""
+        if self.manifest is None:
+            return {}
+        there, records = self.snapshot.files, self.manifest.shards
         files = [HubFile(r.shard.data_path, r.bytes, Digest("sha256", r.sha256)) for r in records]
+        for path, sha256 in (self.manifest.files or {}).items():
+            if path in there:
+                files.append(replace(there[path], digest=Digest("sha256", sha256)))
         return {file.path: file for file in files}
 
     def files(self) -> list[str]:
         """List the paths of all files; without the Hub, those in the cache and in a cached manifest."""
-        return sorted({*self.snapshot.files, *(self._shards if self.snapshot.is_cache else ())})
-
-    @contextlib.contextmanager
-    def missing_as_not_cached(self, what: str) -> Iterator[None]:
-        """Report what is missing as not cached, when the Hub could not be asked."""
-        try:
-            yield
-        except (InputError, IntegrityError) as error:
-            if not self.snapshot.is_cache or self.manifest is not None:
-                raise
-            raise not_cached(self.repo_id, what) from error
+        return sorted({*self.snapshot.files, *(self._listed if self.snapshot.is_cache else ())})
 
     def file(self, path: str) -> HubFile:
         """Return what a file must be: as the manifest states, or else the Hub, as far as either is known.
@@ -310,26 +311,21 @@ class HubRepository:
         that of a file in a folder, HubError for no such file.
         """
         names_inside((path,), f"Hub data set {self.repo_id!r}")
-        on_hub = self.snapshot.files.get(path)
-        if path == MANIFEST_FILE or self.manifest is None:
-            return on_hub or self._lacks(path)
-        there = on_hub or self._shards.get(path) or self._lacks(path)
-        sha256 = (self.manifest.files or {}).get(path)
-        listed = replace(there, digest=Digest("sha256", sha256)) if sha256 else self._shards.get(path, there)
-        kinds = {each.digest and each.digest.kind for each in (there, listed)}
-        if len(kinds) == 1 and there.digest != listed.digest:
-            raise IntegrityError(
-                f"{path!r} of Hub data set {self.repo_id!r} is not the file that its {MANIFEST_FILE} lists: "
-                f"{there.digest}, expected {listed.digest}; nothing was fetched",
-                next="ask its owner to upload it again",
-            )
-        return listed
-
-    def _lacks(self, path: str) -> NoReturn:
-        if self.snapshot.is_cache:
+        there = self.snapshot.files.get(path)
+        wanted = there if path == MANIFEST_FILE else self._listed.get(path, there)
+        if wanted is None and self.snapshot.is_cache:
             raise not_cached(self.repo_id, repr(path))
-        raise HubError(
-            f"Hub data set {self.repo_id!r} has no file {path!r}", next="see what it has on its page"
+        if wanted is None:
+            raise HubError(
+                f"Hub data set {self.repo_id!r} has no file {path!r}", next="see what it has on its page"
+            )
+        digests = [each.digest for each in (there, wanted) if each and each.digest]
+        if len(set(digests)) == len({digest.kind for digest in digests}):
+            return wanted
+        raise IntegrityError(
+            f"{path!r} of Hub data set {self.repo_id!r} is not the file that its {MANIFEST_FILE} lists: "
+            f"{digests[0]}, expected {digests[1]}; nothing was fetched",
+            next="ask its owner to upload it again",
         )
 
     def address(self, path: str) -> str:
@@ -337,33 +333,33 @@ class HubRepository:
         # The commit, not what it is called: a branch may move on while its files are read in turn.
         return f"{_PREFIX}{self.repo_id}@{self.snapshot.commit}/{path}"
 
-    def cached(self, path: str, *, force: bool = False) -> Path | None:
+    def cached(self, path: str, *, check: bool = False) -> Path | None:
         """Return a file that lies intact in the Hub's cache; None otherwise. Asks no server, fetches nothing.
 
-        One that was found intact is read again only where it has changed since, or with ``force``.
+        It has the size that is expected and, with ``check``, the content.
         """
-        digest, file = self.file(path).digest, self._place(path)
-        is_here = file.is_file() and (digest is None or matches_digest(file, digest, force=force))
+        wanted, file = self.file(path), self._place(path)
+        is_here = file.is_file() and file.stat().st_size == wanted.size_bytes
+        if is_here and check and wanted.digest is not None:
+            is_here = wanted.digest.of(file) == wanted.digest
         return file if is_here else None
 
     def _place(self, path: str) -> Path:
         return snapshot_folder(self.repo_id, self.snapshot.commit) / path
 
-    def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[str]:
+    def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[Path]:
         """Bring files into the Hub's cache, or find them there, and return their local paths.
 
-        Each has the digest of the manifest, where there is one, and else that of the Hub; it is read for
-        that once, and again only after it has changed. Raises IntegrityError for one that arrived damaged
-        twice or is not what the manifest lists (nothing of it is kept), HubError, StorageError.
+        What arrives has the digest of the manifest, where there is one, and else that of the Hub. Raises
+        IntegrityError for a file that arrived damaged twice or is not what the manifest lists (nothing of it
+        is kept), HubError, StorageError.
         """
         names_inside(paths, f"Hub data set {self.repo_id!r}")
         for path in paths:
             self.file(path)  # what cannot be had is reported before anything is fetched
         together = transfers or Transfers()
-        return together.each(lambda path: str(self._fetch(path, together)), paths)
-
-    def _fetch(self, path: str, transfers: Transfers) -> Path:
-        return self.cached(path) or self.download(path, transfers)
+        together.each(lambda path: self.cached(path) or self.download(path, together), paths)
+        return [self._place(path) for path in paths]
 
     def download(self, path: str, transfers: Transfers, folder: Path | None = None) -> Path:
         """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
@@ -373,24 +369,15 @@ class HubRepository:
         if self.snapshot.is_cache or wanted.digest is None:
             raise not_cached(self.repo_id, repr(path))
         options = {"repo_type": "dataset", "revision": commit, "local_dir": folder}
-        fetch = functools.partial(
-            hf_hub_download, self.repo_id, path, **options, **transfers.client_options(path)
-        )
+        options |= transfers.client_options(wanted)
         for force in (folder is None and self._place(path).exists(), True):
-            place = call_with_retry(
-                functools.partial(fetch, force_download=force),
-                self.repo_id,
-                self.revision,
-                f"fetching {path!r} of",
-                is_question=False,
-                most_bytes=wanted.size_bytes,
-                on_wait=self.on_wait,
-            )
-            file = Path(place)
-            if matches_digest(file, wanted.digest):
+            fetch = functools.partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
+            doing = f"fetching {path!r} of"
+            file = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
+            if wanted.digest.of(file) == wanted.digest:
                 with file.open("rb") as stream:
                     os.fsync(stream.fileno())  # a power cut must not empty what counts as intact
-                transfers.count(path, wanted.size_bytes)
+                transfers.count(wanted, wanted.size_bytes)
                 return file
             # With what it is a link to: damaged content must not be found again.
             Path(os.path.realpath(file)).unlink(missing_ok=True)

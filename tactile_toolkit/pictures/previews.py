@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from tactile_toolkit.catalog.choose import chosen_records, class_by_class, open_splits
+from tactile_toolkit.catalog.choose import choose_rows, open_splits
 from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.checked_fields import check_fields, integer
@@ -64,7 +64,17 @@ class MeshPreviews(Generic[D]):
                 f"{name!r} has no {kind.nouns} of class {', '.join(spec.labels)}", next="name others"
             )
         require_kind(kind, "preview", name, self.datasets.values())
-        self.records: list[tuple[str, Any]] = chosen_records(self.datasets, spec.ids, name, kind.noun)
+        per_class = None if spec.ids else spec.per_class
+        # The splits with the rows of the ids asked for, or else the first of each class.
+        self.chosen = choose_rows(self.datasets.items(), ids=spec.ids or None, per_class=per_class)
+
+    @cached_property
+    def records(self) -> list[tuple[str, Any]]:
+        """The rows that are drawn alone, with their splits: those asked for, or else the first of all."""
+        if not self.spec.ids:
+            split, dataset = next(iter(self.datasets.items()))
+            return [(split, dataset[0])]
+        return [(split, rows[row]) for split, rows, found in self.chosen for row in found.tolist()]
 
     @cached_property
     def made_by(self) -> Mapping[str, Any]:
@@ -75,8 +85,8 @@ class MeshPreviews(Generic[D]):
     def plan_sheets(self, draw: Callable[[D, str], Pixels]) -> list[PlannedPicture]:
         """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""
         planned = []
-        for split, dataset in self.datasets.items():
-            rows = dataset[class_by_class(dataset, self.spec.ids, self.spec.per_class)]
+        for split, dataset, found in self.chosen:
+            rows = dataset[found[np.argsort(dataset.labels[found], kind="stable")]]
             if len(rows):
                 what = f"{counted(len(rows), self.things)} of {split} from above"
                 drawing = partial(draw, rows, f"{self.stem}: {split}")

@@ -22,7 +22,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.opening import SHORT_NAMES
 from starstruck_gen.make import GenerateSpec as StarstruckSpec
-from tactile_toolkit.catalog.published import place_of, published_set
+from tactile_toolkit.catalog.kinds import place_of, published_set
 from tactile_toolkit.kind import kinds
 from tests import command_line
 from tests.hub_server import HubServer, hub
@@ -274,7 +274,7 @@ def test_waits_are_told_while_the_download_is_planned(server, tmp_path):
     server.faults.fail("/api/datasets/*", 503, times=1)
     said = call(server, tmp_path, "mnist3d", "download", DIGITS, "--dry-run")
     assert said.code == 0
-    assert said.err.count("it answered 503; trying again in 0.01 s") == 1
+    assert said.err.count("the Hub answered 503") == said.err.count("; trying again in 0.01 s") == 1
     assert "HTTP Error" not in said.err
 
 
@@ -353,7 +353,7 @@ def test_someone_at_a_terminal_is_asked(server, tmp_path, reply, code):
     [
         (("someone/nothing",), 4, "'someone/nothing' was not found, or is private"),
         ((DIGITS, "--split", "train"), 2, "no split 'train' in 'someone/digits': it has holdout, test"),
-        ((DIGITS, "--revision", "v9"), 4, "has no revision 'v9'"),
+        ((DIGITS, "--revision", "v9"), 4, "the Hub refused reading Hub data set 'someone/digits' (404)"),
         (("mnist4d",), 2, "did you mean 'mnist3d'?"),
         ((DIGITS, "--out", "file"), 2, "a file"),
     ],

@@ -203,8 +203,8 @@ def test_branches_and_pull_requests_say_where_they_are(server, folder, capsys):
     assert f"{server.endpoint}/datasets/{NAME}/discussions/1" in printed
     assert 'revision="refs/pr/1")' in printed
     assert server.repository(NAME).find("refs/pr/1").title == "Please"
-    assert call("starstruck", "upload", folder, NAME, "--yes", "--create-pr") == 0
-    assert "refs/pr/1 of someone/stars holds all of it already" in capsys.readouterr().out
+    assert call("starstruck", "upload", folder, NAME, "--yes", "--revision", "refs/pr/1") == 0
+    assert "someone/stars (refs/pr/1) holds all of it already" in capsys.readouterr().out
 
 
 def test_without_a_terminal_it_does_not_send_unasked(server, folder, capsys):
@@ -247,7 +247,7 @@ def _read(terminal: int) -> bytes:
 @pytest.mark.parametrize(
     ("account", "name", "words"),
     [
-        (None, NAME, "needs a login, and there is no token here; next: log in with `hf auth login`"),
+        (None, NAME, "needs a token that the Hub knows; next: log in with `hf auth login`"),
         (("someone", "read"), NAME, "Your token does not have write access"),
         (("stranger", "write"), NAME, "You don't have the rights to write under the namespace 'someone'"),
         (("someone", "write"), "a/b/c", "'a/b/c' is not a name of a repository; next: give USER/NAME"),
@@ -269,7 +269,7 @@ def test_an_unknown_token_is_named_and_not_shown(server, folder, capsys, monkeyp
     monkeypatch.setenv("HF_TOKEN", "hf_oldoldoldold")
     assert call("starstruck", "upload", folder, NAME, "--yes") == 4
     printed = capsys.readouterr()
-    assert "the Hub does not know the token (HF_TOKEN)" in printed.err
+    assert "needs a token that the Hub knows" in printed.err
     assert "oldold" not in printed.out + printed.err
 
 
@@ -279,7 +279,7 @@ def test_no_network_is_told(folder, tmp_path):
     script = f"from tests.command_line import call\nprint(call(*{words!r}))"
     done = run_here(script, environment, tmp_path)
     assert done.stdout.splitlines()[-1] == "4"
-    assert "http://127.0.0.1:9 cannot be reached" in done.stderr
+    assert "no connection to the Hub at http://127.0.0.1:9" in done.stderr
     assert "hf_abcdefgh" not in done.stdout + done.stderr
 
 

@@ -12,7 +12,7 @@ import pytest
 import mnist3d
 import realtouch
 from realtouch.opening import SHORT_NAMES
-from tactile_toolkit.catalog.published import place_of
+from tactile_toolkit.catalog.kinds import place_of
 from tactile_toolkit.errors import InputError
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
@@ -116,7 +116,7 @@ def test_files_and_revisions_of_the_hub(
             "HubError Hub data set 'someone/single' has no",
         ),
         (f"['{SINGLE}']", f"InputError no file '{SINGLE}'"),
-        ("'someone/single@v9'", "HubError Hub data set 'someone/single' has no revision 'v9'"),
+        ("'someone/single@v9'", "HubError the Hub refused reading Hub data set 'someone/single' (404)"),
         (
             "'someone/single@main', revision='v9'",
             "InputError 'someone/single@main' names the revision 'main'",

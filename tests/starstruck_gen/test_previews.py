@@ -245,7 +245,7 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(tmp_path), PreviewSpec())
     with pytest.raises(InputError, match="no split 'holdout'"):
         plan_previews(str(folder), PreviewSpec(split="holdout"))
-    with pytest.raises(InputError, match="no scene of id 77"):
+    with pytest.raises(InputError, match="no object with id 77"):
         plan_previews(str(folder), PreviewSpec(ids=(1, 77)))
     with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)

@@ -16,7 +16,7 @@ torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
 
 from tactile_sim.generation import optics_of  # noqa: E402
-from tactile_sim.learned import weights as files  # noqa: E402
+from tactile_sim.learned import networks as files  # noqa: E402
 from tactile_sim.learned.networks import Generator, generator_of, initialise, weights_of  # noqa: E402
 from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics  # noqa: E402
 from tactile_sim.optics import make_optics  # noqa: E402

@@ -28,8 +28,7 @@ from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards.card import addressed, column_type_text, markdown_table, megabytes, render_card
 from tactile_toolkit.cards.checks import check_card
-from tactile_toolkit.cards.facts import folder_facts, yaml_features
-from tactile_toolkit.cards.head import size_category
+from tactile_toolkit.cards.facts import folder_facts, size_category, yaml_features
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest

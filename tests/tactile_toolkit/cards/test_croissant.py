@@ -19,7 +19,7 @@ import realtouch
 import starstruck_gen
 from mnist3d.columns import digit_schema
 from tactile_toolkit.cards.checks import check_card
-from tactile_toolkit.cards.croissant import croissant_for_hub, croissant_of_folder, croissant_text
+from tactile_toolkit.cards.croissant import croissant_again, croissant_text
 from tactile_toolkit.cards.facts import folder_facts
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
@@ -144,9 +144,9 @@ def test_many_shards_are_one_set_of_files(folder):
 @pytest.mark.parametrize(
     ("spoil", "problem"),
     [
-        (lambda text: text[:-40], "cannot be read as JSON"),
-        (lambda text: "[]", "is not a JSON object"),
-        (lambda text: "\x00" * 9, "cannot be read as JSON"),
+        (lambda text: text[:-40], "cannot be read as a JSON object"),
+        (lambda text: "[]", "cannot be read as a JSON object"),
+        (lambda text: "\x00" * 9, "cannot be read as a JSON object"),
         (lambda text: text.replace("data/test-*", "data/*"), "its 'distribution' is not that"),
         (lambda text: text.replace("cr:Float32", "cr:Float64"), "its 'recordSet' is not that"),
     ],
@@ -171,12 +171,14 @@ def test_a_set_made_before_there_was_one_is_whole(folder):
 def test_on_the_hub_files_are_those_of_the_repository_and_here_those_of_the_folder(folder):
     place, was = DataFolder(str(folder)), (folder / "croissant.json").read_text()
     page = "https://huggingface.co/datasets/someone/digits"
-    manifest = (folder / "manifest.json").read_bytes()
-    there = croissant_for_hub(was, page, (folder / "README.md").read_text(), manifest)
+    manifest = read_manifest(place)
+    facts = folder_facts(place, manifest)
+    there = croissant_again(was, place, facts, manifest, page)
     (folder / "croissant.json").write_text(there)
     found = loaded(folder, mapping={"repository": str(folder)})
     assert found.metadata.url == page
     assert [record["test/id"] for record in found.records("test")] == [
         row.id for row in mnist3d.load(str(folder), split="test")
     ]
-    assert croissant_of_folder(there, place) == was
+    assert check_card(place) == []
+    assert croissant_again(there, place, facts, manifest) == was

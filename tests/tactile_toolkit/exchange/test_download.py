@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import signal
 import time
@@ -96,7 +95,7 @@ def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, 
             wait([done[1]], 0.05)
         server.faults.released.set()
         assert [each.result(PATIENCE_S) for each in done] == [out, out]
-    assert "another download fills" in said[0]
+    assert "this download begins when that has ended" in said[0]
     result = verify(DataFolder(out), SCHEMA)
     assert result.ok, result.findings
     assert {
@@ -150,7 +149,7 @@ def test_a_revision(server, tmp_path):
         assert (out / SHARD).read_bytes() == content
     code, kind, words = fetch(server, tmp_path, script(BIG, out=out, revision="v2"))
     assert (code, kind) == (4, "HubError")
-    assert "has no revision 'v2'" in words
+    assert "(404): " in words
     assert (out / SHARD).read_bytes() == CONTENT
 
 
@@ -188,17 +187,8 @@ def test_a_bit_that_the_disk_has_flipped_is_found_though_size_and_time_are_kept(
         stream.seek(1000)
         stream.write(bytes([CONTENT[1000] ^ 1]))
     os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
-    _pretend_unchanged(tmp_path / "toolkit" / "checked", file, CONTENT)
     assert fetch(server, tmp_path, script(BIG, out=out))[1:] == [[SHARD], [], False]
     assert Path(fetch(server, tmp_path, script(BIG, out=out))[0], SHARD).read_bytes() == CONTENT
-
-
-def _pretend_unchanged(marks: Path, file: Path, content: bytes) -> None:
-    """Remember a file as whole as it is now: a flipped bit leaves no trace, writing a file does."""
-    facts, digest = file.stat(), f"sha256 {hashlib.sha256(content).hexdigest()}"
-    seen = (facts.st_size, facts.st_mtime_ns, facts.st_ino, facts.st_ctime_ns)
-    text = repr((str(file), *seen, digest))
-    (marks / hashlib.sha256(text.encode()).hexdigest()[:40]).touch()
 
 
 def test_unknown_splits_are_named(server, tmp_path):
@@ -249,7 +239,7 @@ def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
     server.faults.fail("*/data/train-00002*", 503, times=99)
     code, kind, words = fetch(server, tmp_path, script(NAME, "train", out=out))
     assert (code, kind) == (4, "HubError")
-    assert "it answered 503; next: try again in some minutes" in words
+    assert "the Hub answered 503" in words
     assert not (out / "data" / "train-00002-of-00004.parquet").exists()
     assert not verify(DataFolder(str(out)), SCHEMA).ok
     with pytest.raises(IntegrityError, match="not finished"):
@@ -318,8 +308,8 @@ def test_a_byte_flipped_twice_is_an_error_and_leaves_nothing(server, tmp_path, t
 
 def test_a_full_disk_is_named_and_leaves_nothing(server, tmp_path):
     code, kind, words = fetch(server, tmp_path, script(BIG, before=FULL))
-    assert (code, kind) == (4, "StorageError"), "a download that did not come to its end"
-    assert "no space is left" in words
+    assert (code, kind) == (2, "StorageError")
+    assert "the disk takes nothing" in words
     left = [file for file in tmp_path.rglob("*") if file.is_file() and file.stat().st_size > 500_000]
     # Early releases of the client continue with what has arrived.
     assert {file.suffix for file in left} <= {".incomplete"}
@@ -342,8 +332,8 @@ def test_offline(server, tmp_path):
         )
         code, kind, words = fetch(nowhere, tmp_path / "other", script(BIG), **more)
         assert (code, kind) == (4, "HubError")
-        assert "is not in the cache as far as asked for" in words
-    assert "HF_HUB_OFFLINE" in words
+        assert "no connection to the Hub" in words
+    assert "OfflineModeIsEnabled" in words
 
 
 def test_a_file_system_without_links(server, tmp_path):
@@ -384,4 +374,4 @@ def test_private_and_gated(server, tmp_path):
 def test_a_bad_token_is_named_even_for_what_is_public(server, tmp_path):
     code, _, words = fetch(server, tmp_path, script(BIG), "hf_NobodyHasThisToken0000")
     assert code == 4
-    assert "the Hub does not know the token (HF_TOKEN)" in words
+    assert "needs a token that the Hub knows" in words

@@ -121,9 +121,10 @@ def test_the_commit_of_the_folder_is_mended_by_what_the_cache_has_of_it(server, 
 def test_a_revision_that_may_be_another_commit_is_left_alone(server, out, tmp_path):
     repository = server.repository(BARE)
     repository.commit({TEST: repository.blob(TEST, big_parquet(3)[:9_000])}, "newer")
-    fetch(server, tmp_path, script(BARE, "test", revision="main"))
+    repository.branches["next"] = repository.head.sha
+    fetch(server, tmp_path, script(BARE, "test", revision="next"))
     before = folder_bytes(out)
-    code, _, words = fetch(NOWHERE, tmp_path, script(BARE, out=out, revision="main"))
+    code, _, words = fetch(NOWHERE, tmp_path, script(BARE, out=out, revision="next"))
     assert code == 4
     assert "holds, of Hub data set" in words
     assert folder_bytes(out) == before

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import hashlib
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from starstruck_gen.make import GenerateSpec, generate
-from tactile_toolkit.exchange.upload import LocalFile, card_for_hub, collect, compare, left_out
+from tactile_toolkit.cards.facts import configs, folder_facts
+from tactile_toolkit.exchange.upload import LocalFile, collect, compare
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.origin import Digest, HubFile
-
-NAME = "someone/stars"
 
 
 @pytest.fixture
@@ -30,41 +30,37 @@ names = st.sampled_from(["README.md", "data/a.parquet", "data/b.parquet", "manif
 contents = st.sampled_from([b"", b"one", b"two", b"three"])
 
 
-def local(path: str, content: bytes) -> LocalFile:
-    blob = Digest("git-sha1", hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest())
-    sha256 = Digest("sha256", hashlib.sha256(content).hexdigest())
-    return LocalFile(path, Path("not looked at"), len(content), (sha256, blob))
+def digest(content: bytes, *, large: bool) -> Digest:
+    if large:
+        return Digest("sha256", hashlib.sha256(content).hexdigest())
+    return Digest("git-sha1", hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest())
 
 
-def remote(path: str, content: bytes, large: bool) -> HubFile:
-    sha256, blob = local(path, content).digests
-    return HubFile(path, len(content), sha256 if large else blob)
-
-
-@given(st.dictionaries(names, contents), st.dictionaries(names, st.tuples(contents, st.booleans())))
+@given(
+    st.dictionaries(names, st.tuples(contents, st.booleans())),
+    st.dictionaries(names, st.tuples(contents, st.booleans())),
+)
 def test_a_plan_brings_exactly_the_folder(here, there):
-    plan = compare(
-        [local(path, content) for path, content in here.items()],
-        {path: remote(path, content, large) for path, (content, large) in there.items()},
-    )
+    with TemporaryDirectory() as folder:
+        files = []
+        for number, (path, (content, is_known)) in enumerate(here.items()):
+            place = Path(folder, str(number))
+            place.write_bytes(content)
+            sha256 = digest(content, large=True).value if is_known else None
+            files.append(LocalFile(path, place, len(content), sha256))
+        held = {
+            path: HubFile(path, len(content), digest(content, large=large))
+            for path, (content, large) in there.items()
+        }
+        plan = compare(files, held)
     after = {path: content for path, (content, _) in there.items()}
-    after |= {file.path: here[file.path] for file in plan.to_send}
-    assert {path: after[path] for path in here} == here
+    after |= {file.path: here[file.path][0] for file in plan.to_send}
+    assert {path: after[path] for path in here} == {path: content for path, (content, _) in here.items()}
     for path in (*plan.kept, *plan.removed):
         del after[path]
     assert set(after) - set(here) <= {".gitattributes"}
-    assert not any(path in there and there[path][0] == here[path] for path in (f.path for f in plan.to_send))
-
-
-def test_a_file_too_large_for_git_is_never_taken_for_a_small_one():
-    big = LocalFile("data/a.parquet", Path("a"), 3, (Digest("sha256", "0" * 64),))
-    plan = compare([big], {"data/a.parquet": HubFile("data/a.parquet", 3, Digest("git-sha1", "1" * 40))})
-    assert [file.path for file in plan.to_send] == ["data/a.parquet"]
-
-
-def test_a_file_is_known_by_its_content(tmp_path):
-    (tmp_path / "a").write_bytes(b"one")
-    assert LocalFile.of("a", tmp_path / "a").digests == local("a", b"one").digests
+    sent = (file.path for file in plan.to_send)
+    assert not any(path in there and there[path][0] == here[path][0] for path in sent)
 
 
 def test_the_payload_is_the_data_set_and_nothing_else(folder):
@@ -77,8 +73,7 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
     (folder / "secret" / "token").write_text("hf_secret")
     manifest = read_manifest(DataFolder(str(folder)))
     assert manifest is not None
-    files = collect(folder, manifest)
-    assert sorted(file.path for file in files) == [
+    assert sorted(collect(folder, manifest)) == [
         "README.md",
         "croissant.json",
         "data/test-00000-of-00001.parquet",
@@ -86,20 +81,13 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
         "manifest.json",
         "previews/scenes.png",
     ]
-    assert sorted(left_out(folder, (file.path for file in files))) == [
-        ".pending/",
-        ".writing-host-1-abc-README.md",
-        "notes.txt",
-        "secret/",
+
+
+def test_shards_beside_foreign_ones_are_named(folder):
+    facts = folder_facts(DataFolder(str(folder)))
+    assert [entry["path"] for entry in configs(facts, ["notes.txt"])[0]["data_files"]] == [
+        "data/train-*",
+        "data/test-*",
     ]
-    assert all(file.place == folder / file.path for file in files)
-
-
-def test_a_card_beside_foreign_shards_names_its_files():
-    head = "configs:\n- data_files:\n  - split: train\n    path: data/train-*\n"
-    card = f'---\n{head}---\nload_dataset("FOLDER")\n'
-    shards = {"train": ["data/train-00000-of-00001.parquet"]}
-    same = card_for_hub(card, NAME, shards, ["notes.txt", "data/test-00000-of-00001.parquet"])
-    assert "path: data/train-*" in same
-    mixed = card_for_hub(card, NAME, shards, ["data/train-00001-of-00002.parquet"])
-    assert "path:\n    - data/train-00000-of-00001.parquet" in mixed
+    mixed = configs(facts, ["data/train-00001-of-00002.parquet"])[0]["data_files"]
+    assert [entry["path"] for entry in mixed] == [["data/train-00000-of-00001.parquet"], "data/test-*"]

@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_toolkit.gallery.items import Item
-from tactile_toolkit.gallery.packing import packed_mesh
+from tactile_toolkit.gallery.items import Item, packed_mesh
 from tactile_toolkit.gallery.site import build_site
 from tactile_toolkit.run.processes import InlineRunner
 from tests.gallery_browser import Opened, browser, opened

@@ -13,18 +13,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_toolkit.catalog.choose import choose_rows, portions, short_name
+from tactile_toolkit.catalog.choose import choose_rows, short_name
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.gallery.items import Facet, Gallery, Item
-from tactile_toolkit.gallery.packing import (
+from tactile_toolkit.gallery.items import (
     STEP_MM,
     THUMBNAIL_PX,
+    Facet,
+    Gallery,
+    Item,
+    natural_order,
     packed_mesh,
     require_mesh,
     thumbnail,
     top_view,
 )
-from tactile_toolkit.gallery.page import index_of, natural_order, script_json
+from tactile_toolkit.gallery.site import index_of, script_json
 from tests.gallery_toy import CORNERS_M, FACES
 
 
@@ -140,7 +143,6 @@ def test_rows_are_chosen_per_class_then_limited():
     assert chosen() == [0, 1, 2, 3, 4, 5]
     assert chosen(per_class=2) == [0, 1, 2, 4, 5]
     assert chosen(per_class=2, limit=3) == [0, 1, 2]
-    assert [part.tolist() for part in portions(np.arange(5), 2)] == [[0, 1], [2, 3], [4]]
 
 
 def test_values_are_in_the_order_people_count_in():

@@ -8,11 +8,9 @@ from dataclasses import replace
 import pytest
 
 from tactile_toolkit.cards.checks import check_card
-from tactile_toolkit.cards.facts import folder_facts
-from tactile_toolkit.cards.head import card_head, configs, head_text
+from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, card_head, configs, folder_facts, head_text
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.exchange.upload import card_for_hub
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
@@ -100,10 +98,10 @@ def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
     assert list(rows["id"]) == [10 * number for number in numbers]
 
 
-def test_files_of_others_are_told_from_those_that_several_patterns_find():
+def test_files_of_others_are_not_taken_for_those_that_several_patterns_find():
+    paths = ("data/train-00000-of-100001.parquet", "data/train-100000-of-100001.parquet")
+    facts = FolderFacts((SplitFacts("train", (), paths, 2, 0, 0),), None)
     patterns = ["data/train-?????-of-*", "data/train-??????-of-*"]
-    head = {"configs": [{"config_name": "default", "data_files": [{"split": "train", "path": patterns}]}]}
-    text = f"{head_text(head)}\nload_dataset\n"
-    shards = {"train": ["data/train-00000-of-100001.parquet"]}
-    assert card_for_hub(text, "a/b", shards, ["data/notes.md"]) == text
-    assert shards["train"][0] in card_for_hub(text, "a/b", shards, ["data/train-00000-of-00009.parquet"])
+    assert configs(facts, ["data/notes.md"])[0]["data_files"][0]["path"] == patterns
+    mixed = configs(facts, ["data/train-00000-of-00009.parquet"])
+    assert mixed[0]["data_files"][0]["path"] == list(paths)

@@ -144,10 +144,11 @@ def test_what_is_being_written_is_no_damage(tmp_path):
 
 
 _COPIED = """
-from tactile_toolkit.exchange.upload import Scratch, local_copy
+from tactile_toolkit.exchange.upload import local_copy
+from tactile_toolkit.store.files import scratch_folder
 there.write_bytes("data/a", b"content")
-scratch = Scratch()
-copy = local_copy(there, scratch.place / "copy")
+scratch = scratch_folder()
+copy = local_copy(there, scratch.__enter__() / "copy")
 """
 _WRITTEN = """
 writing = there.writing("reports/a")

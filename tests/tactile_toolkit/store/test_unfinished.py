@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from tactile_toolkit.catalog.locate import splits_to_check
+from tactile_toolkit.catalog.choose import shards_to_check
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
@@ -31,28 +31,13 @@ def _interrupted(folder, kept):
     write_manifest(folder, replace(manifest, shards=records, complete=False))
 
 
-def test_finished_folder_has_all_its_splits(folder):
-    assert splits_to_check(folder.url) == ("train", "test")
-
-
 @pytest.mark.parametrize("finished", [(), ("test",)])
 def test_interrupted_run_is_refused_though_another_split_is_finished(folder, finished):
     _interrupted(folder, lambda record: record.shard.split in finished)
-    with pytest.raises(IntegrityError, match=r"not finished \(\d shards of split 'train'"):
-        splits_to_check(folder.url)
-
-
-def test_run_that_was_stopped_before_its_first_shard_is_refused(folder):
-    manifest = read_manifest(folder)
-    for record in manifest.shards:
-        if record.shard.split == "train":
-            folder.remove(record.shard.data_path)
-    kept = tuple(record for record in manifest.shards if record.shard.split == "test")
-    write_manifest(folder, replace(manifest, shards=kept, complete=False))
-    with pytest.raises(IntegrityError, match="0 shards of split 'train'"):
-        splits_to_check(folder.url)
+    with pytest.raises(IntegrityError, match="is not finished"):
+        shards_to_check(folder.url, None, "toy")
 
 
 def test_folder_without_a_data_set_is_refused(tmp_path):
-    with pytest.raises(InputError, match="holds no data set"):
-        splits_to_check(str(tmp_path))
+    with pytest.raises(InputError, match="no Parquet files"):
+        shards_to_check(str(tmp_path), None, "toy")
