@@ -36,18 +36,14 @@ REPEATS = 5
 
 
 def report_fetching(root: Path, theirs: Any, order: Sequence[int]) -> None:
-    """Time a mesh in random order: met for the first time, met again, and kept by a provider."""
-    ours = adapted(root, 0)
+    """Time a mesh in random order, met for the first time and met again."""
+    ours = adapted(root)
     first_us = fetch_us(ours, order)  # also unpacks each row group, once per machine
     theirs_us, ours_us = medians(lambda: fetch_us(theirs, order), lambda: fetch_us(ours, order))
-    kept = adapted(root, len(order))
-    fetch_us(kept, order)
-    kept_us = statistics.median(fetch_us(kept, order) for _ in range(REPEATS))
     theirs_s = theirs_us / 1e6
     what = "fetching a mesh as the environments do, random order; `SimpleMeshDataset`"
     tell("fetch", what, ours_us / 1e6, "s", other=theirs_s, target="at least 20")
     tell("first", "the same, first pass: unpacks Parquet into the cache", first_us / 1e6, "s", other=theirs_s)
-    tell("kept", "the same, kept by the provider", kept_us / 1e6, "s", other=theirs_s)
 
 
 def report_resetting(root: Path, theirs: Any) -> None:
@@ -72,7 +68,7 @@ def report_statistics(root: Path, theirs: Any) -> None:
     """Time the statistics of volumes, which the package computes when it first sees a data set."""
     from tactile_mnist import tactile_volume_estimation_env, util
 
-    ours = adapted(root, 0)
+    ours = adapted(root)
     extract = tactile_volume_estimation_env._compute_object_volume_idx
 
     def statistics_s(dataset: Any) -> float:
@@ -109,11 +105,11 @@ def medians(one: Callable[[], float], other: Callable[[], float]) -> tuple[float
     return first, second
 
 
-def adapted(root: Path, cache_meshes: int) -> Any:
+def adapted(root: Path) -> Any:
     """Open the folder through a provider and the adapter."""
     import env_assets
 
-    provider = env_assets.AssetProvider(root, cache_meshes=cache_meshes)
+    provider = env_assets.AssetProvider(root)
     return env_assets.as_mesh_dataset(provider.meshes("mnist3d", "train"))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -46,9 +47,10 @@ def wrench(
 
     Example: env-assets wrench --size 13 --out assets/wrench --stl wrench.stl
     """
-    from env_assets.wrench.card import wrench_facts
-    from env_assets.wrench.generation import write_wrench
+    from env_assets.wrench.making import wrench_facts, write_wrench
+    from env_assets.wrench.solid import wrench_mesh
     from tactile_toolkit.mesh.files import file_ending
+    from tactile_toolkit.mesh.printability import inspect
     from tactile_toolkit.store.files import named_failures
 
     if stl is not None:
@@ -56,12 +58,11 @@ def wrench(
         with named_failures(str(stl)), contextlib.suppress(FileNotFoundError):
             stl.stat()  # a name that the system refuses is named before anything is made
     spec = WrenchSpec.for_size(size, second_size, single=single, **lengths)
-    facts = wrench_facts(spec)
+    report = inspect(wrench_mesh(spec))
     if not dry_run:
         write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
     places = {"folder": str(out), "mesh_file": None if stl is None else str(stl), "written": not dry_run}
-    sink.document({**places, **facts.to_dict()})
-    report = facts.report
+    sink.document({**places, **wrench_facts(spec, report)})
     second = f" and {spec.second_opening_mm:g}" if spec.second_opening_mm else ""
     sides = " x ".join(f"{side:.1f}" for side in report.size_mm)
     sink.line(
@@ -85,11 +86,11 @@ def info(
 
     Example: env-assets info assets
     """
-    from env_assets.inventory import inventory
+    from env_assets.provider import inventory
 
     summaries = inventory(root)
     sink = Sink(as_json)
-    sink.document([summary.to_dict() for summary in summaries])
+    sink.document([asdict(summary) for summary in summaries])
     if not summaries:
         sink.line(f"{root} holds no data sets")
     header = ("name", "split", "kind", "rows", "classes", "largest mm", "volume mm³")
@@ -124,12 +125,12 @@ def list_environments(
 
     Example: env-assets list Minecraft
     """
-    from env_assets.published.overview import overview
+    from env_assets.published.ids import overview
     from tactile_envs.config import IDS
 
     found = overview(words or ())
     sink = Sink(as_json)
-    sink.document([{**each.to_dict(), "native": each.id in IDS} for each in found])
+    sink.document([{**asdict(each), "native": each.id in IDS} for each in found])
     header = ("environment", "task", "split", "sensor", "assets", "state", "native")
     rows = [
         (

@@ -314,7 +314,7 @@ def _outside_code(text: str) -> Iterator[str]:
 
 def _formats_page() -> str:
     """Write the columns of every kind of data set, from schemas and from the words of their cards."""
-    from env_assets.wrench.columns import WrenchRow, wrench_schema
+    from env_assets.wrench.making import WrenchRow, wrench_schema
     from mnist3d.columns import DigitRow, digit_schema
     from realtouch import card as touches
     from starstruck_gen.columns import SceneRow, scene_schema

@@ -2,34 +2,102 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Mapping
+import logging
+import shlex
+import warnings
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from numbers import Integral
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
-from env_assets.checks import require_kind, require_scene
-from env_assets.mesh_sets import DigitMeshes, MeshSet, SceneMeshes, WrenchMeshes, open_meshes
-from env_assets.mesh_view import MeshView, mesh_bounds_m
-from env_assets.missing import FOREIGN, KINDS, AssetMaker, require_integer
-from tactile_toolkit.cache import MemoryCache
-from tactile_toolkit.catalog.locate import find_shards
-from tactile_toolkit.errors import InputError, IntegrityError
+from env_assets.meshes import MeshView, mesh_bounds_m, mesh_files
+from env_assets.wrench.kind import KIND as WRENCH
+from env_assets.wrenches import WrenchDataset
+from mnist3d.dataset import MeshDataset
+from mnist3d.kind import KIND as DIGITS
+from starstruck_gen.dataset import SceneMeshDataset
+from starstruck_gen.kind import KIND as SCENES
+from tactile_toolkit.catalog.kinds import kind_of_meshes
+from tactile_toolkit.catalog.locate import find_shards, splits_of
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
 from tactile_toolkit.mesh.height_map import HeightMap, top_surface
-from tactile_toolkit.mesh.mesh import as_mesh
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.files import expanded, is_there
+from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
+from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.run.system import locked
+from tactile_toolkit.store.files import expanded, is_there, named_failures
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
     from starstruck_gen.placement import Placement
+    from tactile_toolkit.making import Recipe
 
 
-_REPOSITORY = re.compile(r"(?:hf://datasets/)?(?P<repo>[\w.-]+/[\w.-]+)")
+KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
+"""Assets that the toolkit can make without any input, by name."""
+
+FOREIGN: dict[str, str] = {
+    "abc": "CAD models of the ABC data set; the published selection is "
+    "TimSchneider42/tactile-mnist-abc-dataset-small on the Hub",
+    "minecraft": "items that the package shapes from textures on Mojang's servers, not to be passed on",
+}
+"""Assets that this toolkit does not make, and where the published ones are from."""
+
+MeshSet = MeshDataset | SceneMeshDataset | WrenchDataset | SolidDataset
+_DATASETS: dict[str, Any] = {
+    DIGITS.name: MeshDataset,
+    SCENES.name: SceneMeshDataset,
+    WRENCH.name: WrenchDataset,
+}
+_LOG = logging.getLogger(__name__)
+
+
+@runtime_checkable
+class AssetSource(Protocol):
+    """Gives assets by name. :class:`env_assets.AssetProvider` is one; an environment needs only this shape.
+
+    Data sets keep order and length for as long as the source lives. All methods may be called from several
+    threads, and in processes that were forked or spawned after the source was made.
+    """
+
+    def meshes(self, name: str, split: str = "train") -> Sequence[Any]:
+        """Return the meshes of a split: records with ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh``.
+
+        Vertices are (V, 3) float32 in metres, faces (F, 3) int32, counter-clockwise seen from outside,
+        ``mesh`` is a ``trimesh.Trimesh``. A plain list of such records will do: their classes are then those
+        of the name.
+        """
+        ...
+
+    def touches(self, name: str, split: str = "train") -> TouchSeqDataset | TouchSingleDataset:
+        """Return the rounds of real touches of a split, such as ``realtouch.load`` opens them."""
+        ...
+
+    def volumes_m3(self, name: str, split: str = "train") -> NDArray[np.float64]:
+        """Return the volume of each mesh of a split, shape (n,), cubic metres."""
+        ...
+
+    def height_map(self, record: Any, pitch_m: float = 0.0002) -> HeightMap:
+        """Return the top surface of a mesh as a grid; see :class:`env_assets.HeightMap`."""
+        ...
+
+    def bounds(self, record: Any) -> NDArray[np.float64]:
+        """Return lowest and highest corner of a mesh, shape (2, 3), metres, in its own frame."""
+        ...
+
+    def placements(self, record: Any) -> Sequence[Any]:
+        """Return what stands where in a Starstruck scene, stars first."""
+        ...
 
 
 class AssetProvider:
@@ -49,9 +117,6 @@ class AssetProvider:
     revision : str, optional
         Branch, tag or commit of the repositories of the Hub. Each is looked up on first use and stays at the
         commit that it named then, in copies of the provider in other processes too.
-    cache_meshes : int
-        How many records are kept with the meshes that they have built; the least recently used leave first.
-        Whoever asks for a kept one gets the same ``mesh``: copy it before you move it.
     generate : bool
         Make digits, scenes and the wrench in ``root`` where they are missing, from the embedded sources.
     seed : int
@@ -60,6 +125,11 @@ class AssetProvider:
         Make only so many of each class of a split, instead of the published numbers.
     workers : int
         Number of processes that make it.
+    cache_meshes : int, optional
+        Has no effect.
+
+        .. deprecated:: 0.1
+           Keep the records that you want to use again.
 
     Notes
     -----
@@ -85,32 +155,40 @@ class AssetProvider:
         places: Mapping[str, str | PathLike[str]] | None = None,
         *,
         revision: str | None = None,
-        cache_meshes: int = 64,
+        cache_meshes: int | None = None,
         generate: bool = False,
         seed: int = 0,
         per_class: int | None = None,
         workers: int = 1,
     ) -> None:
-        self._maker = AssetMaker(expanded(fspath(root)).absolute(), seed, per_class, workers)
-        self._places = _held_places(places or {})
+        if cache_meshes is not None:
+            warnings.warn("cache_meshes has no effect", DeprecationWarning, stacklevel=2)
+        given: list[tuple[str, Any, int]] = [("seed", seed, 0), ("workers", workers, 1)]
+        if per_class is not None:
+            given.append(("per_class", per_class, 1))
+        for name, number, least in given:
+            if not (isinstance(number, Integral) and int(number) >= least):
+                raise InputError(
+                    f"{name} of the AssetProvider is {number!r}; expected an integer of at least {least}"
+                )
+        self._root = expanded(fspath(root)).absolute()
+        self._places = _checked_places(places or {})
         self._revision = revision
         self._commits: dict[str, str] = {}
-        self._generate = generate
-        require_integer("cache_meshes", cache_meshes, 0)
-        self._memory = MemoryCache[Any, Any](cache_meshes)
+        self._generate, self._seed, self._per_class, self._workers = generate, seed, per_class, workers
         self._opened: dict[tuple[str, str, str], Any] = {}
 
     @property
     def root(self) -> Path:
         """Folder of data set folders."""
-        return self._maker.root
+        return self._root
 
     @overload
-    def meshes(self, name: Literal["mnist3d"], split: str = "train") -> DigitMeshes: ...
+    def meshes(self, name: Literal["mnist3d"], split: str = "train") -> MeshDataset: ...
     @overload
-    def meshes(self, name: Literal["starstruck"], split: str = "train") -> SceneMeshes: ...
+    def meshes(self, name: Literal["starstruck"], split: str = "train") -> SceneMeshDataset: ...
     @overload
-    def meshes(self, name: Literal["wrench"], split: str = "train") -> WrenchMeshes: ...
+    def meshes(self, name: Literal["wrench"], split: str = "train") -> WrenchDataset: ...
     @overload
     def meshes(self, name: str | PathLike[str], split: str = "train") -> MeshSet: ...
     def meshes(self, name: str | PathLike[str], split: str = "train") -> MeshSet:
@@ -140,8 +218,7 @@ class AssetProvider:
         name = fspath(name)
         opened = self._opened.get(("meshes", name, split))
         if opened is None:
-            opened = open_meshes(self._shards(name, split), name, self._memory)
-            require_kind(opened, name)
+            opened = _open_meshes(self._shards(name, split), name)
             # The first to have opened it gives it to all: records are shared between threads.
             opened = self._opened.setdefault(("meshes", name, split), opened)
         found: MeshSet = opened
@@ -230,7 +307,11 @@ class AssetProvider:
         InputError
             The record is not a scene, or its data set does not store what stands where.
         """
-        require_scene(record)
+        if not hasattr(type(record), "placements"):
+            raise InputError(
+                f"only scenes have placements, found a {type(record).__name__}",
+                next="give a record of `meshes('starstruck')`",
+            )
         found: tuple[Placement, ...] = record.placements
         return found
 
@@ -252,53 +333,64 @@ class AssetProvider:
 
     def _commit_of(self, place: str) -> str | None:
         """Return the commit of a repository, looked up on first use and kept; None for a folder or a file."""
-        repo_id = repository_id(place)
-        if repo_id is None:
+        if place.startswith("/") or is_there(Path(place)):
             return None
-        commit = self._commits.get(repo_id)
-        if commit is None:
-            from tactile_toolkit.hub.repository import HubRepository
+        from tactile_toolkit.hub.repository import HubRepository, hub_name
 
+        named = hub_name(place)
+        if named is None or named.revision is not None:
+            return None
+        commit = self._commits.get(named.repo_id)
+        if commit is None:
+            commit = HubRepository(named.repo_id, self._revision).snapshot.commit
             # The first answer stays, whichever thread it came from.
-            commit = self._commits.setdefault(repo_id, HubRepository(repo_id, self._revision).snapshot.commit)
+            commit = self._commits.setdefault(named.repo_id, commit)
         return commit
 
     def _shards(self, name: str, split: str) -> tuple[Shard, ...]:
         place = self._place(name)
-        made_here = name in KINDS and name not in self._places
         try:
             return find_shards(place, split, revision=self._commit_of(place))
-        except (
-            InputError,
-            IntegrityError,
-        ) as error:  # the latter of killed runs too, which continue
-            if not made_here:
+        except (InputError, IntegrityError) as error:  # the latter of killed runs too, which continue
+            if name not in KINDS or name in self._places:
                 raise
+            recipe: Recipe = KINDS[name].recipe(self._seed, self._per_class)
             if isinstance(error, InputError):
-                self._maker.require_split(name, split)
-            if not self._generate:
-                raise self._named(error, name, split) from error
-        with self._maker.lock(name):
+                self._refuse_missing(error, name, split, recipe)
+            elif not self._generate:
+                raise
+        # The file stays for good: were it removed, two processes could each hold a file of that name.
+        lock = self.root / f".{name}.lock"
+        with named_failures(str(lock)):
+            self.root.mkdir(parents=True, exist_ok=True)
+            lock.touch()
+        with locked(lock):
             try:
                 # Another process may have made it while this one waited.
                 return find_shards(place, split)
             except (InputError, IntegrityError):
-                self._maker.make(name, split)
+                _LOG.info("making split %r of %s in %s", split, name, place)
+                recipe.make(place, split, self._workers)
         return find_shards(place, split)
 
-    def _named(self, error: InputError | IntegrityError, name: str, split: str) -> Exception:
-        """Name the command that makes what is missing; damaged data keeps its own message."""
-        if isinstance(error, IntegrityError):
-            return error
-        found = error.what if self._maker.place(name).is_dir() else "it is not there"
-        message = (
-            f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}; next: "
-            f"{self._maker.next_step(name, split)}"
-        )
-        return InputError(message)
+    def _refuse_missing(self, error: InputError, name: str, split: str, recipe: Recipe) -> None:
+        """Refuse a split that a kind does not have, or one that is not to be made here."""
+        if split not in recipe.splits:
+            raise InputError(
+                f"unknown split {split!r} of {name}; expected one of {', '.join(recipe.splits)}"
+            ) from error
+        if not self._generate:
+            place = self.root / name
+            found = error.what if place.is_dir() else "it is not there"
+            out = f"--out {shlex.quote(str(place))}"
+            command = " ".join(filter(None, (KINDS[name].made_by, recipe.arguments(split), out)))
+            raise InputError(
+                f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}",
+                next=f"run `{command}`, or make the AssetProvider with generate=True",
+            ) from error
 
 
-def _held_places(places: object) -> dict[str, str]:
+def _checked_places(places: object) -> dict[str, str]:
     from realtouch.opening import SHORT_NAMES
 
     known = (*KINDS, *FOREIGN, *SHORT_NAMES)
@@ -314,10 +406,10 @@ def _held_places(places: object) -> dict[str, str]:
                 f"its folder{near}",
                 next="data sets of other names are opened as `meshes(FOLDER)`",
             )
-    return {name: _absolute(fspath(place)) for name, place in places.items()}
+    return {name: absolute_path(fspath(place)) for name, place in places.items()}
 
 
-def _absolute(place: str) -> str:
+def absolute_path(place: str) -> str:
     """Return a local place in full, so that it follows the current folder as little as the root does."""
     try:
         local = expanded(place)
@@ -326,9 +418,96 @@ def _absolute(place: str) -> str:
         return place
 
 
-def repository_id(place: str) -> str | None:
-    """Return the repository (``USER/NAME``) that a place names; None for what is, or can only be, a path."""
-    if place.startswith((".", "/", "~")) or is_there(Path(place)):
-        return None
-    match = _REPOSITORY.fullmatch(place)
-    return None if match is None else match["repo"]
+def _open_meshes(shards: tuple[Shard, ...], name: str) -> MeshSet:
+    """Open the shards of one split as the data set that they are.
+
+    InputError where these are not meshes, or of another kind than their name promises. The published wrench
+    has none of our columns: what is not known to be of another kind will do for one.
+    """
+    # Imported now: a process that is forked while another thread imports something waits for ever for that
+    # import's lock. The first time that Arrow makes an array of numpy, it looks for pandas.
+    for module in ("pyarrow.parquet", "pyarrow.compute", "trimesh"):
+        import_module(module)
+    import_module("pyarrow").array([0]).to_numpy()
+    table = ShardedTable(shards)
+    require_mesh_columns(table.schema, name, DIGITS.made_by)
+    kind, expected = kind_of_meshes(table.schema), KINDS.get(name)
+    names = class_names(table.schema, () if kind is None else kind.class_names)
+    if expected is not None and kind is not expected and (kind is not None or expected.published):
+        raise InputError(
+            f"{name!r} was expected to hold {expected.nouns}, found "
+            f"{kind.nouns if kind else 'other meshes'} (classes {', '.join(names) or 'without names'})",
+            next=f"give the data set by another name, or put {expected.nouns} in its place",
+        )
+    dataset: Any = SolidDataset if kind is None else _DATASETS.get(kind.name, SolidDataset)
+    opened: MeshSet = dataset([table], label_names=names)
+    return opened
+
+
+def meshes_at(place: str | PathLike[str], split: str) -> MeshView | MeshSet:
+    """Open what a user names: mesh files, or a data set by folder or name on the Hub; raises as `meshes`."""
+    # In full where it is there: a name would first be looked for among the assets of the toolkit.
+    named = absolute_path(fspath(place))
+    return mesh_files(named, split) or AssetProvider().meshes(named, split)
+
+
+@dataclass(frozen=True, slots=True)
+class AssetSummary:
+    """One split of one data set of a provider's folder.
+
+    ``kind`` is ``"mnist3d"``, ``"starstruck"``, ``"wrench"``, ``"meshes"``, ``"touches"``, or ``""`` where
+    unknown; ``rows`` are meshes, or rounds of touches; ``largest_mm`` the largest extents of a mesh along x,
+    y and z, ``volume_mm3`` the least and greatest volume; ``problem`` says why it cannot be used.
+    """
+
+    name: str
+    split: str
+    kind: str = ""
+    rows: int = 0
+    classes: tuple[str, ...] = ()
+    largest_mm: tuple[float, ...] | None = None
+    volume_mm3: tuple[float, ...] | None = None
+    problem: str | None = None
+
+
+def inventory(root: Path) -> list[AssetSummary]:
+    """Look into every data set folder of a provider's folder, reading the vertices of all meshes.
+
+    By name, splits in the order of the data set; one that cannot be used is named with the reason. InputError
+    when there is no such folder.
+    """
+    if not root.is_dir():
+        raise InputError(
+            f"{DataFolder(str(root)).lacks('data sets')}", next="give the folder of an AssetProvider"
+        )
+    found = []
+    for place in sorted(each for each in root.iterdir() if each.is_dir() and each.name[0] != "."):
+        try:
+            splits = splits_of(str(place))
+        except InputError:  # some other folder: there are no Parquet files in it
+            continue
+        except ToolkitError as error:
+            found.append(AssetSummary(place.name, "", problem=str(error)))
+            continue
+        for split in splits:
+            try:
+                found.append(_summary(place, split))
+            except ToolkitError as error:
+                found.append(AssetSummary(place.name, split, problem=str(error)))
+    return found
+
+
+def _summary(place: Path, split: str) -> AssetSummary:
+    shards = find_shards(str(place), split)
+    schema = ShardedTable(shards).schema
+    # Only touches have the column; they are not opened, as no mesh is to be measured.
+    if "pos_in_cell" in schema.names:
+        return AssetSummary(place.name, split, "touches", sum(map(len, shards)))
+    kind, view = kind_of_meshes(schema), MeshView.of(_open_meshes(shards, str(place)))
+    summary = AssetSummary(place.name, split, kind.name if kind else "meshes", len(view), view.label_names)
+    if not len(view):
+        return summary
+    largest_mm = np.max(view.bounds_m[:, 1] - view.bounds_m[:, 0], axis=0) * MM_PER_M
+    volumes_mm3 = view.volumes_m3 * MM_PER_M**3
+    volume_mm3 = (round(float(volumes_mm3.min()), 3), round(float(volumes_mm3.max()), 3))
+    return replace(summary, largest_mm=tuple(largest_mm.round(3).tolist()), volume_mm3=volume_mm3)

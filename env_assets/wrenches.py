@@ -1,11 +1,65 @@
-"""Opening data sets of wrenches, as the packages of other kinds open theirs."""
+"""Wrenches as records, and opening data sets of them, as the packages of other kinds do."""
 
 from __future__ import annotations
 
-from env_assets.mesh_sets import WrenchMeshes
-from env_assets.provider import AssetProvider
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from env_assets.wrench.kind import KIND
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.mesh.records import SolidRecord, open_solids
+from tactile_toolkit.read.dataset import RecordDataset
 
 
-def load(name: str, split: str = "train") -> WrenchMeshes:
+class WrenchRecord(SolidRecord):
+    """One wrench.
+
+    Frame of the mesh: origin on the axis of the handle, half way along the length, x along the handle towards
+    the first jaw, z up, lowest point at z = 0; metres.
+    """
+
+    __slots__ = ()
+
+    @property
+    def opening_mm(self) -> float:
+        """Width across flats of the first jaw, millimetres."""
+        return float(self._row.required("opening_mm"))
+
+    @property
+    def second_opening_mm(self) -> float:
+        """Width across flats of the second jaw, millimetres; 0 where the handle ends plainly."""
+        return float(self._row.required("second_opening_mm"))
+
+    def __repr__(self) -> str:
+        return f"WrenchRecord(id={self.id}, {self.opening_mm:g} mm, {len(self.faces):,} faces)"
+
+    def _repr_html_(self) -> str:
+        """Show the wrench from above in a notebook."""
+        from tactile_toolkit.pictures.render import relief
+        from tactile_toolkit.pictures.writing import figure_html
+
+        return figure_html(relief(self.vertices_m, self.faces), repr(self))
+
+    def _tile_html(self) -> str:
+        from tactile_toolkit.pictures.render import relief_tile_html
+
+        return relief_tile_html(self.vertices_m, self.faces, f"{self.opening_mm:g} mm, id {self.id}")
+
+
+class WrenchDataset(RecordDataset[WrenchRecord]):
+    """A lazy sequence of :class:`WrenchRecord`."""
+
+    record_class = WrenchRecord
+    things = "wrenches"
+
+    @property
+    def volumes_m3(self) -> NDArray[np.float64]:
+        """Volume of each row, shape (len,), cubic metres; loads no mesh."""
+        return self.column("volume_m3")
+
+
+def load(name: str, split: str = "train") -> WrenchDataset:
     """Open a folder, a Parquet file or a repository of the Hub; raises as ``AssetProvider.meshes``."""
-    return AssetProvider(places={"wrench": name}).meshes("wrench", split)
+    return cast(WrenchDataset, open_solids(find_shards(name, split), name, WrenchDataset, KIND))

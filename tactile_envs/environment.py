@@ -17,15 +17,16 @@ from realtouch.poses import Poses
 from tactile_envs.config import Config, Registered
 from tactile_envs.drawing import Shown, draw
 from tactile_envs.episodes import EpisodeLog
-from tactile_envs.kernels import PADDING, aim, touch
+from tactile_envs.kernels import PADDING, aim, place, touch
 from tactile_envs.meshes import MeshPool
 from tactile_envs.sensors import make_camera
-from tactile_envs.tasks import make_task, placements_m
+from tactile_envs.tasks import Score, make_task
 from tactile_sim.sensor import as_environment
 from tactile_toolkit.errors import InputError
 
 _TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of
 _NO_DRIFT = np.zeros(3)
+_PARTS_A_THREAD = 4
 _PLACE = "initial_sensor_target_pose"
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
 Observation = dict[str, NDArray[Any]]
@@ -91,12 +92,12 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._camera = make_camera(config.sensor_type, config.sensor_output_size)
         self._spec: Any = None
         self._make_spaces()
-        self._threads = ThreadPoolExecutor(threads) if threads > 1 else None
-        self._parts = [
-            slice(part[0], part[-1] + 1) for part in np.array_split(range(num_envs), threads) if len(part)
-        ]
+        # Touches on objects take ten times as long as others: threads take small parts in turns.
+        parts = np.array_split(range(num_envs), threads * _PARTS_A_THREAD if threads > 1 else 1)
+        self._parts = [slice(part[0], part[-1] + 1) for part in parts if len(part)]
+        self._start_threads(min(threads, len(self._parts)))
         width, height = self._camera.depth_size
-        self._rooms = [np.empty((height, width + PADDING), np.float32) for _ in self._parts]
+        self._rooms = [np.empty((height, width + PADDING), np.float32) for _ in range(threads)]
         self._view = view = as_environment(width, height)
         per_m = width / view.window_m[0]
         middle = [size / 2 - 0.5 - at for size, at in zip((width, height), view.sample_px, strict=True)]
@@ -105,6 +106,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._low, self._high = np.array([*-reach, 0.0]), np.array([*reach, _TOP_M])
         costs = [config.longest_way_m, config.action_regularization]
         self._motion = np.concatenate([self._low, self._high, costs])
+        self._room_m = np.array(config.cell_size) / 2 - config.object_placement_margin
         self._log = EpisodeLog(num_envs, config.step_limit)
         self._step_number, self._done = 0, False
         self._chosen, self._next = np.full(num_envs, -1, np.int64), np.full(num_envs, -1, np.int64)
@@ -112,6 +114,21 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._sensors, self._targets = np.zeros((num_envs, 3)), np.zeros((num_envs, 3))
         self._felt: NDArray[np.float32] = np.zeros(0, np.float32)
         self._predicted: tuple[NDArray[Any], NDArray[Any]] | None = None
+        self._score: Score | None = None
+
+    def _start_threads(self, count: int) -> None:
+        """Start all threads but the one that steps are taken in."""
+        self._helpers = count - 1
+        self._threads = ThreadPoolExecutor(self._helpers) if self._helpers else None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave threads and mapped meshes behind; a copy continues where this one is."""
+        return {**self.__dict__, "_threads": None, "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._pool = MeshPool.of(self._records)
+        self._start_threads(self._helpers + 1)
 
     def _make_spaces(self) -> None:
         config, dtype = self.config, np.float32
@@ -161,9 +178,9 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         poses, places = self._poses(options, "initial_object_pose", 3), self._poses(options, _PLACE, 2)
         self._begin(poses)
         starts = self._starts()
-        for i, place in enumerate(places):
-            if place is not None:
-                starts[i, :2] = place
+        for i, start in enumerate(places):
+            if start is not None:
+                starts[i, :2] = start
         self._targets[:] = starts
         return self._touch()
 
@@ -178,7 +195,8 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             )
         was_done = self._done
         observation, cost, terminated, truncated, info, targets = self._step(action["action"], predictions)
-        score = self._task.score(predictions, targets)
+        score = self._score
+        assert score is not None  # of this step
         self._predicted = None if was_done else (predictions, targets)
         if not was_done:
             self._log.add(self._step_number - 1, score.metrics)
@@ -204,6 +222,12 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         if not np.isfinite(ways).all():  # infinite ways lead to NaN
             raise ValueError("NaN values detected in sensor target position.")
         targets = self._task.targets(self._chosen, self._objects)
+        self._score = self._task.score(prediction, targets)
+        if np.isnan(self._score.loss).any():
+            raise InputError(
+                "predictions hold NaN, or infinite values that have no loss: nothing was done",
+                next="look at the learning rate, and at what the network is given",
+            )
         costs = np.zeros(self.num_envs, np.float32)
         if self._done:
             self._begin([None] * self.num_envs)
@@ -220,20 +244,21 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
 
     def _begin(self, poses: Sequence[Any]) -> None:
         """Put the next objects into the cells; draws as the published environment does, in its order."""
-        config, random = self.config, self.np_random
+        config, count = self.config, len(self._pool)
+        drawn = np.full((self.num_envs, 3), 0.5)
+        self._chosen[:] = self._next
         for i in range(self.num_envs):
-            number = int(self._next[i])
-            self._chosen[i], self._next[i] = number, self._any_mesh()
-            if poses[i] is not None:
-                self._objects[i] = poses[i]
-            elif config.randomize_initial_object_pose:
-                turn, *offset = random.random(3)
-                turn_rad = (turn * 2 - 1) * config.max_initial_angle_perturbation
-                low, high = placements_m(self._pool.hull(number), turn_rad, config)
-                self._objects[i, :2] = offset * (high - low) + low
-                self._objects[i, 2] = turn_rad
-            else:
-                self._objects[i] = 0.0
+            self._next[i] = self.np_random.integers(0, count)
+            if poses[i] is None and config.randomize_initial_object_pose:
+                drawn[i] = self.np_random.random(3)
+        if config.randomize_initial_object_pose:
+            most_rad, pool = config.max_initial_angle_perturbation, self._pool
+            place(self._chosen, drawn, most_rad, self._room_m, pool.hulls, pool.grids, self._objects)
+        else:
+            self._objects[:] = 0.0
+        for i, pose in enumerate(poses):
+            if pose is not None:
+                self._objects[i] = pose
         self._step_number, self._done, self._predicted = 0, False, None
 
     def _starts(self) -> NDArray[np.float64]:
@@ -266,28 +291,36 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         depths_m = np.empty((count, height, width) if has_depth else (0, 0, 0), np.float32)
         positions, is_bare = np.empty((count, 3), np.float32), np.empty(count, np.bool_)
 
-        def run(part: int) -> None:
-            touch(
-                self._parts[part].start,
-                self._parts[part].stop,
-                self._window,
-                self._motion,
-                drift,
-                self._pool.arrays,
-                self._chosen,
-                self._sensors,
-                self._objects,
-                self._rooms[part],
-                images,
-                depths_m,
-                positions,
-                is_bare,
-            )
+        parts = iter(self._parts)  # threads share it: taking the next is one step for all of them
 
-        if self._threads is None:
-            run(0)
-        else:
-            list(self._threads.map(run, range(len(self._parts))))
+        def run(thread: int) -> None:
+            for part in parts:
+                touch(
+                    part.start,
+                    part.stop,
+                    self._window,
+                    self._motion,
+                    drift,
+                    self._pool.arrays,
+                    self._chosen,
+                    self._sensors,
+                    self._objects,
+                    self._rooms[thread],
+                    images,
+                    depths_m,
+                    positions,
+                    is_bare,
+                )
+
+        helpers = (
+            []
+            if self._threads is None
+            else [self._threads.submit(run, thread) for thread in range(1, self._helpers + 1)]
+        )
+        run(0)
+        for helper in helpers:
+            if not helper.cancel():  # one that did not start has nothing left to do
+                helper.result()
         self._felt = self._camera.pictures(images, depths_m, is_bare)
         observation = {"sensor_pos": positions, "sensor_img": self._felt}
         if config.timeout_behavior == "terminate":

@@ -138,7 +138,7 @@ def raise_object(
         y_px,
         columns,
     )
-    # The corners of the window in the object's frame.
+    # The corners of the window in the object's frame, from the corner of its grid on.
     corner_x, corner_y = np.empty(4), np.empty(4)
     for corner in range(4):
         column = columns - 1.0 + _EDGE_PX if corner == 1 or corner == 2 else -_EDGE_PX
@@ -151,19 +151,7 @@ def raise_object(
     for line in range(max(math.floor(lowest / cell_m), 0), min(math.floor(highest / cell_m), up - 1) + 1):
         # A triangle lies at most `reach_m` from the middle that says which cell it is in.
         from_y, to_y = line * cell_m - reach_m, (line + 1) * cell_m + reach_m
-        least, most = np.inf, -np.inf
-        for corner in range(4):
-            x, y = corner_x[corner], corner_y[corner]
-            along_x, along_y = corner_x[(corner + 1) & 3] - x, corner_y[(corner + 1) & 3] - y
-            begin, end = 0.0, 1.0
-            if along_y != 0.0:
-                one, other = (from_y - y) / along_y, (to_y - y) / along_y
-                begin, end = max(min(one, other), 0.0), min(max(one, other), 1.0)
-            elif y < from_y or y > to_y:
-                continue
-            if begin <= end:
-                least = min(least, x + min(begin * along_x, end * along_x))
-                most = max(most, x + max(begin * along_x, end * along_x))
+        least, most = _extent_between(corner_x, corner_y, from_y, to_y)
         begin_cell = max(math.floor((least - reach_m) / cell_m), 0)
         end_cell = min(math.floor((most + reach_m) / cell_m), across - 1)
         if begin_cell <= end_cell:
@@ -181,6 +169,27 @@ def raise_object(
                 y_px,
                 columns,
             )
+
+
+@compiled
+def _extent_between(
+    corner_x: NDArray[np.float64], corner_y: NDArray[np.float64], from_y: float, to_y: float
+) -> tuple[float, float]:
+    """Return least and greatest x of the part of a convex polygon between two heights."""
+    least, most = np.inf, -np.inf
+    for corner in range(4):
+        x, y = corner_x[corner], corner_y[corner]
+        along_x, along_y = corner_x[(corner + 1) & 3] - x, corner_y[(corner + 1) & 3] - y
+        begin, end = 0.0, 1.0
+        if along_y != 0.0:
+            one, other = (from_y - y) / along_y, (to_y - y) / along_y
+            begin, end = max(min(one, other), 0.0), min(max(one, other), 1.0)
+        elif y < from_y or y > to_y:
+            continue
+        if begin <= end:
+            least = min(least, x + min(begin * along_x, end * along_x))
+            most = max(most, x + max(begin * along_x, end * along_x))
+    return least, most
 
 
 @compiled
@@ -326,9 +335,8 @@ def touch(
         Whether the plate alone was met.
     """
     vertices, faces, starts, grids = pool
-    rows, columns = images.shape[1], images.shape[2]
+    columns = images.shape[2]
     greatest = np.empty(columns, np.float32)
-    press, scale, top = np.float32(window[3]), np.float32(1.0 / window[3]), np.float32(1.0)
     for i in range(begin, end):
         cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
         heights[:, :] = 0.0
@@ -345,27 +353,11 @@ def touch(
             window[0],
             columns,
         )
-        # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
-        greatest[:] = 0.0
-        for row in range(rows):
-            for column in range(columns):
-                here = heights[row, column]
-                greatest[column] = here if here > greatest[column] else greatest[column]
-        highest = greatest.max()
+        highest = _highest(heights, greatest)
         is_bare[i] = highest == 0.0
-        if is_bare[i]:
-            images[i, :, :] = 0.0
-        else:
-            for row in range(rows):
-                line, shown = heights[rows - 1 - row], images[i, row]
-                for column in range(columns):
-                    depth = (highest - line[column]) * scale
-                    shown[column] = depth if depth < top else top
+        _show(images[i], heights, highest, window[3])
         if len(depths):
-            for row in range(rows):
-                line, far = heights[rows - 1 - row], depths[i, row]
-                for column in range(columns):
-                    far[column] = press + (highest - line[column])
+            _measure(depths[i], heights, highest, window[3])
         sensors[i, 2] = highest + window[3]
         for axis in range(3):
             low, high = motion[axis], motion[axis + 3]
@@ -374,6 +366,78 @@ def touch(
         objects[i, 0] += cosine * drift[0] - sine * drift[1]
         objects[i, 1] += sine * drift[0] + cosine * drift[1]
         objects[i, 2] += drift[2]
+
+
+@compiled
+def _highest(heights: NDArray[np.float32], greatest: NDArray[np.float32]) -> np.float32:
+    """Return the greatest height of the columns that ``greatest`` has room for, 0 at least."""
+    # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
+    greatest[:] = 0.0
+    for row in range(len(heights)):
+        for column in range(len(greatest)):
+            here = heights[row, column]
+            greatest[column] = here if here > greatest[column] else greatest[column]
+    highest: np.float32 = greatest.max()
+    return highest
+
+
+@compiled
+def _show(
+    image: NDArray[np.float32], heights: NDArray[np.float32], highest: np.float32, press_m: float
+) -> None:
+    """Draw the depth image: 0 where the gel is pressed in most, 1 where it is not."""
+    rows, columns = image.shape
+    scale, top = np.float32(1.0 / press_m), np.float32(1.0)
+    if highest == 0.0:
+        image[:, :] = 0.0
+        return
+    for row in range(rows):
+        line, shown = heights[rows - 1 - row], image[row]
+        for column in range(columns):
+            depth = (highest - line[column]) * scale
+            shown[column] = depth if depth < top else top
+
+
+@compiled
+def _measure(
+    far: NDArray[np.float32], heights: NDArray[np.float32], highest: np.float32, press_m: float
+) -> None:
+    """Write distances from the gel's camera, metres."""
+    rows, columns = far.shape
+    press = np.float32(press_m)
+    for row in range(rows):
+        line, measured = heights[rows - 1 - row], far[row]
+        for column in range(columns):
+            measured[column] = press + (highest - line[column])
+
+
+@compiled
+def place(
+    numbers: NDArray[np.int64],
+    drawn: NDArray[np.float64],
+    most_turn_rad: float,
+    room: NDArray[np.float64],
+    hulls: NDArray[np.float32],
+    grids: NDArray[np.float64],
+    objects: NDArray[np.float64],
+) -> None:
+    """Lay objects into their cells, inside of ``room`` (half of width and depth), as numbers (n, 3) say.
+
+    Numbers from 0 to 1 for the turn and both places; ``objects``, shape (n, 3), is written: metres, radians.
+    """
+    for i in range(len(numbers)):
+        first, last = int(grids[numbers[i], 10]), int(grids[numbers[i], 11])
+        turn_rad = (drawn[i, 0] * 2 - 1) * most_turn_rad
+        least_x, least_y, most_x, most_y = spread_of_turned(
+            hulls[first:last], math.cos(turn_rad), math.sin(turn_rad)
+        )
+        for axis in range(2):
+            low = -room[axis] - (least_x if axis == 0 else least_y)
+            high = room[axis] - (most_x if axis == 0 else most_y)
+            if low > high:
+                low = high = (low + high) / 2
+            objects[i, axis] = drawn[i, axis + 1] * (high - low) + low
+        objects[i, 2] = turn_rad
 
 
 @compiled

@@ -7,10 +7,8 @@ from os import PathLike, fspath
 from typing import Any
 
 from env_assets.checks import require_fitting_meshes
-from env_assets.mesh_folder import mesh_files
-from env_assets.mesh_view import MeshView
-from env_assets.missing import KINDS
-from env_assets.provider import AssetProvider
+from env_assets.meshes import MeshView
+from env_assets.provider import KINDS, AssetProvider, meshes_at
 from tactile_envs.config import IDS, Registered, configured
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.store.files import expanded, is_there
@@ -68,8 +66,7 @@ def make_vector(
     records = _records(registered, assets)
     where = f"{registered.assets!r}, split {registered.split!r},"
     kind: Any = registered.assets if assets is None and registered.assets in KINDS else None
-    view = MeshView(records, tuple(records.label_names)) if not isinstance(records, MeshView) else records
-    require_fitting_meshes(view, kind, where, settings.cell_size)
+    require_fitting_meshes(MeshView.of(records), kind, where, settings.cell_size)
     return TactileVectorEnv(registered, settings, records, num_envs, render_mode=render_mode, threads=threads)
 
 
@@ -87,8 +84,5 @@ def _records(registered: Registered, assets: str | PathLike[str] | None) -> Any:
             raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
         return AssetProvider().meshes(published[0].repo_id, split)
     place = expanded(fspath(assets))
-    if not is_there(place):
-        return AssetProvider().meshes(fspath(assets), split)
-    if name in KINDS and (place / name).is_dir():
-        return AssetProvider(place).meshes(name, split)
-    return mesh_files(place, split) or AssetProvider().meshes(place.absolute(), split)
+    is_folder_of_sets = name in KINDS and is_there(place) and (place / name).is_dir()
+    return AssetProvider(place).meshes(name, split) if is_folder_of_sets else meshes_at(assets, split)

@@ -4,10 +4,9 @@
 that takes ``tactile_mnist.MeshDataset`` or ``tactile_mnist.TouchSingleDataset`` takes ours. Both pickle, as
 the package's own do not, and may be shared between threads.
 
-The published environments look behind a data set of meshes or touches for the rows of ``datasets`` (its
-``huggingface_dataset``): for their statistics, for the number of touches of a round, for ids and labels.
-:class:`StoredRows` answers exactly that, row by row, and pickles as paths, so that worker processes open it
-again.
+The published environments look behind a data set for the rows of ``datasets`` (its ``huggingface_dataset``):
+for their statistics, for the number of touches of a round, for ids and labels. :class:`StoredRows` answers
+exactly that, row by row, and pickles as paths, so that worker processes open it again.
 """
 
 from __future__ import annotations
@@ -17,13 +16,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from env_assets.mesh_view import MeshView
+from env_assets.meshes import MeshView
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
@@ -32,6 +30,18 @@ if TYPE_CHECKING:
     import tactile_mnist
 else:
     tactile_mnist = published_package("tactile_mnist")
+
+CELL_SIZE_M: tuple[float, float] = tuple(tactile_mnist.CELL_SIZE.tolist())
+"""Width and depth of the cell of the digits, metres."""
+
+_MERGED_M = 1e-8
+"""Vertices closer than this are one to ``trimesh`` (its ``tol.merge``)."""
+
+_MIXERS = np.array([0x1E3779B97F4A7C15, 0x42B2AE3D27D4EB4F, 0x165667B19E3779F9])
+"""Odd numbers without a pattern: sums of multiples of them, which wrap around, rarely meet."""
+
+CacheSize = int | Literal["full"]
+Records = RecordDataset[Any] | MeshView
 
 
 def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> StoredMeshDataset:
@@ -56,10 +66,7 @@ def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> Stor
     InputError
         No data set of meshes.
     """
-    view = MeshView.of(meshes)
-    if view is None:
-        raise _unexpected(meshes, "meshes", "mnist3d.load")
-    return StoredMeshDataset(view, cache_size)
+    return StoredMeshDataset(MeshView.of(meshes), cache_size)
 
 
 def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> StoredTouchDataset:
@@ -83,26 +90,18 @@ def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> Sto
         No data set of touches with images, or rounds of unlike length.
     """
     if not (isinstance(rounds, RecordDataset) and hasattr(rounds.record_class, "sensor_image")):
-        raise _unexpected(rounds, "touches with one image each", "realtouch.load")
+        raise InputError(
+            f"a data set of touches with one image each was expected, found {type(rounds).__name__}",
+            next="open one by `realtouch.load`",
+        )
+    counts = np.unique(rounds.touch_counts)  # type: ignore[attr-defined]
+    if len(counts) > 1:
+        raise InputError(
+            f"the rounds of this data set have {counts[0]} to {counts[-1]} touches; the environments need "
+            "the same number in every round",
+            next="use a data set before touches were selected from it",
+        )
     return StoredTouchDataset(rounds, cache_size)
-
-
-def _unexpected(found: Any, expected: str, loader: str) -> InputError:
-    return InputError(
-        f"a data set of {expected} was expected, found {type(found).__name__}; next: open one by `{loader}`"
-    )
-
-
-CELL_SIZE_M: tuple[float, float] = tuple(tactile_mnist.CELL_SIZE.tolist())
-"""Width and depth of the cell of the digits, metres."""
-
-_MERGED_M = 1e-8
-"""Vertices closer than this are one to ``trimesh`` (its ``tol.merge``)."""
-
-_MIXERS = np.array([0x1E3779B97F4A7C15, 0x42B2AE3D27D4EB4F, 0x165667B19E3779F9])
-"""Odd numbers without a pattern: sums of multiples of them, which wrap around, rarely meet."""
-
-CacheSize = int | Literal["full"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,80 +130,19 @@ class MeshPoint:
         return trimesh.Trimesh(self.record.vertices_m, self.record.faces)
 
 
-class StoredMeshDataset(tactile_mnist.HuggingfaceMeshDataset):  # type: ignore[misc]
-    """A ``tactile_mnist.MeshDataset`` that reads meshes by our loader; see :func:`as_mesh_dataset`."""
-
-    def __init__(self, meshes: MeshView, cache_size: CacheSize = 0) -> None:
-        plain = {name: attrgetter(name) for name in _PLAIN}
-        rows = StoredRows(meshes, {**plain, "mesh": mesh_keywords}, label_feature(meshes))
-        super().__init__(rows, cache_size=cache_size)
-        self._meshes = meshes
-
-    @property
-    def meshes(self) -> MeshView:
-        """The records behind the points."""
-        return self._meshes
-
-    # The package takes all rows that are no `datasets.Dataset` for a stream without random access.
-    def __iter__(self) -> Iterator[MeshPoint]:
-        return (self[index] for index in range(len(self)))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (type(self), (self._meshes, self.cache_size))
-
-    def _get_data_point_type(self) -> type[MeshPoint]:
-        return MeshPoint
-
-    def _get_item(self, index: int) -> MeshPoint:
-        return MeshPoint(self._meshes[index])
-
-    def _select(self, indices: NDArray[np.int64]) -> StoredMeshDataset:
-        return StoredMeshDataset(self._meshes[indices], self.cache_size)
-
-
-def mesh_keywords(record: Any) -> dict[str, Any]:
-    """Return what ``trimesh.Trimesh`` makes the mesh of a record from, as the package would make it.
-
-    The package lets ``trimesh`` merge equal vertices, without which a published mesh would not be closed.
-    That costs more than all the rest, so it is left out for meshes that have none.
-    """
-    vertices_m = record.vertices_m
-    return {"vertices": vertices_m, "faces": record.faces, "process": has_equal_rows(vertices_m)}
-
-
-def has_equal_rows(vertices_m: NDArray[np.float32]) -> bool:
-    """Return whether vertices may be equal; now and then two unlike ones look so, which only costs time."""
-    grid = np.round(vertices_m.astype(np.float64) / _MERGED_M).astype(np.int64)
-    # One number a row: of 5,000 vertices this takes 0.08 ms, and `np.unique` of rows 3.3 ms.
-    mixed = grid @ _MIXERS
-    mixed.sort()
-    return bool((mixed[1:] == mixed[:-1]).any())
-
-
 @dataclass(frozen=True, eq=False)
 class TouchPoint:
-    """One round of touches, as the environments want it; positions are metres in the cell frame."""
+    """One round of touches, as the environments want it: the round, with poses of the package.
+
+    ``info`` and ``gel_pose_cell_frame`` hold ``transformation.Transformation``; ``pos_in_cell`` are the
+    intended positions, shape (T, 2), metres, in the cell frame.
+    """
 
     round: Any
 
-    @property
-    def id(self) -> str:
-        """Name of the round."""
-        return str(self.round.id)
-
-    @property
-    def label(self) -> int:
-        """Class of the object."""
-        return int(self.round.label)
-
-    @property
-    def object_id(self) -> int:
-        """Id of the touched mesh in its data set of meshes."""
-        return int(self.round.object_id)
-
     @cached_property
     def info(self) -> dict[str, Any]:
-        """Metadata; poses in it are ``transformation.Transformation``."""
+        """Metadata."""
         return {name: _package_pose(value) for name, value in self.round.info.items()}
 
     @property
@@ -215,70 +153,13 @@ class TouchPoint:
 
     @cached_property
     def gel_pose_cell_frame(self) -> Any:
-        """Pose of the gel at contact: a ``transformation.Transformation`` of length T."""
+        """Pose of the gel at contact, of length T."""
         return _package_pose(self.round.gel_pose_cell_frame)
 
-    @property
-    def sensor_image(self) -> Any:
-        """Images, T of them, (H, W, 3) uint8, each decoded when it is asked for."""
-        return self.round.sensor_image
-
-
-class StoredTouchDataset(tactile_mnist.TouchSingleDataset):  # type: ignore[misc]
-    """A ``tactile_mnist.TouchSingleDataset`` that reads rounds by our loader; see :func:`as_touch_dataset`.
-
-    Touches are counted when ``touches_per_round`` is not given.
-    """
-
-    def __init__(
-        self, rounds: RecordDataset[Any], cache_size: CacheSize = 0, touches_per_round: int | None = None
-    ) -> None:
-        if touches_per_round is None:
-            touches_per_round = _touches_per_round(rounds)
-        super().__init__(_touch_rows(rounds, touches_per_round), cache_size=cache_size)
-        self._rounds = rounds
-        self._touches_per_round = touches_per_round
-
-    @property
-    def rounds(self) -> RecordDataset[Any]:
-        """The records behind the points."""
-        return self._rounds
-
-    def __iter__(self) -> Iterator[TouchPoint]:
-        return (self[index] for index in range(len(self)))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (type(self), (self._rounds, self.cache_size, self._touches_per_round))
-
-    def _get_data_point_type(self) -> type[TouchPoint]:
-        return TouchPoint
-
-    def _get_item(self, index: int) -> TouchPoint:
-        return TouchPoint(self._rounds[index])
-
-    def _select(self, indices: NDArray[np.int64]) -> StoredTouchDataset:
-        # Handed on, for a selection of no rounds has no number of touches of its own.
-        return StoredTouchDataset(self._rounds[indices], self.cache_size, self._touches_per_round)
-
-
-def _touch_rows(rounds: RecordDataset[Any], touches_per_round: int) -> StoredRows:
-    from datasets import List, Value
-
-    names = ("id", "label", "object_id", "info", "pos_in_cell", "gel_pose_cell_frame", "sensor_image")
-    positions = List(List(Value("float64"), length=2), length=touches_per_round)
-    features = {**label_feature(rounds), "pos_in_cell": positions}
-    return StoredRows(rounds, {name: attrgetter(name) for name in names}, features)
-
-
-def _touches_per_round(rounds: Any) -> int:
-    counts = np.unique(rounds.touch_counts)
-    if len(counts) <= 1:
-        return int(counts[0]) if len(counts) else 0
-    raise InputError(
-        f"the rounds of this data set have {counts[0]} to {counts[-1]} touches; the environments need "
-        "the same number in every round",
-        next="use a data set before touches were selected from it",
-    )
+    def __getattr__(self, name: str) -> Any:
+        if name in ("id", "label", "object_id", "sensor_image"):
+            return getattr(self.round, name)
+        raise AttributeError(name)
 
 
 def _package_pose(value: Any) -> Any:
@@ -289,27 +170,104 @@ def _package_pose(value: Any) -> Any:
     return value
 
 
-Reader = Callable[[Any], Any]
-Records = RecordDataset[Any] | MeshView
-_PLAIN = ("id", "label")
+def has_equal_rows(vertices_m: NDArray[np.float32]) -> bool:
+    """Return whether vertices may be equal; now and then two unlike ones look so, which only costs time.
+
+    The package lets ``trimesh`` merge equal vertices, without which a published mesh would not be closed.
+    That costs more than all the rest, so it is left out for meshes that have none.
+    """
+    grid = np.round(vertices_m.astype(np.float64) / _MERGED_M).astype(np.int64)
+    # One number a row: of 5,000 vertices this takes 0.08 ms, and `np.unique` of rows 3.3 ms.
+    mixed = grid @ _MIXERS
+    mixed.sort()
+    return bool((mixed[1:] == mixed[:-1]).any())
+
+
+def mesh_keywords(record: Any) -> dict[str, Any]:
+    """Return what ``trimesh.Trimesh`` makes the mesh of a record from, as the package would make it."""
+    vertices_m = record.vertices_m
+    return {"vertices": vertices_m, "faces": record.faces, "process": has_equal_rows(vertices_m)}
+
+
+def _read(*names: str) -> dict[str, Callable[[Any], Any]]:
+    return {name: attrgetter(name) for name in names}
+
+
+class _Stored:
+    """What the data sets of both kinds have in common: points over records that our loaders read."""
+
+    point: type
+    readers: ClassVar[Mapping[str, Callable[[Any], Any]]]
+    cache_size: CacheSize
+
+    def __init__(self, records: Any, cache_size: CacheSize = 0) -> None:
+        super().__init__(StoredRows(records, self.readers), cache_size=cache_size)  # type: ignore[call-arg]
+        self.records = records
+
+    # The package takes all rows that are no `datasets.Dataset` for a stream without random access.
+    def __iter__(self) -> Iterator[Any]:
+        return (self[index] for index in range(len(self.records)))  # type: ignore[index]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (type(self), (self.records, self.cache_size))
+
+    def _get_data_point_type(self) -> type:
+        return self.point
+
+    def _get_item(self, index: int) -> Any:
+        return self.point(self.records[index])
+
+    def _select(self, indices: NDArray[np.int64]) -> Self:
+        return type(self)(self.records[indices], self.cache_size)
+
+
+class StoredMeshDataset(_Stored, tactile_mnist.HuggingfaceMeshDataset):  # type: ignore[misc]
+    """A ``tactile_mnist.MeshDataset`` of our meshes; see :func:`as_mesh_dataset`."""
+
+    point = MeshPoint
+    readers: ClassVar = {**_read("id", "label"), "mesh": mesh_keywords}
+
+
+class StoredTouchDataset(_Stored, tactile_mnist.TouchSingleDataset):  # type: ignore[misc]
+    """A ``tactile_mnist.TouchSingleDataset`` of our rounds; see :func:`as_touch_dataset`."""
+
+    point = TouchPoint
+    readers: ClassVar = _read(
+        *("id", "label", "object_id", "info", "pos_in_cell", "gel_pose_cell_frame", "sensor_image")
+    )
 
 
 @dataclass(frozen=True)
 class StoredRows(Sequence[dict[str, Any]]):
     """Rows as dictionaries, with the part of the interface of ``datasets.Dataset`` that environments use.
 
-    ``readers`` say, for each column, how its value comes from a record, by functions that pickle;
-    ``features`` are what ``datasets`` would say of a column, for those that a user asks about.
+    ``readers`` say, for each column, how its value comes from a record, by functions that pickle.
     """
 
     records: Records
-    readers: Mapping[str, Reader]
-    features: Mapping[str, Any]
+    readers: Mapping[str, Callable[[Any], Any]]
+
+    @property
+    def features(self) -> Mapping[str, Any]:
+        """What ``datasets`` would say of columns, for those that the environments ask about."""
+        from datasets import ClassLabel, List, Value
+
+        label = ClassLabel(names=list(self.records.label_names))
+        if "pos_in_cell" not in self.readers:
+            return {"label": label}
+        count = int(max(self.records.touch_counts, default=0))  # type: ignore[union-attr]
+        return {"label": label, "pos_in_cell": List(List(Value("float64"), length=2), length=count)}
 
     @cached_property
     def _fingerprint(self) -> str:
-        """Name under which the published package keeps statistics of these rows."""
-        return fingerprint_of(self.records)
+        """Name under which the published package keeps statistics of these rows: that of their content."""
+        view = self.records
+        assert isinstance(view, MeshView)  # it computes none of touches
+        digest = hashlib.sha256(repr((view.label_names, view.flat)).encode())
+        # An environment has had volumes and bounds computed before, to check them.
+        for values in (view.column("id"), view.column("label"), view.volumes_m3, view.bounds_m):
+            digest.update(np.ascontiguousarray(values).tobytes())
+        return digest.hexdigest()[:32]
 
     @property
     def column_names(self) -> list[str]:
@@ -321,67 +279,23 @@ class StoredRows(Sequence[dict[str, Any]]):
 
     def __getitem__(self, key: Any) -> Any:
         """Return a row (int), a column (str), or a view of some rows (slice, ints, mask)."""
-        if isinstance(key, str):
-            return self._column(key)
         if isinstance(key, (int, np.integer)):
-            return self._row(self.records[int(key)])
-        return self.select(key)
-
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        return map(self._row, self.records)
+            record = self.records[int(key)]
+            return {name: read(record) for name, read in self.readers.items()}
+        if not isinstance(key, str):
+            return self.select(key)
+        if key not in self.readers:
+            raise InputError(f"no column {key!r} in these rows; expected one of {', '.join(self.readers)}")
+        # No record has to be made for these, of which `filter_labels` and the like ask for all at once.
+        if key in ("id", "label"):
+            return self.records.column(key).tolist()
+        return [self.readers[key](record) for record in self.records]
 
     def select(self, indices: Any) -> Self:
         """Return a view of some rows (slice, ints, mask); copies nothing."""
-        return type(self)(self.records[indices], self.readers, self.features)
+        return type(self)(self.records[indices], self.readers)
 
     def select_columns(self, column_names: str | Sequence[str]) -> Self:
         """Return a view of some columns."""
-        wanted = [column_names] if isinstance(column_names, str) else list(column_names)
-        return type(self)(self.records, {name: self._reader(name) for name in wanted}, self.features)
-
-    def _row(self, record: Any) -> dict[str, Any]:
-        return {name: read(record) for name, read in self.readers.items()}
-
-    def _column(self, name: str) -> list[Any]:
-        reader = self._reader(name)
-        # No record has to be made for these, of which `filter_labels` and the like ask for all at once.
-        if name in _PLAIN:
-            return list(self.records.column(name).tolist())
-        return [reader(record) for record in self.records]
-
-    def _reader(self, name: str) -> Reader:
-        if name not in self.readers:
-            raise InputError(f"no column {name!r} in these rows; expected one of {', '.join(self.readers)}")
-        return self.readers[name]
-
-
-def fingerprint_of(records: Records) -> str:
-    """Name the content of a data set: rows with one fingerprint have the same values, whatever their place.
-
-    Ids and labels of the rows and the sizes of their files go into it, and of meshes volume and bounds:
-    without those, data sets of other meshes could pass for one. An environment has had both computed before,
-    to check them.
-    """
-    view = records if isinstance(records, MeshView) else None
-    rows: Any = records if view is None else view.records
-    digest = hashlib.sha256(repr((type(rows).__name__, records.label_names)).encode())
-    for name in _PLAIN:
-        digest.update(repr(records.column(name).tolist()).encode())
-    tables = getattr(rows, "_tables", ())
-    # What is made while it is read has no shards; how it is made names it, see below.
-    if view is not None and all(table.shards for table in tables):
-        for values in (view.volumes_m3, view.bounds_m):
-            digest.update(np.ascontiguousarray(values, "<f8").tobytes())
-    for table in tables:
-        # Sizes instead of checksums, which would read gigabytes; the values above tell meshes apart anyway.
-        facts = [Path(s.path).stat().st_size for s in table.shards if "://" not in s.path]
-        digest.update(repr((facts, table.__getstate__() if not table.shards else "")).encode())
-    turned = "flat-" if view is not None and view.flat else ""
-    return turned + digest.hexdigest()[:32]
-
-
-def label_feature(records: Records) -> dict[str, Any]:
-    """Return what ``datasets`` would say of the label column."""
-    from datasets import ClassLabel
-
-    return {"label": ClassLabel(names=list(records.label_names))}
+        wanted = [column_names] if isinstance(column_names, str) else column_names
+        return type(self)(self.records, {name: self.readers[name] for name in wanted})

@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from importlib.metadata import version
 from os import PathLike, fspath
 from pathlib import Path
@@ -18,37 +19,25 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from env_assets.checks import (
-    require_fitting_meshes,
-    require_fitting_noise,
-    require_fitting_rounds,
-    require_known_objects,
-    require_known_settings,
-    require_several_answers,
+from env_assets.checks import require_fitting_meshes
+from env_assets.meshes import LazyMesh, MeshView
+from env_assets.provider import FOREIGN, KINDS, meshes_at
+from env_assets.published.ids import (
+    SPARSE_SINGLE_BROKEN,
+    TOUCHES,
+    PublishedEnvironment,
+    published_environment,
+    takes_recorded_noise,
 )
-from env_assets.mesh_folder import mesh_files
-from env_assets.mesh_view import MeshView, PointRecord
-from env_assets.missing import FOREIGN, KINDS
-from env_assets.published.fast import refuse_unfit_renderer, render_fast
-from env_assets.published.ids import Assets, PublishedEnvironment, published_environment
-from env_assets.published.learned import learned_sensor
-from env_assets.published.packages import (
-    published_package,
-    require_drawing,
-    require_sensor,
-    sensor_factories,
-)
+from env_assets.published.packages import published_package, require_drawing, require_sensor
+from env_assets.published.sensors import learned_sensor, render_fast, require_renderer
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.files import expanded, is_there, named_failures
+from tactile_toolkit.store.files import named_failures
 from tactile_toolkit.store.shards import ShardName
 
 if TYPE_CHECKING:
-    from env_assets.source import AssetSource
-
-
-SPARSE_SINGLE_BROKEN = ("0.7.1",)
-"""Versions of ap-gym whose own wrapper for sparse rewards fails with a single environment."""
+    from env_assets.provider import AssetSource
 
 
 def make(
@@ -91,8 +80,7 @@ def make(
         ``"fast"`` renders the touches of depth environments without OpenGL, by :func:`tactile_sim.press`: the
         same pictures, to a micrometre of depth, as with Mesa's driver; in ``info["depth"]``, single pixels
         beyond the reach of the gel may differ by millimetres. Not for Taxim, CycleGAN or recorded touches;
-        ``render()`` still draws the scene with OpenGL, and where no library of it is installed all else
-        works. The extra ``sim`` makes it fast.
+        ``render()`` still draws the scene with OpenGL. The extra ``sim`` makes it fast.
     weights : str or path, optional
         Weights for the sensor of CycleGAN environments: ``depth_to_touch.npz`` of ``tactile-sim train``, of
         any size, instead of those that the package ships.
@@ -123,15 +111,17 @@ def make(
     _require_number(environment, num_envs)
     own = dict(config or {})
     settings = {**environment.settings, **own}
-    refuse_unfit_renderer(renderer, environment, settings, options)
-    _require_fitting_place(environment, own, settings, renderer)
+    require_renderer(renderer, environment, settings, options)
+    require_drawing()
+    _require_settings(environment, own, settings)
     if weights is not None:
         own["sensor_type"] = learned_sensor(weights, environment, settings)
-    found = assets_for(environment, provider, settings, assets)
+    fetch = _recorded if environment.family.recorded else _simulated
+    found = fetch(environment, provider, settings, assets)
     spec = dataclasses.replace(
         environment.spec,
-        entry_point=_creator(environment, found, renderer, vector=False),
-        vector_entry_point=_creator(environment, found, renderer, vector=True),
+        entry_point=_creator(environment, found, renderer, ""),
+        vector_entry_point=_creator(environment, found, renderer, "Vector"),
     )
     ap_gym = published_package("ap_gym")
     if num_envs is None:
@@ -154,29 +144,36 @@ def _require_number(environment: PublishedEnvironment, num_envs: int | None) -> 
         )
 
 
-def _require_fitting_place(
-    environment: PublishedEnvironment, own: Mapping[str, Any], settings: Mapping[str, Any], renderer: str
+def _require_settings(
+    environment: PublishedEnvironment, own: Mapping[str, Any], settings: Mapping[str, Any]
 ) -> None:
-    """Refuse settings, sensors and a machine on which the environment could not start."""
-    require_drawing(renderer)
+    """Refuse settings that the package's config class does not have, and a sensor that cannot run here."""
     kind = getattr(published_package("tactile_mnist"), environment.family.config)
-    require_known_settings(own, tuple(field.name for field in dataclasses.fields(kind)))
+    known = {field.name for field in dataclasses.fields(kind)} - {"dataset"}  # that is ours to give
+    for name in own:
+        if name not in known:
+            raise InputError(f"no setting {name!r} in `config`; expected one of {', '.join(sorted(known))}")
+    if own.get("mesh_dataset", ...) is None:
+        raise InputError(
+            "mesh_dataset in `config` is None; expected a `tactile_mnist.MeshDataset` of what was touched",
+            next="leave it out, the provider's meshes are taken then",
+        )
     sensor = settings.get("sensor_type", kind.sensor_type)
     # Recorded touches need no sensor; there is nothing else to be had directly.
     if not (environment.family.recorded and sensor == "direct"):
-        require_sensor(sensor, settings.get("sensor_backend", "auto"), sensor_factories())
+        require_sensor(sensor, settings.get("sensor_backend", "auto"))
 
 
 def _creator(
-    environment: PublishedEnvironment, assets: Mapping[str, Any], renderer: str, *, vector: bool
+    environment: PublishedEnvironment, assets: Mapping[str, Any], renderer: str, kind: str
 ) -> Callable[..., Any]:
-    """Return what gymnasium calls in place of the registered entry point.
+    """Return what gymnasium calls in place of the registered entry point; ``kind`` is "Vector" or "".
 
     A plain function: gymnasium copies registrations deeply, which would copy the assets of anything else.
     """
     # The module of the registrations is the one place of the package that names all of its environments.
     classes, ap_gym = published_package("tactile_mnist").registration, published_package("ap_gym")
-    family, kind = environment.family, "Vector" if vector else ""
+    family = environment.family
     settings_of = getattr(classes, family.config)
     run = getattr(classes, family.environment.format(kind))
     wrap = getattr(ap_gym, family.log_wrapper.format(kind))
@@ -184,59 +181,84 @@ def _creator(
 
     def create(*, default_config: Mapping[str, Any], config: Mapping[str, Any], **options: Any) -> Any:
         made = run(settings_of(**{**default_config, **config, **assets}), **options)
-        env = wrap(render_fast(made) if renderer == "fast" else made)
+        if renderer == "fast":
+            render_fast(made)
+        env = wrap(made)
         return sparsify(env) if environment.sparse else env
 
     return create
 
 
-TOUCHES = "real-single"
-"""Data set of the recorded touches: the published one of 256 touches a round, 320 x 240 pixels."""
-
-
-def assets_for(
-    environment: PublishedEnvironment,
-    provider: AssetSource | None,
-    settings: Mapping[str, Any],
-    own: Any = None,
+def _simulated(
+    environment: PublishedEnvironment, provider: AssetSource | None, settings: dict[str, Any], own: Any
 ) -> dict[str, Any]:
-    """Fetch the data sets of an environment, as the settings that hold them.
+    """Return the settings that hold the objects of an environment: the provider's, or the user's ``own``."""
+    split = environment.split
+    if own is None:
+        meshes = _meshes(environment, _required(provider, environment), split, settings)
+    else:
+        where = f"the given {type(own).__name__}"
+        if isinstance(own, (str, PathLike)):
+            where = f"{fspath(own)!r}, split {split!r},"
+            own = meshes_at(own, split)
+        # Its points are read by its own code: what it does to a mesh is known to it alone. Ids there may be
+        # text, so that the number of a point is its id here.
+        if isinstance(own, published_package("tactile_mnist").MeshDataset):
+            points = [
+                LazyMesh(row, int(own[row].label), partial(_mesh_of_point, own, row))
+                for row in range(len(own))
+            ]
+            own = MeshView(points, tuple(own.label_names))
+        meshes = _fitting(environment, MeshView.of(own), None, where, settings)
+    found = {"dataset": _points(environment, meshes), "smallest_dimension_up": False}
+    if takes_recorded_noise(settings):
+        rounds = _required(provider, environment).touches(TOUCHES, "train")
+        folder = noise_folder(rounds, f"{TOUCHES!r}, split 'train',")
+        found["sensor_noise"] = dataclasses.replace(
+            settings["sensor_noise"], real_base_depth_dataset=str(folder)
+        )
+    return found
 
-    ``settings`` are those of the registration, overridden by the user's own; ``own`` are the user's objects.
-    InputError when assets are absent or do not fit the environment.
-    """
+
+def _mesh_of_point(points: Sequence[Any], row: int) -> Any:
+    return points[row].mesh
+
+
+def _recorded(
+    environment: PublishedEnvironment, provider: AssetSource | None, settings: dict[str, Any], own: Any
+) -> dict[str, Any]:
+    """Return the settings that hold the recorded touches of an environment, and what was touched."""
     from env_assets.published.datasets import as_touch_dataset
 
-    if not environment.family.recorded:
-        if own is None:
-            meshes = _meshes(environment, provider, environment.split, settings)
-        else:
-            meshes = _own_meshes(environment, own, settings)
-        found = {"dataset": _points(environment, meshes), "smallest_dimension_up": False}
-        if takes_recorded_noise(settings):
-            found["sensor_noise"] = _noise_from(_required(provider, environment), settings["sensor_noise"])
-        return found
+    split = environment.split
     if own is not None:
         raise InputError(
             f"{environment.spec.id!r} plays recorded touches, no objects can be given for them",
             next="leave `assets` out, and name the place of the touches in `places` of the provider",
         )
     source = _required(provider, environment)
-    rounds = source.touches(TOUCHES, environment.split)
+    rounds, where = source.touches(TOUCHES, split), f"{TOUCHES!r}, split {split!r},"
     found = {"dataset": as_touch_dataset(rounds)}
-    require_fitting_rounds(
-        rounds, settings.get("step_limit", 16), f"{TOUCHES!r}, split {environment.split!r},"
-    )
+    if not len(rounds):
+        raise InputError(f"{where} holds no round", next="choose another split")
+    # One touch at the start of an episode, and one more that must remain after the last step.
+    count, steps = int(rounds.touch_counts[0]), settings.get("step_limit", 16)
+    if count < steps + 2:
+        raise InputError(
+            f"{where} has rounds of {count} touches, an episode of {steps} steps needs {steps + 2}",
+            next="give a smaller `step_limit` in `config`, or another data set",
+        )
     if "mesh_dataset" not in settings:
-        printed = _meshes(environment, source, f"printed_{environment.split}", settings)
-        require_known_objects(rounds, printed, f"{TOUCHES!r}")
+        printed = _meshes(environment, source, f"printed_{split}", settings)
+        unknown = np.setdiff1d(rounds.column("object_id"), printed.column("id"))
+        if len(unknown):
+            raise InputError(
+                f"{where} holds touches of {len(unknown)} objects without a mesh, such as object "
+                f"{unknown[0]}",
+                next="give the printed digits (splits printed_train and printed_test of MNIST 3D)",
+            )
         found["mesh_dataset"] = _points(environment, printed)
     return found
-
-
-def takes_recorded_noise(settings: Mapping[str, Any]) -> bool:
-    """Return whether the noise of the sensor is drawn from recorded touches, as in ``-DR`` environments."""
-    return getattr(settings.get("sensor_noise"), "real_base_depth_dataset", None) is not None
 
 
 def _required(provider: AssetSource | None, environment: PublishedEnvironment) -> AssetSource:
@@ -251,54 +273,50 @@ def _required(provider: AssetSource | None, environment: PublishedEnvironment) -
     )
 
 
-def _own_meshes(environment: PublishedEnvironment, own: Any, settings: Mapping[str, Any]) -> Any:
-    """Take the objects that a user gives, of whatever classes they are."""
-    from env_assets.provider import AssetProvider
-
-    split = environment.split
-    where = f"the given {type(own).__name__}"
-    if isinstance(own, (str, PathLike)):
-        where = f"{fspath(own)!r}, split {split!r},"
-        place = expanded(fspath(own))
-        # In full where it is there: a name would first be looked for among the assets of the toolkit.
-        own = mesh_files(place, split) or AssetProvider().meshes(
-            place.absolute() if is_there(place) else own, split
-        )
-    # Its points are read by its own code: what it does to a mesh is known to it alone.
-    if isinstance(own, published_package("tactile_mnist").MeshDataset):
-        points = [PointRecord(own, index) for index in range(len(own))]
-        own = MeshView(points, tuple(own.label_names))
-    return _fitting(environment, own, None, where, settings)
-
-
 def _meshes(
-    environment: PublishedEnvironment, provider: AssetSource | None, split: str, settings: Mapping[str, Any]
+    environment: PublishedEnvironment, provider: AssetSource, split: str, settings: Mapping[str, Any]
 ) -> MeshView:
+    """Ask a provider for meshes; of what is not made here the source is named."""
     name = environment.family.assets
-    given = _given_by(_required(provider, environment), name, split)
     # Meshes that are not made here may be of any number of classes, in any order.
     kind = None if name in FOREIGN else name
-    return _fitting(environment, given, kind, f"{name!r}, split {split!r},", settings)
+    try:
+        given = provider.meshes(name, split)
+    except InputError as error:
+        if kind is not None:
+            raise
+        raise InputError(
+            f"no meshes {name!r}, split {split!r}: {str(error).partition('; next: ')[0]}; these are "
+            f"{FOREIGN[name]}",
+            next="give `assets`, a folder of meshes of your own, or let `places` of the provider name the "
+            f"place of {name!r}",
+        ) from error
+    # A source other than ours may give a plain sequence of records, without names of classes.
+    view = MeshView.of(given, KINDS[kind].class_names if kind else ())
+    return _fitting(environment, view, kind, f"{name!r}, split {split!r},", settings)
 
 
 def _fitting(
-    environment: PublishedEnvironment, meshes: Any, kind: str | None, where: str, settings: Mapping[str, Any]
+    environment: PublishedEnvironment,
+    view: MeshView,
+    kind: str | None,
+    where: str,
+    settings: Mapping[str, Any],
 ) -> MeshView:
     """Return a view of meshes that fit an environment; those of a ``kind`` must be what its name says."""
     from env_assets.published.datasets import CELL_SIZE_M
 
-    # A source other than ours may give a plain sequence of records, without names of classes.
-    view = MeshView.of(meshes, KINDS[kind].class_names if kind else ())
-    if view is None:
-        raise InputError(
-            f"{where} is a {type(meshes).__name__}; expected a folder of meshes, the name of a data set, an "
-            "opened one, or a sequence of records with id, label, vertices_m, faces and mesh"
-        )
     # The registration wants some objects turned: they arrive so, as its own turn fails.
     view = dataclasses.replace(view, flat=bool(settings.get("smallest_dimension_up", False)))
     require_fitting_meshes(view, kind, where, settings.get("cell_size", CELL_SIZE_M))
-    if kind is None:
-        require_several_answers(view, environment.family.task, where)
+    # The package can scale no reward where all answers are the same.
+    task, found = environment.family.task, ""
+    if task == "classification" and len(view.label_names) < 2:
+        found = "one class"
+    elif task == "volume" and kind is None and len(np.unique(view.volumes_m3)) < 2:
+        found = "meshes of one volume"
+    if found:
+        raise InputError(f"{where} has {found}; expected at least two", next="give more meshes")
     return view
 
 
@@ -310,37 +328,24 @@ def _points(environment: PublishedEnvironment, meshes: MeshView) -> Any:
     return StoredMeshDataset(meshes, "full" if environment.family.assets == "wrench" else 0)
 
 
-def _given_by(provider: AssetSource, name: Assets, split: str) -> Any:
-    """Ask a provider for meshes; of what is not made here the source is named."""
-    try:
-        return provider.meshes(name, split)
-    except InputError as error:
-        if name not in FOREIGN:
-            raise
-        raise InputError(
-            f"no meshes {name!r}, split {split!r}: {str(error).partition('; next: ')[0]}; these are "
-            f"{FOREIGN[name]}; next: give `assets`, a folder of meshes of your own, or let `places` of the "
-            f"provider name the place of {name!r}"
-        ) from error
+def noise_folder(rounds: Any, where: str) -> Path:
+    """Return a folder with links to the files of touches, as the shards of a split ``train``.
 
-
-def _noise_from(provider: AssetSource, noise: Any) -> Any:
-    """Let the noise of a ``-DR`` environment come from the provider's touches.
-
-    The package takes a name that ``datasets.load_dataset`` knows; a folder of Parquet files is one.
+    The noise of a ``-DR`` environment comes from touches by a name that ``datasets.load_dataset`` knows. The
+    folder lies in the cache folder and is the same one for the same files, so that a program that remembers
+    what it has read of it (as ``datasets`` does) need not read it again.
     """
-    rounds: Any = provider.touches(TOUCHES, "train")
+    what = "touches with one image each in files on this machine"
+    found = None if len(rounds) else "no round"
+    if len(rounds) and not hasattr(rounds.record_class, "sensor_image"):
+        found = "clips"
     files = [shard.path for table in rounds._tables for shard in table.shards]
-    require_fitting_noise(rounds, files, f"{TOUCHES!r}, split 'train',")
-    return dataclasses.replace(noise, real_base_depth_dataset=str(folder_of_links(files)))
-
-
-def folder_of_links(files: Sequence[str]) -> Path:
-    """Return a folder with links to files, as the shards of a split ``train``.
-
-    It lies in the cache folder and is the same one for the same files, so that a program that remembers what
-    it has read of a folder (as ``datasets`` does) need not read it again.
-    """
+    found = next((f"{file!r}" for file in files if "://" in file), found)
+    if found is not None:
+        raise InputError(
+            f"{where} holds {found}; the noise of a -DR environment needs {what}",
+            next="download such a data set and give its folder",
+        )
     targets = [Path(file).resolve() for file in files]
     # Size and time as well: a link does not tell that its file was written again.
     facts = [(str(target), target.stat().st_size, target.stat().st_mtime_ns) for target in targets]
@@ -350,7 +355,6 @@ def folder_of_links(files: Sequence[str]) -> Path:
             link = folder / ShardName("train", number, len(targets)).data_path
             link.parent.mkdir(parents=True, exist_ok=True)
             # One folder for each list of files, so a link that is there is the right one.
-            if not link.is_symlink():
-                with contextlib.suppress(FileExistsError):  # another process was faster
-                    link.symlink_to(target)
+            with contextlib.suppress(FileExistsError):
+                link.symlink_to(target)
     return folder

@@ -1,4 +1,4 @@
-"""The published environments: what each id stands for, and which classes of the package run it.
+"""The published environments: what each id stands for, what runs it, and what it needs on this machine.
 
 Settings (step limit, cell, sensor) are not repeated here: they are read from the package's own registration.
 """
@@ -6,17 +6,25 @@ Settings (step limit, cell, sensor) are not repeated here: they are read from th
 from __future__ import annotations
 
 import difflib
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import version
 from typing import Any, Literal
 
-from env_assets.published.packages import KEPT_AS, published_package
+from env_assets.provider import FOREIGN
+from env_assets.published.packages import KEPT_AS, published_package, require_sensor
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import did_you_mean
 
 Assets = Literal["mnist3d", "starstruck", "wrench", "abc", "minecraft"]
 Task = Literal["classification", "volume", "pose"]
 
-_PACKAGE_PREFIX = "tactile_mnist:"
-_SPARSE = "-sparse"
+SPARSE_SINGLE_BROKEN = ("0.7.1",)
+"""Versions of ap-gym whose own wrapper for sparse rewards fails with a single environment."""
+
+TOUCHES = "real-single"
+"""Data set of the recorded touches: the published one of 256 touches a round, 320 x 240 pixels."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,15 +77,29 @@ FAMILIES: dict[str, Family] = {
 
 @dataclass(frozen=True)
 class PublishedEnvironment:
-    """One registered id; ``spec`` is its registration in gymnasium, settings included.
+    """One registered id; ``spec`` is its registration in gymnasium, settings included."""
 
-    ``sparse``: the reward is withheld until the episode ends.
-    """
-
-    family: Family
-    split: str
-    sparse: bool
     spec: Any
+
+    @property
+    def words(self) -> list[str]:
+        """The parts of the id."""
+        return str(self.spec.id).split("-")
+
+    @property
+    def family(self) -> Family:
+        """Assets and task."""
+        return FAMILIES[self.words[0]]
+
+    @property
+    def split(self) -> str:
+        """Split of the objects; ids without one, such as Minecraft's, have one set, which is called train."""
+        return "test" if "test" in self.words else "train"
+
+    @property
+    def sparse(self) -> bool:
+        """Whether the reward is withheld until the episode ends."""
+        return "sparse" in self.words
 
     @property
     def settings(self) -> dict[str, Any]:
@@ -90,17 +112,16 @@ def published_environment(env_id: str) -> PublishedEnvironment:
 
     Raises InputError when there is none.
     """
-    published_package("tactile_mnist")
-    name = env_id.removeprefix(_PACKAGE_PREFIX)
-    specs = _specs()
-    if name in specs:
-        return _described(specs[name])
+    published = {each.spec.id: each for each in published_environments()}
+    name = env_id.removeprefix("tactile_mnist:")
+    if name in published:
+        return published[name]
     if name in published_package("gymnasium").registry:
         raise InputError(
             f"{env_id!r} is not an environment of tactile-mnist (families {', '.join(FAMILIES)})",
             next="make it with `ap_gym.make`",
         )
-    close = difflib.get_close_matches(name, specs, n=3) or ["TactileMNIST-Depth-train-v0"]
+    close = difflib.get_close_matches(name, published, n=3) or ["TactileMNIST-Depth-train-v0"]
     raise InputError(
         f"no environment {env_id!r} is registered", next=f"choose one such as {', '.join(close)}"
     )
@@ -109,22 +130,85 @@ def published_environment(env_id: str) -> PublishedEnvironment:
 def published_environments() -> list[PublishedEnvironment]:
     """List all ids that the package registers, in its order."""
     published_package("tactile_mnist")
-    return [_described(spec) for spec in _specs().values()]
-
-
-def _specs() -> dict[str, Any]:
-    """Return the package's registrations by id."""
     registry = published_package("gymnasium").registry
-    return {
-        name.removeprefix(KEPT_AS): spec
+    # `tactile_envs` registers environments of the same names, of other settings.
+    return [
+        PublishedEnvironment(spec)
         for name, spec in registry.items()
-        # `tactile_envs` registers environments of the same names, of other settings.
         if name.removeprefix(KEPT_AS).split("-")[0] in FAMILIES and "default_config" in spec.kwargs
-    }
+    ]
 
 
-def _described(spec: Any) -> PublishedEnvironment:
-    # Ids without a split, such as Minecraft's, have one set of objects, which is called train.
-    words = spec.id.split("-")
-    split = "test" if "test" in words else "train"
-    return PublishedEnvironment(FAMILIES[words[0]], split, _SPARSE in spec.id, spec)
+def takes_recorded_noise(settings: dict[str, Any]) -> bool:
+    """Return whether the noise of the sensor is drawn from recorded touches, as in ``-DR`` environments."""
+    return getattr(settings.get("sensor_noise"), "real_base_depth_dataset", None) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class EnvironmentState:
+    """One registered id.
+
+    ``state`` is ``ready`` where the toolkit makes the assets, ``touches`` where recorded ones are fetched,
+    ``meshes`` where the user gives some, ``sensor`` where packages are missing; ``note`` explains it.
+    """
+
+    id: str
+    task: str
+    split: str
+    sensor: str
+    assets: str
+    sparse: bool
+    state: str
+    note: str
+
+
+def overview(words: Sequence[str] = ()) -> list[EnvironmentState]:
+    """List the registered ids that hold all of these words, in the package's order.
+
+    InputError: none does. MissingExtraError: the package is not installed.
+    """
+    published = published_environments()
+    found = [each for each in published if set(words) <= set(each.words)]
+    if not found:
+        known = {word for each in published for word in each.words}
+        strange = [word for word in words if word not in known]
+        near = did_you_mean(strange[0], known) if strange else ""
+        raise InputError(
+            f"no environment has {' and '.join(map(repr, strange or words))} in its id{near}",
+            next=f"choose fewer words, or others such as {', '.join(FAMILIES)}, Depth, CycleGAN, DR or test",
+        )
+    return [_state(each) for each in found]
+
+
+def _state(environment: PublishedEnvironment) -> EnvironmentState:
+    family, settings = environment.family, environment.settings
+    sensor = str(settings.get("sensor_type", "taxim"))
+    state, note = "ready", ""
+    if environment.sparse and version("ap_gym") in SPARSE_SINGLE_BROKEN:
+        note = "sparse: give num_envs, ap-gym cannot reset a single one"
+    if family.assets in FOREIGN:
+        state = "meshes"
+        note = (
+            f"meshes: {family.assets} are {FOREIGN[family.assets]}; give env_assets.make(ID, assets=FOLDER) "
+            "meshes of your own, or a provider with a place for them"
+        )
+    elif family.recorded or takes_recorded_noise(settings):
+        state = "touches"
+        note = f"touches: recorded ones are read, from places={{{TOUCHES!r}: ...}} of the provider"
+    lacking = "" if family.recorded and sensor == "direct" else _lacking(sensor)
+    if lacking:
+        state, note = "sensor", f"sensor: {lacking}"
+    assets = TOUCHES if family.recorded else family.assets
+    words = (environment.spec.id, family.task, environment.split, sensor, assets)
+    return EnvironmentState(*words, environment.sparse, state, note)
+
+
+# Hundreds of ids share three sensors, and a failing import is tried again each time.
+@cache
+def _lacking(sensor: str) -> str:
+    """State what a sensor lacks on this machine; empty where nothing is missing."""
+    try:
+        require_sensor(sensor, "auto")
+    except InputError as error:
+        return str(error)
+    return ""

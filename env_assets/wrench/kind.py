@@ -12,9 +12,9 @@ KIND = DatasetKind(
     nouns="wrenches",
     made_by="env-assets wrench",
     card_template="wrench.md",
-    write_card=lazy("env_assets.wrench.card:write_card"),
-    schema=lazy("env_assets.wrench.columns:wrench_schema"),
+    write_card=lazy("env_assets.wrench.making:write_card"),
+    schema=lazy("env_assets.wrench.making:wrench_schema"),
     class_names=("wrench",),
     columns=("opening_mm",),
-    recipe=lazy("env_assets.wrench.generation:wrench_recipe"),
+    recipe=lazy("env_assets.wrench.making:wrench_recipe"),
 )

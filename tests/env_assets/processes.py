@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import threading
 from typing import Any
 
 import numpy as np
@@ -31,23 +30,11 @@ def _answer(provider: Any, queue: Any) -> None:
 
 
 def seen_by_a_child(provider: Any, method: str) -> list[Any]:
-    """Start a process while a thread holds the lock of the provider's memory, and return what it sees."""
+    """Start a process, and return what it sees of a provider."""
     context = multiprocessing.get_context(method)
     queue = context.Queue()
-    held, leave = threading.Event(), threading.Event()
-
-    def hold() -> None:
-        with provider._memory.lock:
-            held.set()
-            leave.wait(PATIENCE_S)
-
-    holder = threading.Thread(target=hold)
-    holder.start()
-    held.wait(PATIENCE_S)
     process = context.Process(target=_answer, args=(provider, queue))
     process.start()
-    leave.set()
-    holder.join()
     found: list[Any] = queue.get(timeout=PATIENCE_S)
     process.join(PATIENCE_S)
     assert process.exitcode == 0

@@ -5,8 +5,8 @@ import pytest
 
 import env_assets
 from env_assets.checks import require_fitting_meshes
-from env_assets.inventory import inventory
-from env_assets.mesh_view import MeshView
+from env_assets.meshes import MeshView
+from env_assets.provider import inventory
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
@@ -38,10 +38,10 @@ def test_what_fits_passes_and_what_does_not_is_named(tmp_path):
     meshes = opened(tmp_path, SMALL, WIDE, WIDE)
     require_fitting_meshes(meshes, None, "solids", (0.2001, 0.12))
     require_fitting_meshes(meshes[:1], None, "solids", (0.0101, 0.0201))
-    words = r"mesh 1 of solids is 200.0 x 20.0 mm, larger than the cell of 120 x 120 mm \(2 of 3 do not fit\)"
+    words = r"mesh 1 of solids needs 200.0 x 20.0 mm, the cell has 120 x 120 mm \(2 of 3 do not fit\)"
     with pytest.raises(InputError, match=words):
         require_fitting_meshes(meshes, None, "solids", (0.12, 0.12))
-    with pytest.raises(InputError, match=r"mesh 0 of solids is 10.0 x 20.0 mm"):
+    with pytest.raises(InputError, match=r"mesh 0 of solids needs 10.0 x 20.0 mm"):
         require_fitting_meshes(meshes, None, "solids", (1.0, 0.0199))
 
 
@@ -107,5 +107,5 @@ def test_scenes_lie_in_their_cell(tmp_path):
     moved = Mesh(SMALL.vertices_m + np.array([1.0, 0, 0]), SMALL.faces)
     meshes = MeshView(opened(tmp_path, SMALL, moved).records, SCENES.class_names)
     require_fitting_meshes(meshes[:1], "starstruck", "scenes", (0.12, 0.12))
-    with pytest.raises(InputError, match=r"mesh 1 of scenes lies at x = 1000.0 to 1010.0 mm"):
+    with pytest.raises(InputError, match=r"mesh 1 of scenes needs 2018.0 x 38.0 mm"):
         require_fitting_meshes(meshes, "starstruck", "scenes", (0.12, 0.12))

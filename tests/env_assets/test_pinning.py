@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import starstruck_gen
-from env_assets.provider import AssetProvider, repository_id
+from env_assets.provider import AssetProvider
 from tests.hub_server import hub
 from tests.tactile_toolkit.hub.client import as_client, settings
 
@@ -60,24 +60,9 @@ def test_a_new_provider_sees_the_new_commit(found):
     assert found["new"][:6] != found["other split"]
 
 
-@pytest.mark.parametrize(
-    ("place", "repository"),
-    [
-        ("someone/scenes", "someone/scenes"),
-        ("hf://datasets/someone/scenes", "someone/scenes"),
-        ("./someone/scenes", None),
-        ("/someone/scenes", None),
-        ("~/scenes/set", None),
-        ("scenes", None),
-        ("a/b/c", None),
-    ],
-)
-def test_what_is_a_repository(place, repository, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert repository_id(place) == repository
-
-
 def test_a_folder_that_is_there_is_no_repository(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "someone" / "scenes").mkdir(parents=True)
-    assert repository_id("someone/scenes") is None
+    provider = AssetProvider()
+    for place in ("someone/scenes", "./someone/none", "/someone/none", "~/scenes/set", "scenes", "a/b/c"):
+        assert provider._commit_of(place) is None

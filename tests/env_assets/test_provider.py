@@ -104,7 +104,7 @@ def test_stored_volumes_are_read_without_the_meshes(assets, tmp_path):
 
 def test_computed_volumes_are_computed_once(provider, monkeypatch):
     first = provider.volumes_m3("starstruck")
-    monkeypatch.setattr("env_assets.mesh_view._volume_m3", lambda *_: pytest.fail("computed again"))
+    monkeypatch.setattr("env_assets.meshes._volume_m3", lambda *_: pytest.fail("computed again"))
     np.testing.assert_array_equal(provider.volumes_m3("starstruck"), first)
 
 
@@ -144,26 +144,9 @@ def test_placements_of_what_is_no_scene_are_refused(provider):
         provider.placements(provider.meshes("mnist3d", "test")[0])
 
 
-def test_the_memory_of_meshes_is_bounded_and_keeps_the_last_used(assets):
-    provider = env_assets.AssetProvider(assets, cache_meshes=3)
-    digits = provider.meshes("mnist3d", "test")
-    meshes = {place: digits[place].mesh for place in (0, 1, 2)}
-    assert all(digits[place].mesh is mesh for place, mesh in meshes.items())
-    assert digits[1:][0].mesh is meshes[1], "views share it"
-    assert digits[0].mesh is meshes[0]  # the one used longest ago is now number 2
-    _ = digits[5].mesh
-    assert digits[0].mesh is meshes[0]
-    assert digits[1].mesh is meshes[1]
-    assert digits[2].mesh is not meshes[2]
-    assert len(provider._memory) == 3
-    # One memory for all data sets of the provider.
-    _ = [record.mesh for record in provider.meshes("starstruck")]
-    assert len(provider._memory) == 3
-
-
-def test_no_memory_keeps_nothing(assets):
-    digits = env_assets.AssetProvider(assets, cache_meshes=0).meshes("mnist3d", "test")
-    assert digits[0].mesh is not digits[0].mesh
+def test_the_cache_of_meshes_has_gone(assets):
+    with pytest.warns(DeprecationWarning, match="cache_meshes has no effect"):
+        env_assets.AssetProvider(assets, cache_meshes=3)
 
 
 FORKS = """
@@ -186,11 +169,10 @@ def test_a_spawned_process_sees_the_same(provider):
 
 def test_threads_see_the_same(assets):
     expected = fingerprint(env_assets.AssetProvider(assets))
-    provider = env_assets.AssetProvider(assets, cache_meshes=2)  # opened, read and pushed out by all at once
+    provider = env_assets.AssetProvider(assets)  # opened and read by all at once
     with ThreadPoolExecutor(8) as pool:
         found = list(pool.map(lambda _: fingerprint(provider), range(16)))
     assert all(one == expected for one in found)
-    assert len(provider._memory) <= 2
 
 
 def test_a_copy_is_light_and_opens_again(provider):

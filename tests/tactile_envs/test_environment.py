@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 import resource
 from pathlib import Path
 from typing import Any
@@ -110,6 +112,43 @@ def test_one_seed_gives_one_course_however_many_threads(assets):
         courses.append(course)
     for one, other in zip(*courses, strict=True):
         assert all((one[name] == other[name]).all() for name in one)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_continues_where_the_first_is(assets, copied, threads):
+    """In the middle of an episode, with threads of its own; meshes stay on disk."""
+    env = make_vector(TASKS[2], num_envs=9, assets=assets, threads=threads)
+    env.reset(seed=1)
+    env.action_space.seed(1)
+    actions = [env.action_space.sample() for _ in range(40)]
+    for action in actions[:5]:
+        env.step(action)
+    other = copied(env)
+    assert env.__getstate__()["_pool"] is None
+    for action in actions[5:]:
+        (one, reward, *_), (found, again, *_) = env.step(action), other.step(action)
+        assert all((one[name] == found[name]).all() for name in one)
+        assert (reward == again).all()
+    env.close()
+    assert other.reset(seed=2)
+    other.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_predictions_without_a_loss_are_refused(assets, task):
+    """The published class gives a reward of NaN; here nothing has happened, and the episode goes on."""
+    env, unharmed = (make_vector(task, num_envs=2, assets=assets) for _ in range(2))
+    env.action_space.seed(1)
+    for each in (env, unharmed):
+        each.reset(seed=1)
+    action = env.action_space.sample()
+    wrong = copy.deepcopy(action)
+    wrong["prediction"][1, 0] = np.nan
+    with pytest.raises(InputError, match="predictions hold NaN"):
+        env.step(wrong)
+    for one, other in zip(env.step(action)[:2], unharmed.step(action)[:2], strict=True):
+        np.testing.assert_equal(one, other)
 
 
 def test_observations_are_kept_by_whoever_has_them(assets):

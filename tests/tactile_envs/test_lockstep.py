@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 
 pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
 
@@ -36,6 +37,11 @@ CASES = (
     "Toolbox-Depth-v0",
     "Toolbox-small-Depth-sparse-v0",
 )
+SPARSE = [
+    f"{family}-Depth-sparse-v0"
+    for family in dict.fromkeys(name.split("-Depth")[0] for name in IDS if "-Depth" in name)
+]
+"""One of each family: the splits differ in their objects, and sensors in pictures."""
 HALF_MICROMETRE = 0.5e-6 / 2.125e-3
 
 
@@ -69,30 +75,84 @@ def test_same_episodes(pair, steps):
     1/256 of a pixel. Digits have hardly any such walls.
     """
     published, native = pair
-    for name in SPACES:
-        assert getattr(published, name) == getattr(native, name), name
-        assert type(getattr(published, name)) is type(getattr(native, name)), name
+    _same_spaces(published, native)
     off, pixels = 0, 0
 
     def compare(theirs: Any, ours: Any) -> None:
         nonlocal off, pixels
-        (there, seen, *outcome), (here, found, *result) = theirs, ours
-        assert seen.keys() == found.keys()
-        assert all(found[name].dtype == seen[name].dtype or name == "sensor_img" for name in seen)
-        far = np.abs(seen["sensor_img"] - found["sensor_img"]) > HALF_MICROMETRE
+        _same_step(theirs, ours)
+        far = np.abs(theirs[1]["sensor_img"] - ours[1]["sensor_img"]) > HALF_MICROMETRE
         off, pixels = off + int(far.sum()), pixels + far.size
-        assert np.abs(seen["sensor_pos"] - found["sensor_pos"]).max() < 5e-5
-        assert (seen["time_step"] == found["time_step"]).all()
-        _same_state(there.unwrapped, here)
-        _same_info(outcome[-1], result[-1])
-        if len(outcome) > 1:
-            np.testing.assert_allclose(result[0], outcome[0], rtol=1e-5, atol=1e-6)
-            assert (outcome[1] == result[1]).all()
-            assert (outcome[2] == result[2]).all()
 
     _walk(pair, steps, compare)
     is_digit = type(native.current_data_points[0]).__name__ == "MeshRecord"
     assert off <= (3e-6 if is_digit else 2e-5) * pixels
+
+
+@pytest.mark.parametrize("env_id", SPARSE)
+def test_sparse_forms(env_id, provider, assets, packages, tmp_path):
+    """Rewards, weights, keys of info and statistics of every form with `-sparse`, over several episodes."""
+    folder, source = assets, provider
+    if env_id.startswith("Minecraft"):
+        for number, side_mm in enumerate((20, 30)):
+            trimesh.creation.box([side_mm, 30, 6]).export(tmp_path / f"{number}.stl")
+        folder, source = tmp_path, None
+    own = None if source else folder
+    config = {"step_limit": 3}
+    published = env_assets.make(env_id, provider=source, assets=own, num_envs=ENVS, config=config)
+    native = make_vector(env_id, num_envs=ENVS, assets=folder, config={**config, "depth_in_info": True})
+    _same_spaces(published, native)
+    ends = []
+
+    def compare(theirs: Any, ours: Any) -> None:
+        _same_step(theirs, ours)
+        ends.append("stats" in ours[-1])
+
+    _walk((published, native), 9, compare)
+    published.close()
+    assert ends == [False, False, False, True, False, False, False, True, False, False]
+
+
+@pytest.mark.parametrize("env_id", ["TactileMNIST-CycleGAN-train-v0", "TactileMNISTVolumeSnap-CycleGAN-v0"])
+def test_cycle_gan(env_id, provider, assets, packages):
+    """The same episodes, and pictures of the same network."""
+    pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
+    config = {"step_limit": 3}
+    published = env_assets.make(
+        env_id, provider=provider, num_envs=ENVS, config={**config, "sensor_backend": "torch"}
+    )
+    native = make_vector(env_id, num_envs=ENVS, assets=assets, config={**config, "depth_in_info": True})
+    _same_spaces(published, native)
+
+    def compare(theirs: Any, ours: Any) -> None:
+        _same_step(theirs, ours)
+        off = np.abs(theirs[1]["sensor_img"] - ours[1]["sensor_img"])
+        assert np.median(off) < 1e-4
+        assert (off > 1 / 255).mean() < 0.01
+
+    _walk((published, native), 5, compare)
+    published.close()
+
+
+def _same_spaces(published: Any, native: Any) -> None:
+    for name in SPACES:
+        assert getattr(published, name) == getattr(native, name), name
+        assert type(getattr(published, name)) is type(getattr(native, name)), name
+
+
+def _same_step(theirs: Any, ours: Any) -> None:
+    """Compare all that a reset or a step gives, but for the picture."""
+    (there, seen, *outcome), (here, found, *result) = theirs, ours
+    assert seen.keys() == found.keys()
+    assert all(found[name].dtype == seen[name].dtype or name == "sensor_img" for name in seen)
+    assert np.abs(seen["sensor_pos"] - found["sensor_pos"]).max() < 5e-5
+    assert (seen["time_step"] == found["time_step"]).all()
+    _same_state(there.unwrapped, here)
+    _same_info(outcome[-1], result[-1])
+    if len(outcome) > 1:
+        np.testing.assert_allclose(result[0], outcome[0], rtol=1e-5, atol=1e-6)
+        assert (outcome[1] == result[1]).all()
+        assert (outcome[2] == result[2]).all()
 
 
 def _same_state(there: Any, here: Any) -> None:

@@ -151,7 +151,7 @@ def test_the_prefetching_thread_of_the_package(packages, digits):
 
 
 def test_points_can_be_kept(digits):
-    kept = env_assets.as_mesh_dataset(digits.meshes, cache_size="full")
+    kept = env_assets.as_mesh_dataset(digits.records, cache_size="full")
     assert kept[0] is kept[0]
     assert digits[0] is not digits[0]
     assert kept[1:3].cache_size == "full"
@@ -211,8 +211,7 @@ def test_classes_without_rounds_are_empty_as_in_the_package(packages, assets):
     ours = env_assets.as_touch_dataset(realtouch.load(folder))
     theirs = packages.TouchSingleDataset(datasets.load_dataset(folder, split="train"))
     assert [len(part) for part in ours.by_labels] == [len(part) for part in theirs.by_labels]
-    none = pickle.loads(pickle.dumps(ours[[]]))
-    assert (len(none), none.huggingface_dataset.features["pos_in_cell"].length) == (0, TOUCHES_PER_ROUND)
+    assert len(pickle.loads(pickle.dumps(ours[[]]))) == 0
 
 
 def test_another_kind_is_refused(packages, assets):

@@ -26,7 +26,7 @@ CHOOSE = """
 import os
 from env_assets.published.packages import published_package, require_drawing
 published_package("OpenGL")
-require_drawing("opengl")
+require_drawing()
 print(os.environ.get("PYOPENGL_PLATFORM"))
 """
 
@@ -36,7 +36,7 @@ from tactile_toolkit.errors import InputError
 from env_assets.published.packages import published_package, require_drawing
 published_package("gymnasium")
 try:
-    require_drawing("opengl")
+    require_drawing()
 except InputError as error:
     print(error)
 """

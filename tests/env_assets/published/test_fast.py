@@ -136,34 +136,20 @@ def hidden(self, name, *more, **options):
 ctypes.CDLL.__init__ = hidden
 ctypes.util.find_library = lambda name: None if name in GRAPHICS else find(name)
 
-import hashlib
 import env_assets
 from tactile_toolkit.errors import InputError
 
-provider = env_assets.AssetProvider(sys.argv[1])
-env = env_assets.make("TactileMNISTVolume-Depth-train-v0", provider=provider, num_envs=2, renderer="fast")
-env.reset(seed=0)
-env.action_space.seed(0)
-for _ in range(3):
-    observation = env.step(env.action_space.sample())[0]
-print(hashlib.sha256(observation["sensor_img"].tobytes()).hexdigest())
-for ask in (env.render, lambda: env_assets.make("TactileMNIST-Depth-train-v0", provider=provider)):
-    try:
-        ask()
-    except InputError as error:
-        print(error)
-env.close()
+try:
+    env_assets.make("TactileMNIST-Depth-train-v0", provider=env_assets.AssetProvider(sys.argv[1]))
+except InputError as error:
+    print(error)
 """
 
 
-def test_no_library_of_opengl_is_needed(provider, assets):
+def test_a_missing_library_of_opengl_is_named(provider, assets):
     """The packages import OpenGL in any case; where none is installed, the loader of libraries fails."""
-    _, rest = WITHOUT_OPENGL.split("import hashlib")
-    with_opengl, without = (
-        printed_by(script, assets, PYTHONWARNINGS="ignore", PYOPENGL_PLATFORM="egl").splitlines()
-        for script in (f"import sys\nimport hashlib{rest}", WITHOUT_OPENGL)
-    )
-    assert without[0] == with_opengl[0]
-    assert len(with_opengl) == 1
-    assert all("no library of OpenGL can be loaded" in line for line in without[1:])
-    assert len(without) == 3
+    (line,) = printed_by(
+        WITHOUT_OPENGL, assets, PYTHONWARNINGS="ignore", PYOPENGL_PLATFORM="egl"
+    ).splitlines()
+    assert "need a library of OpenGL, and none can be loaded here" in line
+    assert "'tactile_envs:TactileMNIST-Depth-train-v0'" in line

@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 
 import env_assets
 import mnist3d
-from env_assets.wrench.columns import wrench_schema
-from env_assets.wrench.generation import write_wrench
+from env_assets.wrench.making import wrench_schema, write_wrench
 from env_assets.wrench.solid import wrench_mesh
 from env_assets.wrench.spec import (
     LARGEST_MM,

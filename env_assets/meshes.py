@@ -1,0 +1,240 @@
+"""Meshes in the one shape that environments use: those of a data set, of files, or records in memory."""
+
+from __future__ import annotations
+
+import contextlib
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.cache import MemoryCache
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.gallery.items import natural_order
+from tactile_toolkit.mesh.files import FORMATS, read_mesh
+from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read.sequence import positions
+from tactile_toolkit.store.files import expanded, is_there
+
+_FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
+_SPLITS = ("train", "test")
+
+
+@dataclass(frozen=True, eq=False)
+class LazyMesh:
+    """A record whose mesh is read when it is asked for; ``name`` is how a user knows it."""
+
+    id: int
+    label: int
+    read: Callable[[], Any]
+    name: str = ""
+
+    @property
+    def mesh(self) -> Any:
+        """The mesh, metres, a ``trimesh.Trimesh``; those used last stay in memory."""
+        return _MESHES.get_or_make(self, self.read)
+
+    @property
+    def vertices_m(self) -> NDArray[np.float32]:
+        """Vertices, shape (V, 3), metres."""
+        return np.asarray(self.mesh.vertices, np.float32)
+
+    @property
+    def faces(self) -> NDArray[np.int32]:
+        """Triangles, shape (F, 3), counter-clockwise seen from outside."""
+        return np.asarray(self.mesh.faces, np.int32)
+
+
+_MESHES = MemoryCache[LazyMesh, Any](64)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshView(Sequence[Any]):
+    """A sequence of records of meshes, with their classes and measures.
+
+    Attributes
+    ----------
+    records : sequence
+        Records as :meth:`env_assets.AssetSource.meshes` describes them.
+    label_names : tuple of str
+        Classes, in order.
+    flat : bool
+        Each mesh is turned onto its broadest side when it is read (:func:`flat_turn`).
+    """
+
+    records: Sequence[Any]
+    label_names: tuple[str, ...]
+    flat: bool = False
+
+    @classmethod
+    def of(cls, meshes: Any, label_names: Sequence[str] = ()) -> MeshView:
+        """Return a view of a sequence of meshes.
+
+        ``label_names`` are the classes of a sequence that does not name its own; numbers by default.
+        InputError where it holds something else, or a label is not a number.
+        """
+        if isinstance(meshes, MeshView):
+            return meshes
+        if isinstance(meshes, RecordDataset) and hasattr(meshes.record_class, "mesh"):
+            return cls(meshes, tuple(meshes.label_names))
+        is_plain = isinstance(meshes, Sequence) and not isinstance(meshes, (str, bytes, RecordDataset))
+        # Of the first alone: reading all fields of a lazy sequence would read all meshes.
+        if not (is_plain and meshes and all(hasattr(meshes[0], name) for name in _FIELDS)):
+            raise InputError(
+                f"a data set of meshes was expected, found {type(meshes).__name__}",
+                next="open one by `mnist3d.load`, or give a folder of meshes or a sequence of records with "
+                "id, label, vertices_m, faces and mesh",
+            )
+        most = -1
+        for row, record in enumerate(meshes):
+            label: Any = getattr(record, "label", None)
+            try:
+                most = max(most, operator.index(label))
+            except TypeError:
+                raise InputError(
+                    f"record {row} has label {label!r}; expected the number of its class, from 0 on"
+                ) from None
+        names = tuple(getattr(meshes, "label_names", label_names))
+        return cls(meshes, names or tuple(map(str, range(most + 1))))
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a record (int), or a view of some of them (slice, ints, mask)."""
+        if isinstance(key, (int, np.integer)):
+            record = self.records[int(key)]
+            return LazyMesh(record.id, record.label, partial(_laid_flat, record)) if self.flat else record
+        chosen: Any = self.records
+        if not isinstance(chosen, RecordDataset):
+            chosen = [chosen[row] for row in positions(key, len(self)).tolist()]
+        else:
+            chosen = chosen[key]
+        return MeshView(chosen, self.label_names, self.flat)
+
+    def column(self, name: str) -> NDArray[Any]:
+        """Return one value of each record, shape (n,); of a data set no mesh is read."""
+        if isinstance(self.records, RecordDataset):
+            return self.records.column(name)
+        return np.array([getattr(record, name) for record in self.records])
+
+    @cached_property
+    def volumes_m3(self) -> NDArray[np.float64]:
+        """Volume of each mesh, shape (n,), cubic metres; negative where the triangles face inwards."""
+        if isinstance(self.records, RecordDataset):
+            with contextlib.suppress(InputError):  # the published data sets store no volumes
+                return np.asarray(self.records.column("volume_m3"), np.float64)
+        return np.array([_volume_m3(record) for record in self.records], np.float64)
+
+    @cached_property
+    def bounds_m(self) -> NDArray[np.float64]:
+        """Lowest and highest corner of each mesh before it is turned, shape (n, 2, 3), metres."""
+        bounds = [mesh_bounds_m(record.vertices_m, f"mesh {record.id}") for record in self.records]
+        return np.array(bounds, np.float64).reshape(-1, 2, 3)
+
+
+def mesh_bounds_m(vertices_m: NDArray[np.floating[Any]], where: str) -> NDArray[np.float64]:
+    """Return lowest and highest corner of some vertices, shape (2, 3), metres; InputError without any."""
+    if not len(vertices_m):
+        raise InputError(
+            f"{where} has no vertices", next="run `validate` on the data set and generate it again"
+        )
+    # Column by column: numpy reduces short rows slowly.
+    return np.array([[reduce(column) for column in vertices_m.T] for reduce in (np.min, np.max)], np.float64)
+
+
+def _volume_m3(record: Any) -> float:
+    vertices_m, faces = record.vertices_m, record.faces
+    # Data may be of any origin: numpy would raise an error of its own, or for -1 take the last vertex.
+    missing = faces[(faces < 0) | (faces >= len(vertices_m))]
+    if len(missing):
+        raise InputError(
+            f"mesh {record.id} has triangles that name vertex {missing[0]}, but only {len(vertices_m):,} "
+            "vertices",
+            next="run `validate` on the data set and generate it again",
+        )
+    return Mesh(vertices_m, faces).volume_m3
+
+
+def flat_turn(mesh: Any) -> NDArray[np.float64]:
+    """Return the rotation, shape (3, 3), that turns the shortest side of the box around a mesh upright.
+
+    Of the other two sides, the one that lies more along x becomes x; what was above stays above. The package
+    does so itself where ``smallest_dimension_up`` is set, and fails with scipy 1.17, whose rotations refuse
+    the read-only corners of trimesh's boxes.
+    """
+    box = mesh.bounding_box_oriented.primitive
+    short, *others = np.asarray(box.transform)[:3, :3].T[np.argsort(box.extents)]
+    up = -short if short[2] < 0 else short
+    # From the longest on: of two sides that lie alike, the package takes that one.
+    along = max(reversed(others), key=lambda side: abs(side[0]))
+    return np.stack([along, np.cross(up, along), up])
+
+
+def _laid_flat(record: Any) -> Any:
+    turned = record.mesh.copy()
+    turned.vertices = turned.vertices @ flat_turn(record.mesh).T
+    return turned
+
+
+def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
+    """Take a mesh file, or a folder of them, for the meshes of a split; None where it holds none.
+
+    Sub-folders called ``train`` and ``test`` are splits; a folder without them is the same for both. Other
+    sub-folders are classes; files that lie in none are a class each, named as they are. Ids count files in
+    the order of their names. InputError: the folder holds another split alone, or files lie next
+    to classes.
+    """
+    root = expanded(fspath(place))
+    if not is_there(root):
+        return None
+    if root.is_file():
+        return _view_of_files([root], [root.stem]) if root.suffix.lower() in FORMATS else None
+    if (root / split).is_dir():
+        root = root / split
+    elif others := [name for name in _SPLITS if mesh_files(root / name, split)]:
+        raise InputError(
+            f"{str(root)!r} has no split {split!r}, only {' and '.join(map(repr, others))}",
+            next=f"put meshes into a sub-folder {split!r}, or give a folder without splits, such as "
+            f"{str(root / others[0])!r}",
+        )
+    loose = _files_in(root)
+    folders = natural_order(each.name for each in root.iterdir() if each.is_dir() and each.name[0] != ".")
+    sorted_files = [file for name in folders for file in _files_in(root / name)]
+    if loose and sorted_files:
+        raise InputError(
+            f"{str(root)!r} holds mesh files ({loose[0].name}) next to folders of them "
+            f"({sorted_files[0].parent.name})",
+            next="put each file into the folder of its class, or give a folder of files alone",
+        )
+    classes = [file.parent.name for file in sorted_files] or [file.stem for file in loose]
+    return _view_of_files(sorted_files or loose, classes) if classes else None
+
+
+def _files_in(folder: Path) -> list[Path]:
+    # Hidden files may be half-written. In natural order (2 before 10) and not in that of the file system,
+    # so that ids are the same on every machine.
+    found = (file for file in folder.iterdir() if file.suffix.lower() in FORMATS and file.is_file())
+    return [folder / name for name in natural_order(file.name for file in found if file.name[0] != ".")]
+
+
+def _view_of_files(files: list[Path], classes: list[str]) -> MeshView:
+    numbers = {name: number for number, name in enumerate(dict.fromkeys(classes))}
+    records = [
+        LazyMesh(index, numbers[name], partial(_mesh_of_file, file), file.name)
+        for index, (file, name) in enumerate(zip(files, classes, strict=True))
+    ]
+    return MeshView(records, tuple(numbers))
+
+
+def _mesh_of_file(path: Path) -> Any:
+    """Read a file, millimetres (GLB: metres), in metres."""
+    found = read_mesh(path)
+    return Mesh(np.asarray(found.vertices_m, np.float32), found.faces).to_trimesh()

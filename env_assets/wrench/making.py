@@ -1,0 +1,192 @@
+"""A wrench as a data set of one row: its columns, how it is made, and its card."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+
+from env_assets.wrench.kind import KIND
+from env_assets.wrench.solid import wrench_mesh
+from env_assets.wrench.spec import WrenchSpec
+from tactile_toolkit import making
+from tactile_toolkit.mesh.columns import MeshRow, mesh_schema
+from tactile_toolkit.mesh.files import write_mesh
+from tactile_toolkit.rows import column, meanings, row
+from tactile_toolkit.store.files import expanded
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.parquet import ParquetStyle
+
+if TYPE_CHECKING:
+    from tactile_toolkit.mesh.printability import PrintReport
+    from tactile_toolkit.store.folder import DataFolder
+
+_PITCH_M = 0.0002
+"""Side of a pixel of the picture: the usual wrench of 157.5 mm is 790 pixels long."""
+
+
+@row
+class WrenchRow(MeshRow):
+    """One wrench; columns in mm and degrees are fields of its specification."""
+
+    id: int = column(pa.int64(), "", "0")
+    label: int = column(pa.int64(), "", "the one class")
+    volume_m3: float = column(pa.float64(), "m³", "enclosed volume")
+    opening_mm: float = column(pa.float64(), "mm", "width across flats of the nut that the first jaw takes")
+    second_opening_mm: float = column(
+        pa.float64(), "mm", "the same of the second jaw; 0 where that end is plain"
+    )
+    length_mm: float = column(pa.float64(), "mm", "between the outermost points of the circles of both ends")
+    thickness_mm: float = column(pa.float64(), "mm", "height")
+    jaw_angle_deg: float = column(pa.float64(), "degrees", "between handle and jaws")
+
+
+@cache
+def wrench_schema() -> pa.Schema:
+    """Return the Arrow schema of the shard."""
+    return mesh_schema(WrenchRow, KIND.class_names)
+
+
+@dataclass(frozen=True)
+class WrenchMaking(making.Making):
+    """How a wrench is made."""
+
+    spec: WrenchSpec
+    kind = KIND
+
+    def manifest(self) -> Mapping[str, Any]:
+        """Return the specification."""
+        return self.spec.to_dict()
+
+    def items(self) -> Mapping[str, range]:
+        """Return one item, in a split that is called as that of the published wrench."""
+        return {"train": range(1)}
+
+    def layout(self) -> making.Layout:
+        """Return how the row is stored."""
+        style = ParquetStyle(rows_per_group=32, compression="zstd", compression_level=9)
+        return making.Layout(style, libraries=("manifold3d", "numpy", "pillow", "pyarrow"))
+
+    def schema(self, split: str) -> Any:
+        """Return the Arrow schema of the shard."""
+        return wrench_schema()
+
+    def make(self, split: str, items: Sequence[int]) -> list[WrenchRow]:
+        """Make the row."""
+        mesh, lengths = wrench_mesh(self.spec), self.spec.to_dict()
+        return [
+            WrenchRow(
+                id=0,
+                label=0,
+                vertices_m=mesh.vertices_m,
+                faces=mesh.faces,
+                volume_m3=mesh.volume_m3,
+                **{name: lengths[name] for name in WrenchRow.__annotations__ if name in lengths},
+            )
+        ]
+
+
+def write_wrench(
+    spec: WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
+) -> Manifest:
+    """Write a data set of one wrench.
+
+    Parameters
+    ----------
+    spec : WrenchSpec
+        Its lengths.
+    out : str
+        Folder to write; a folder that holds the same wrench is left as it is.
+    mesh_file : path, optional
+        Write the mesh alone too, for a printer: a file with one of the endings of
+        :data:`tactile_toolkit.mesh.files.FORMATS`.
+    overwrite : bool
+        Start again in a folder that holds another data set of this toolkit.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now.
+
+    Raises
+    ------
+    InputError
+        The chamfer does not fit, the folder holds something else, or the ending of the file is unknown.
+    SpecMismatchError
+        The folder holds another wrench.
+    StorageError
+        The folder or the file cannot be written.
+
+    Notes
+    -----
+    Equal lengths give byte-identical Parquet.
+    """
+    # What cannot be made or written is refused before the folder is touched.
+    mesh = wrench_mesh(spec)
+    if mesh_file is not None:
+        write_mesh(expanded(mesh_file), mesh)
+    return making.generate(WrenchMaking(spec), out, overwrite=overwrite)
+
+
+def wrench_recipe(seed: int, per_class: int | None) -> making.Recipe:
+    """Return how the usual wrench is made, which has neither a seed nor classes."""
+    return making.Recipe(WrenchMaking(WrenchSpec.for_size()))
+
+
+def wrench_facts(spec: WrenchSpec, report: PrintReport) -> dict[str, Any]:
+    """Return lengths, solid and printability of a wrench as JSON values."""
+    return {
+        "spec": spec.to_dict(),
+        "size_mm": [round(side, 3) for side in report.size_mm],
+        **{name: round(getattr(report, name), 3) for name in ("volume_mm3", "mass_g", "thinnest_wall_mm")},
+        "vertices": report.vertices,
+        "faces": report.faces,
+        "warnings": list(report.warnings),
+    }
+
+
+def write_card(folder: DataFolder, manifest: Manifest) -> None:
+    """Write ``README.md`` of the folder of a wrench and the picture that it shows."""
+    from tactile_toolkit.cards.card import Card, write_table_card
+    from tactile_toolkit.cards.facts import folder_facts
+    from tactile_toolkit.kind import is_copy
+    from tactile_toolkit.mesh.printability import inspect
+    from tactile_toolkit.pictures.render import relief
+    from tactile_toolkit.pictures.writing import png_bytes
+
+    columns, title = meanings(WrenchRow), "Open-end wrench"
+    if is_copy(manifest):
+        terms = {
+            "licence_text": "MIT, as the toolkit.",
+            "citation_text": "The task: Schneider et al. 2025.",
+        }
+        write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
+        return
+    spec, facts = WrenchSpec(**manifest.spec), folder_facts(folder, manifest)
+    mesh = wrench_mesh(spec)
+    report = inspect(mesh)
+    second = f" and {spec.second_opening_mm:g} mm" if spec.second_opening_mm else ", one end plain"
+    drawn = png_bytes(relief(mesh.vertices_m, mesh.faces, _PITCH_M))
+    Card(
+        template=KIND.card_template,
+        title=title,
+        columns=columns,
+        picture=("wrench.png", drawn, "The wrench from above, the first jaw on the right"),
+        licence="mit",
+        tags=["tactile", "active-perception", "3d", "mesh", "pose-estimation", "3d-printing"],
+        values={
+            **{name: f"{value:g}" for name, value in spec.to_dict().items()},
+            "openings": f"{spec.opening_mm:g} mm{second}",
+            # Of the solid: jaws cut away the outermost points between which the specified length is measured.
+            "length_mm": f"{report.size_mm[0]:.1f}",
+            "size_mm": " x ".join(f"{side:.1f}" for side in report.size_mm),
+            "volume_mm3": f"{report.volume_mm3:,.0f}",
+            "mass_g": f"{report.mass_g:.1f}",
+            "thinnest_wall_mm": f"{report.thinnest_wall_mm:.1f}",
+            "warnings": ", ".join(report.warnings) or "none",
+        },
+    ).write(folder, facts, manifest, KIND)
