@@ -99,17 +99,18 @@ def fabricate(folder: Path, shards: int) -> None:
     """Make a set of so many shards of one digit, with manifest, report and files of small columns."""
     from dataclasses import replace
 
+    import msgspec
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     from mnist3d.columns import REPORT_FILE
     from mnist3d.generation import GenerateSpec, generate
     from mnist3d.sources.synthetic import SyntheticSource
+    from tactile_toolkit.store.derived import write_small_columns
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import write_manifest
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex
     from tactile_toolkit.store.shards import ShardName
-    from tactile_toolkit.store.small_columns import write_small_columns
 
     made = generate(GenerateSpec(SyntheticSource(), limit=1), folder, ("train",))
     (record,) = made.shards
@@ -122,7 +123,7 @@ def fabricate(folder: Path, shards: int) -> None:
     place = row.schema.get_field_index("shard")
     content = encode_parquet(rows.set_column(place, "shard", [[str(name) for name in names]]), REPORT_STYLE)
     (folder / REPORT_FILE).write_bytes(content)
-    records = tuple(record._replace(shard=name) for name in names)
+    records = tuple(msgspec.structs.replace(record, file=name.data_path) for name in names)
     manifest = replace(made, shards=records, files={REPORT_FILE: sha256_hex(content)})
     start_s = time.perf_counter()
     files = write_small_columns(DataFolder(str(folder)), manifest)
@@ -222,14 +223,15 @@ def merging(folder: Path) -> dict[str, float]:
 
     from mnist3d.card import summarise
     from mnist3d.columns import REPORT_FILE
+    from tactile_toolkit.store.derived import merge_reports
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import Manifest
-    from tactile_toolkit.store.reports import merge_reports
     from tactile_toolkit.store.shards import ShardName, ShardRecord
 
     where, names = DataFolder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]
     each, digest = REPORT_ROWS // REPORTS, "0" * 64
-    records = [ShardRecord(name, each, 1, digest, digest, (), None, 1) for name in names]
+    more = {"report_sha256": digest, "unpacked_bytes": 1}
+    records = [ShardRecord.of(name, each, 1, digest, **more) for name in names]
     manifest = Manifest("mnist3d", "0", {}, ("train",), tuple(records))
     before_mb, start_s = peak_mb(), time.process_time()
     merge_reports(where, REPORT_FILE, manifest)

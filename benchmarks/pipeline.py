@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.run.limits import limit_threads
+from tactile_toolkit.run.threads import limit_threads
 
 limit_threads()
 

@@ -252,7 +252,7 @@ def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
     @wraps(function)
     def call(context: typer.Context, **values: Any) -> None:
         # Besides taking a second, pyarrow's import of pandas swallows a Ctrl-C that comes during it.
-        from tactile_toolkit.run.limits import skip_pandas
+        from tactile_toolkit.run.threads import skip_pandas
 
         skip_pandas()
         arguments = {}

@@ -104,18 +104,19 @@ def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -
     """Print what the splits of a folder without a manifest hold, and where they were downloaded from."""
     from tactile_toolkit.catalog.choose import open_splits
     from tactile_toolkit.catalog.locate import find_shards
-    from tactile_toolkit.store.folder import file_at
+    from tactile_toolkit.store.folder import split_uri
     from tactile_toolkit.store.origin import read_record
 
     if not place.exists() or (place.is_local and not Path(place.address()).is_dir()):
         raise InputError(
-            f"{place.lacks('data set')}", next="give the folder of a generated or downloaded data set"
+            place.missing_message("data set"),
+            next="give the folder of a generated or downloaded data set",
         )
     record = read_record(place)
     entries, rows = [], []
     for split, dataset in open_splits(folder, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in find_shards(folder, split)]
-        size = sum(store.size_bytes(name) for store, name in map(file_at, paths))
+        size = sum(store.size_bytes(name) for store, name in map(split_uri, paths))
         # Not by `bincount`, which fails on labels below 0 as other people's data have them.
         labels = enumerate(dataset.label_names)
         per_class = {name: int((dataset.labels == index).sum()) for index, name in labels}
@@ -223,7 +224,7 @@ def _validate(
     verified: dict[str, Any] | None,
 ) -> None:
     """Check objects as read back from disk, after the files of the folder where these were ``verified``."""
-    from tactile_toolkit.run.limits import prepare_batch_process
+    from tactile_toolkit.run.threads import prepare_batch_process
 
     prepare_batch_process()
     chosen = None if split == "all" else split

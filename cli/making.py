@@ -18,8 +18,7 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import counted, listed
 
 if TYPE_CHECKING:
-    from tactile_toolkit.store.build import Progress
-    from tactile_toolkit.store.forecast import Forecast
+    from tactile_toolkit.store.build import Forecast, Progress
     from tactile_toolkit.store.manifest import Manifest
 
 
@@ -68,9 +67,8 @@ def make_with_progress(
     It takes ``workers``, ``overwrite`` and ``on_progress``. Ctrl-C before the first shard is raised with what
     is to be said then. Returns None where this was one part of many.
     """
-    from tactile_toolkit.store.build import MissingPartsError
     from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.job import manifest_so_far
+    from tactile_toolkit.store.job import MissingPartsError, manifest_so_far
 
     start_s = time.monotonic()
     rows = skipped = 0

@@ -52,7 +52,7 @@ def generate(
     """
     from mnist3d.generation import GenerateSpec, chosen_source, forecast
     from mnist3d.generation import generate as make
-    from tactile_toolkit.run.limits import prepare_batch_process
+    from tactile_toolkit.run.threads import prepare_batch_process
 
     spec = GenerateSpec(
         source=chosen_source(source, images, division.seed),

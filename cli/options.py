@@ -26,12 +26,13 @@ def local_place(text: str | Path) -> Path:
 
     Paths of the type ``Path`` would come with ``//`` folded, so that such an address became a folder here.
     """
-    from tactile_toolkit.store.address import shown
     from tactile_toolkit.store.files import expanded
 
     if "://" in str(text):
+        from tactile_toolkit.store.names import redact
+
         raise InputError(
-            f"{shown(str(text))!r} is a remote address; expected a local path",
+            f"{redact(str(text))!r} is a remote address; expected a local path",
             next="give a path of this machine",
         )
     return expanded(text)
@@ -46,9 +47,9 @@ def _runner_name(text: str) -> str:
 
 def place_of_data(text: str | Path) -> str:
     """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
-    from tactile_toolkit.store.address import is_remote
-    from tactile_toolkit.store.address import place_of_data as read
     from tactile_toolkit.store.files import expanded
+    from tactile_toolkit.store.names import is_remote
+    from tactile_toolkit.store.names import normalize_uri as read
 
     place = read(str(text))
     return place if is_remote(place) else str(expanded(place))
@@ -174,7 +175,7 @@ class Work:
 
     def chosen_runner(self) -> int | Runner:
         """Return what makes the shards, as functions take it."""
-        from tactile_toolkit.run.parts import Check, Finish, part_of
+        from tactile_toolkit.run.processes import Check, Finish, part_of
 
         if self.finish and self.part is not None:
             raise InputError(

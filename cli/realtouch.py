@@ -65,7 +65,7 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
     from tactile_toolkit.catalog.locate import folder_named
     from tactile_toolkit.store.job import manifest_so_far
     from tactile_toolkit.store.manifest import MANIFEST_FILE
-    from tactile_toolkit.store.typed_json import typed
+    from tactile_toolkit.store.names import typed
 
     sink = Sink(as_json)
     folder = folder_named(name)

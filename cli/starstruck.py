@@ -52,7 +52,7 @@ def generate(
     from starstruck_gen.make import PUBLISHED_SIZES, GenerateSpec, forecast
     from starstruck_gen.make import generate as make
     from starstruck_gen.sampling import SPLITS
-    from tactile_toolkit.run.limits import limit_threads
+    from tactile_toolkit.run.threads import limit_threads
 
     spec = GenerateSpec(scene.spec(), scenes or PUBLISHED_SIZES, seed, limit)
     splits = SPLITS if split == "all" else (split,)

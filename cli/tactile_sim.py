@@ -57,7 +57,7 @@ def generate(
     """
     from tactile_sim.generation import GenerateSpec, forecast
     from tactile_sim.generation import generate as make
-    from tactile_toolkit.run.limits import prepare_batch_process
+    from tactile_toolkit.run.threads import prepare_batch_process
 
     # "cell" is the default, and who gives a table means it; any other place with a table is refused.
     if "given" in plan and plan.get("place", "cell") == "cell":
@@ -186,7 +186,7 @@ def pairs(
     """
     from tactile_sim.pairs import PairsMaking, make_pairs
     from tactile_toolkit.making import forecast
-    from tactile_toolkit.run.limits import prepare_batch_process
+    from tactile_toolkit.run.threads import prepare_batch_process
 
     sources = (objects, real, split, spec)
     prepare_batch_process()

@@ -22,9 +22,9 @@ from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.rows import meanings
+from tactile_toolkit.store.derived import read_report, report_columns
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.reports import read_report, report_columns
 from tactile_toolkit.wording import printable
 
 _MEASURES = ("size_z_mm", "volume_mm3", "thinnest_wall_mm")

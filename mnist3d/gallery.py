@@ -29,9 +29,9 @@ from tactile_toolkit.gallery.items import (
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
 from tactile_toolkit.pictures.render import relief
+from tactile_toolkit.store.derived import report_columns, report_pieces
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.reports import report_columns, report_pieces
 from tactile_toolkit.wording import class_name
 
 _ROWS_PER_TASK = 8

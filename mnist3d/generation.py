@@ -19,8 +19,7 @@ from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import PrintProfile, inspect
 from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Progress
-from tactile_toolkit.store.forecast import Forecast
+from tactile_toolkit.store.build import Forecast, Progress
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
 

@@ -52,10 +52,10 @@ from tactile_toolkit.pictures.writing import (
     file_stem,
     plan_kinds,
 )
-from tactile_toolkit.store.address import is_remote
+from tactile_toolkit.store.derived import read_report
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.reports import read_report
+from tactile_toolkit.store.names import is_remote
 from tactile_toolkit.wording import class_name, counted
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.store.address import is_remote, place_of_data
+from tactile_toolkit.store.names import is_remote, normalize_uri
 
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", VERTICES, FACES)
@@ -141,12 +141,12 @@ def validate_paths(
     """
     profile = profile or PrintProfile()
     # All names are looked at first: a typing error should not show after an hour of checking.
-    missing = [path for path in paths if not is_remote(path) and not Path(place_of_data(path)).exists()]
+    missing = [path for path in paths if not is_remote(path) and not Path(normalize_uri(path)).exists()]
     if missing:
         raise InputError(f"{missing[0]!r} does not exist; expected a data set folder or a mesh file")
     results = []
     for path in paths:
-        if is_remote(path) or Path(place_of_data(path)).is_dir():
+        if is_remote(path) or Path(normalize_uri(path)).is_dir():
             shards = shards_to_check(path, split, "mnist3d generate")
             rows = check_rows(shards, _Inspect(profile), _COLUMNS, limit, workers, on_progress)
             items = []

@@ -26,7 +26,7 @@ from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder, file_at
+from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.origin import read_record
 from tactile_toolkit.store.parquet import has_page_checksums, is_unchanged
@@ -145,7 +145,7 @@ def _is_unprotected(shard: Shard, place: Place) -> bool:
     given = (place,) if isinstance(place, str) else place
     if not any(name == shard.path or folder_named(name) is not None for name in given):
         return False
-    return not has_page_checksums(*file_at(shard.path))
+    return not has_page_checksums(*split_uri(shard.path))
 
 
 def check_folder(folder: DataFolder, workers: int = 1) -> list[Finding]:

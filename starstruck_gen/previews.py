@@ -41,8 +41,8 @@ from tactile_toolkit.pictures.previews import (
 from tactile_toolkit.pictures.render import TOP, Body, Picture3d, draw_bodies, fitting_scale
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
 from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, plan_kinds
-from tactile_toolkit.store.address import is_remote
 from tactile_toolkit.store.files import expanded
+from tactile_toolkit.store.names import is_remote
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from starstruck_gen.shapes import outline
 from tactile_toolkit.arithmetic import cosine_sine, moved
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.store.typed_json import Count
+from tactile_toolkit.store.names import Count
 
 if TYPE_CHECKING:
     from PIL.Image import Image

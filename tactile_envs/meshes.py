@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.run.system import locked
-from tactile_toolkit.store.files import of_the_process
+from tactile_toolkit.store.files import locked, of_the_process
 
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""

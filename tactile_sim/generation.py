@@ -33,10 +33,9 @@ from tactile_toolkit.mesh.mesh import MeshLike
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, refuse_source
 from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Progress
+from tactile_toolkit.store.build import Forecast, Progress
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.forecast import Forecast
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import Skipped

@@ -13,12 +13,11 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.store.build import Forecast, Progress, Sample, build, forecast_build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.forecast import Forecast, Sample, forecast_build
+from tactile_toolkit.store.job import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.manifest import Manifest, without_collecting
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
-from tactile_toolkit.store.plan import BuildPlan, ShardContent, require_known_splits
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
 from tactile_toolkit.wording import counted
 

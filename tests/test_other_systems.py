@@ -72,7 +72,7 @@ for package in {PACKAGES!r}:
 print(json.dumps(imported))
 """
     imported = json.loads(hidden(tmp_path, code, functions=False).splitlines()[-1])
-    assert {"tactile_toolkit.run.system", "cli.application", "mnist3d.generation"} <= set(imported)
+    assert {"tactile_toolkit.store.files", "cli.application", "mnist3d.generation"} <= set(imported)
     assert set(PACKAGES) <= set(imported)
 
 
@@ -81,7 +81,7 @@ def test_a_set_is_made_loaded_and_verified(tmp_path: Path) -> None:
     code = """
 import sys
 from pathlib import Path
-import tactile_toolkit.run.system as system
+import tactile_toolkit.store.files as system
 
 def main():
     import env_assets, starstruck_gen
@@ -117,7 +117,7 @@ def test_only_one_module_knows_of_systems() -> None:
         for name in _imports(path)
         if name in (*POSIX_MODULES, "signal", "msvcrt", "winreg")
     }
-    assert found == {("tactile_toolkit/run/system.py", "signal")}
+    assert found == {("tactile_toolkit/run/processes.py", "signal")}
 
 
 def _imports(path: Path) -> set[str]:
@@ -128,11 +128,11 @@ def _imports(path: Path) -> set[str]:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="asks how a system with the module does it")
 def test_a_lock_keeps_others_waiting(tmp_path: Path) -> None:
-    from tactile_toolkit.run.system import locked
+    from tactile_toolkit.store.files import locked
 
     code = f"""
 from pathlib import Path
-from tactile_toolkit.run.system import locked
+from tactile_toolkit.store.files import locked
 with locked(Path({str(tmp_path / "lock")!r})):
     print("got it", flush=True)
 """

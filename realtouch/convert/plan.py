@@ -32,9 +32,9 @@ from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, is_unchanged, sha256_hex
-from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
 from tactile_toolkit.touch.schema import (
     MEDIA_COLUMN,
@@ -164,7 +164,7 @@ class Conversion:
 
     ``options`` are JSON values; the layout follows from the size of the source's rows where it is None.
     ``extra_dirs`` names where files next to the rows lie; ``write_files`` writes what follows from all rows,
-    see :class:`tactile_toolkit.store.plan.BuildPlan`.
+    see :class:`tactile_toolkit.store.job.BuildPlan`.
     """
 
     source: Source

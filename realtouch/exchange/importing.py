@@ -27,9 +27,9 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
-from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
 from tactile_toolkit.wording import printable

@@ -14,9 +14,8 @@ from typing import Any
 from realtouch.convert.steps import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.address import is_remote
-from tactile_toolkit.store.folder import DataFolder, file_at
-from tactile_toolkit.store.names import problem_of_name
+from tactile_toolkit.store.folder import DataFolder, split_uri
+from tactile_toolkit.store.names import is_remote, problem_of_name
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 from tactile_toolkit.wording import did_you_mean
 
@@ -129,7 +128,7 @@ def contents_of(items: Iterable[Item]) -> Iterator[bytes | Exception]:
 
 
 def _contents(items: Sequence[Item]) -> list[bytes | Exception]:
-    folder, name = file_at(items[0].path)
+    folder, name = split_uri(items[0].path)
     found: list[bytes | Exception] = []
     try:
         with folder.open(name) as stream:

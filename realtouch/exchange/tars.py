@@ -13,7 +13,7 @@ from typing import Any
 
 from realtouch.exchange.items import HERE, IMAGE_ENDINGS, ImportColumns, Item, require_columns
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.store.folder import DataFolder, file_at
+from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.touch.tars import files_of_tar
 
@@ -59,7 +59,7 @@ def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:
         return [(home, name) for name in names]
     place = home.address()
     if Path(place).is_file() if home.is_local else place.endswith(".tar"):
-        return [file_at(place)]
+        return [split_uri(place)]
     raise InputError(f"{place!r} holds no tars (*.tar); compressed ones are unpacked first")
 
 

@@ -51,10 +51,10 @@ from tactile_toolkit.errors import (
     SpecMismatchError,
     ToolkitError,
 )
-from tactile_toolkit.run.system import locked
+from tactile_toolkit.store.files import locked
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.names import decode
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
-from tactile_toolkit.store.typed_json import decode
 from tactile_toolkit.touch.jpeg import decode_image
 
 TOUCH_WEIGHTS = "depth_to_touch.npz"

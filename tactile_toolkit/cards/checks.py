@@ -87,9 +87,8 @@ def _contradictions(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str
 def _claims(head: Mapping[str, Any], held: Sequence[str]) -> dict[tuple[str, ...], Any]:
     """Return what a head says, by what it says it of; of files those ``held`` that its patterns find."""
     info, categories = head["dataset_info"], head.get("size_categories")
-    claims: dict[tuple[str, ...], Any] = {
-        ("its", repr(name)): info.get(name) for name in ("download_size", "dataset_size")
-    }
+    # Not the sizes in memory: they are estimates where a manifest does not state them.
+    claims: dict[tuple[str, ...], Any] = {("its", "'download_size'"): info.get("download_size")}
     claims["its", "'size_categories'"] = [categories] if isinstance(categories, str) else categories
     for config in head.get("configs") or ():
         for entry in config["data_files"]:
@@ -98,8 +97,7 @@ def _claims(head: Mapping[str, Any], held: Sequence[str]) -> dict[tuple[str, ...
             named = f"{_shown(entry['split'])} in configuration {_shown(config['config_name'])}"
             claims["files of split", named] = {"count": len(files), "files": files}
     for split in info.get("splits") or ():
-        for number in ("num_examples", "num_bytes"):
-            claims[f"{number} of split", _shown(split["name"])] = split.get(number)
+        claims["num_examples of split", _shown(split["name"])] = split.get("num_examples")
     for column in info.get("features") or ():
         described = {key: value for key, value in column.items() if key != "name"}
         claims["column", _shown(column["name"])] = described

@@ -22,7 +22,6 @@ from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
-from tactile_toolkit.store.parquet import unpacked_bytes
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, ShardName
 from tactile_toolkit.wording import printable
 
@@ -35,8 +34,7 @@ _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 class SplitFacts:
     """One split: its files (opened when a user looks into them), their paths in the folder, and sizes.
 
-    ``unpacked_bytes`` is the size of the rows in memory; see
-    :func:`tactile_toolkit.store.parquet.unpacked_bytes`.
+    ``unpacked_bytes`` is the size of the rows in memory, estimated where the manifest does not state it.
     """
 
     split: str
@@ -99,7 +97,7 @@ def folder_facts(folder: DataFolder, manifest: Manifest | None = None, schema: A
             sizes = zip(*in_threads(partial(_sizes, folder), files, os.cpu_count() or 1), strict=True)
         splits.append(SplitFacts(split, tuple(shards), paths, *map(sum, sizes)))
     if not splits:
-        raise InputError(folder.lacks("Parquet files"), next="give the folder of a data set")
+        raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
     # Another version of the toolkit may have written other columns.
     if not recorded or schema is None or manifest is None or manifest.toolkit_version != toolkit_version():
         schema = splits[0].shards[0].schema
@@ -109,7 +107,8 @@ def folder_facts(folder: DataFolder, manifest: Manifest | None = None, schema: A
 def _sizes(folder: DataFolder, file: tuple[Shard, str]) -> tuple[int, int, int]:
     """Return rows, bytes and unpacked bytes of a file."""
     shard, path = file
-    return len(shard), folder.size_bytes(path), unpacked_bytes(shard.metadata, shard.schema, shard.read)
+    groups = map(shard.metadata.row_group, range(shard.metadata.num_row_groups))
+    return len(shard), folder.size_bytes(path), sum(group.total_byte_size for group in groups)
 
 
 def viewer_files(manifest: Manifest | None) -> dict[str, tuple[str, ...]]:

@@ -19,9 +19,9 @@ from tactile_toolkit.read.columns import null_fields
 from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import runner_for
-from tactile_toolkit.store.address import is_remote, place_of_data
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.job import manifest_so_far
+from tactile_toolkit.store.names import is_remote, normalize_uri
 
 T = TypeVar("T")
 D = TypeVar("D", bound=RecordDataset[Any])
@@ -135,7 +135,7 @@ def short_name(name: str) -> str:
     """Return a data set's name without the folders that it lies in: a site may be given to others."""
     if is_remote(name):
         return name.rstrip("/").rpartition("/")[2]
-    place = expanded(place_of_data(name))
+    place = expanded(normalize_uri(name))
     return place.resolve().name if place.exists() else name
 
 

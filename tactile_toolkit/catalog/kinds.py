@@ -78,7 +78,7 @@ def require_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest:
     manifest = finished_manifest(kind, folder)
     if manifest is None:
         raise InputError(
-            f"{folder.lacks(MANIFEST_FILE)}",
+            f"{folder.missing_message(MANIFEST_FILE)}",
             next=f"give the folder of a data set, such as one made by `{kind.made_by}`",
         )
     return manifest
@@ -116,7 +116,7 @@ def local_sets(folder: Path) -> list[LocalSet]:
     """
     if not folder.is_dir():
         raise InputError(
-            f"{DataFolder(str(folder)).lacks('data sets')}", next="give a folder with data set folders"
+            f"{DataFolder(str(folder)).missing_message('data sets')}", next="give a folder with data set folders"
         )
     found = []
     for place in [folder, *sorted(each for each in folder.iterdir() if each.is_dir())]:

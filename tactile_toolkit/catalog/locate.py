@@ -11,10 +11,11 @@ from tactile_toolkit.hub.calls import named_failures, not_cached
 from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.address import is_remote, place_of_data, scheme_of
+from tactile_toolkit.store.derived import small_files
 from tactile_toolkit.store.files import expanded, is_there, readable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, without_collecting
+from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
 from tactile_toolkit.store.overwrite import settle
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
@@ -24,7 +25,6 @@ from tactile_toolkit.store.shards import (
     no_split,
     shard_files,
 )
-from tactile_toolkit.store.small_columns import small_files
 from tactile_toolkit.wording import did_you_mean
 
 _LONGEST_SHOWN = 200
@@ -125,16 +125,16 @@ def _found_here(name: str) -> str | DataFolder | None:
         if scheme_of(name) == "hf":
             return None
         if name.endswith(_PARQUET):
-            return place_of_data(name)
+            return normalize_uri(name)
         folder = DataFolder(name)
         if not folder.exists():
             raise InputError(
-                f"{folder.lacks('data set')}; expected the folder of a data set, or a Parquet file",
+                f"{folder.missing_message('data set')}; expected the folder of a data set, or a Parquet file",
                 next="check the address",
             )
         return folder
     try:
-        place = expanded(place_of_data(name))
+        place = expanded(normalize_uri(name))
     except InputError:  # an unknown user's home
         return None
     with readable(name):

@@ -301,7 +301,7 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
             cached = repository.cached(file.path, check=True)
             place = cached or repository.download(file.path, transfers, stage)
             if cached is not None or not folder.is_local:
-                folder.copy_in(file.path, place)
+                folder.upload(file.path, place)
                 transfers.count(file, file.size_bytes)
             if cached is None and not folder.is_local:
                 place.unlink()

@@ -18,10 +18,10 @@ from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
 from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder, file_at
+from tactile_toolkit.store.folder import DataFolder, split_uri
+from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, named_damage, open_checked, open_parquet
-from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ class _TakeRows:
         """Read them; IntegrityError where a page or the footer does not match its checksum."""
         import pyarrow as pa
 
-        folder, name = file_at(self.source.path)
+        folder, name = split_uri(self.source.path)
         if self.rows is None:
             content = folder.read_bytes(name)
             with named_damage(self.source.path):

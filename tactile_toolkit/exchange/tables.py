@@ -19,10 +19,9 @@ from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import look
+from tactile_toolkit.store.job import BuildPlan, ShardContent, look
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
-from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
 
 if TYPE_CHECKING:

@@ -289,8 +289,8 @@ def prepare_upload(
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
     if manifest is None:
         raise InputError(
-            f"{place.lacks(MANIFEST_FILE)}: only data sets made by this toolkit can be checked before they "
-            "are sent",
+            f"{place.missing_message(MANIFEST_FILE)}: only data sets made by this toolkit can be checked "
+            "before they are sent",
             next="give the folder of one",
         )
     with contextlib.ExitStack() as stack:
@@ -317,7 +317,7 @@ def local_copy(folder: DataFolder, root: Path) -> DataFolder:
     """
     visible = [path for path in folder.walk() if not path.startswith(".") and "/." not in path]
     paths = names_inside(visible, repr(folder.address()))
-    for _ in in_threads(lambda path: folder.copy_out(path, root / path), paths, _THREADS):
+    for _ in in_threads(lambda path: folder.download(path, root / path), paths, _THREADS):
         pass
     return DataFolder(str(root))
 

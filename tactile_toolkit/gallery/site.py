@@ -28,8 +28,7 @@ from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, ItemTask, natural_order
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.run.system import locked
-from tactile_toolkit.store.files import expanded, named_failures
+from tactile_toolkit.store.files import expanded, locked, named_failures
 
 MARKER_FILE = "gallery.json"
 """What a site is, and its files; nothing else is ever replaced."""

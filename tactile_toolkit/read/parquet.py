@@ -29,13 +29,12 @@ from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table, stored_class_names
-from tactile_toolkit.run.system import locked
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import of_the_process, readable
-from tactile_toolkit.store.folder import VERSION_KEYS, file_at
+from tactile_toolkit.store.derived import MADE_OF
+from tactile_toolkit.store.files import locked, of_the_process, readable
+from tactile_toolkit.store.folder import VERSION_KEYS, split_uri
 from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
-from tactile_toolkit.store.small_columns import MADE_OF
 
 _BLOCK_BYTES = 64 << 20
 # Unpacked sizes of Parquet's physical types; all others take four bytes at least, a number or an offset.
@@ -412,9 +411,9 @@ class Shard:
         if not self.is_remote:
             # After opening: what takes its place from now on is not what was opened.
             return open_checked(self.path, metadata), (found := self.found_now()), found[-2]
-        store, name = file_at(self.path)
+        store, name = split_uri(self.path)
         stream = store.open(name)
-        facts = getattr(stream, "details", None) or store.facts(name)
+        facts = getattr(stream, "details", None) or store.info(name) or {}
         versions = [(key, str(facts[key])) for key in VERSION_KEYS if key in facts]
         return open_checked(stream, metadata), (self.path, *versions), facts["size"]
 

@@ -10,7 +10,7 @@ from typing import Any
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.folder import DataFolder, file_at
+from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.parquet import file_sha256
 from tactile_toolkit.store.shards import DATA_FOLDER
@@ -18,7 +18,7 @@ from tactile_toolkit.store.shards import DATA_FOLDER
 
 def file_fingerprint(shard: Shard) -> dict[str, Any]:
     """Return JSON values that identify the rows of a file; its footer holds the size of every column."""
-    folder, name = file_at(shard.path)
+    folder, name = split_uri(shard.path)
     with folder.open(name) as stream:
         # A Parquet file ends in the length of its footer and four letters.
         size = stream.seek(-8, 2) + 8
@@ -35,14 +35,14 @@ def file_fingerprint(shard: Shard) -> dict[str, Any]:
 
 def content_fingerprint(shard: Shard) -> dict[str, Any]:
     """Return JSON values that identify a file by all of its bytes, for sources of moderate size."""
-    folder, name = file_at(shard.path)
+    folder, name = split_uri(shard.path)
     return {"file": name, "rows": len(shard), "sha256": file_sha256(folder, name)}
 
 
 def manifest_beside(shard: Shard) -> Manifest | None:
     """Return the manifest of the folder that a shard lies in, where there is one."""
-    data, _ = file_at(shard.path)
-    folder, name = file_at(data.address())
+    data, _ = split_uri(shard.path)
+    folder, name = split_uri(data.address())
     return read_manifest(folder) if name == DATA_FOLDER else None
 
 

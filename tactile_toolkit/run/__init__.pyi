@@ -1,8 +1,10 @@
 """The public names: type checkers read this list, and the package imports each on first use."""
 
-from tactile_toolkit.run.parts import Check as Check, Finish as Finish, Part as Part
 from tactile_toolkit.run.processes import (
+    Check as Check,
+    Finish as Finish,
     InlineRunner as InlineRunner,
+    Part as Part,
     ProcessRunner as ProcessRunner,
     Runner as Runner,
 )

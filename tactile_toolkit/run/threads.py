@@ -1,14 +1,23 @@
-"""Work that waits for disks and networks, or hashes, done by several threads of this process."""
+"""Threads: work that waits for disks and networks, or hashes; and processes of one thread that only work.
+
+Apart from the runners, because every command line starts with it and needs no :mod:`multiprocessing`.
+"""
 
 from __future__ import annotations
 
+import os
+import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from importlib.abc import MetaPathFinder
+from types import ModuleType
 from typing import TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
+
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 
 
 def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> Iterator[R]:
@@ -30,3 +39,56 @@ def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> 
                 yield waiting.popleft().result()
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def prepare_batch_process() -> None:
+    """Set up a process that only works off tasks and then ends: one thread of work, a quick start."""
+    limit_threads()
+    skip_pandas()
+
+
+def limit_threads() -> None:
+    """Keep this process, and those that it starts, to one thread of work.
+
+    Work is spread over processes; threads inside them only wait for one another. Measured on two cores, a
+    mesh is checked in 13.4 ms of processor time with one thread and in 17.8 ms with manifold3d's own.
+    """
+    for name in _THREAD_VARIABLES:
+        os.environ.setdefault(name, "1")
+    # oneTBB, which manifold3d runs on, knows no setting for this: it counts the processors that the process
+    # may use, once, when it first works.
+    if not hasattr(os, "sched_setaffinity"):
+        return
+    allowed = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(allowed)})
+    try:
+        import manifold3d
+
+        manifold3d.Manifold.cube((1.0, 1.0, 1.0)).status()
+    finally:
+        os.sched_setaffinity(0, allowed)
+
+
+def skip_pandas() -> None:
+    """Keep pyarrow from importing pandas at its first array, to see whether it was given a Series.
+
+    That takes 0.9 s and 60 MB in every process. For processes that end with their work: pyarrow knows no
+    pandas in this one afterwards, unless it was imported before.
+    """
+    if "pandas" in sys.modules:
+        return
+    import pyarrow as pa
+
+    # pyarrow looks once, and has no setting for it: here it finds none.
+    finder = _NoPandas()
+    sys.meta_path.insert(0, finder)
+    try:
+        pa.array([0])
+    finally:
+        sys.meta_path.remove(finder)
+
+
+class _NoPandas(MetaPathFinder):
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError("pandas is left out of this process", name=name)

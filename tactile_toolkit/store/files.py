@@ -1,50 +1,39 @@
-"""Single local files: written as a whole or not at all, and what the system says in words.
+"""Single local files: locked, written completely or not at all, and what the system says in words.
 
 A temporary file or folder outside a data set is held by who writes it: what is not held is removed by the
-next one who comes by.
+next one who comes by. No other module of the project imports what only some systems have, but for signals.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import math
 import os
 import re
 import shutil
 import stat
 import tempfile
+import time
 import uuid
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
-from tactile_toolkit.run.system import held, sync_folder
 
 TEMPORARY_PREFIX = ".writing-"
 """How the name of every unfinished file begins."""
+LOCK_FILE = ".lock"
+"""Is in a folder while a process holds it where the system or the file system knows no locks of folders."""
 
+_LOOK_AGAIN_S = 0.02
 _SCRATCH_PREFIX = "tactile-toolkit-"
 _TRIES = 10
 _UNIQUE = re.compile("[0-9a-f]{32}-")
 """Follows the prefix: what has none may be any user's."""
-
-_HINTS = {
-    errno.ENOSPC: "no space is left on the device; free some and run the same command again",
-    errno.EDQUOT: "the disk quota is used up; free some space and run the same command again",
-    errno.EROFS: "the file system is read-only; choose another folder (--out or OUT)",
-    errno.EACCES: "permission denied; choose another folder (--out or OUT) or change its permissions",
-    errno.EPERM: "the operation is not permitted; choose another folder (--out or OUT)",
-    errno.ENOTDIR: "a part of the path is a file, not a folder; choose another folder (--out or OUT)",
-    errno.EEXIST: "a file of that name stands where a folder is needed; choose another folder (--out or OUT)",
-    errno.EFBIG: "the file would be larger than allowed here (ulimit -f, or the file system's own limit)",
-}
-_OF_THE_PROCESS = {
-    errno.EMFILE: "this process has too many open files; next: close some, or raise the limit (ulimit -n)",
-    errno.ENFILE: "this machine has too many open files; next: end programs that are not needed",
-    errno.ENOMEM: "the memory is used up; next: end programs that are not needed, or use fewer --workers",
-    errno.EINTR: "the call was interrupted; next: run the same command again",
-}
+_OF_THE_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 
 
 @contextlib.contextmanager
@@ -53,17 +42,24 @@ def named_failures(address: str) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        hint = _HINTS.get(error.errno or 0, error.strerror or str(error))
         raise StorageError(
-            f"cannot write {address!r}: {hint}; nothing half-written was left, finished files stay"
+            f"cannot write {address!r}: {error.strerror or error}; nothing half-written was left, finished "
+            "files stay",
+            next="make room there, or change its permissions, and run the same command again; or choose "
+            "another folder (--out or OUT)",
         ) from error
 
 
 def of_the_process(error: Exception) -> str | None:
     """Return, in words, which lack of this process or machine an error is about; None for any other error."""
     if isinstance(error, MemoryError):
-        return _OF_THE_PROCESS[errno.ENOMEM]
-    return _OF_THE_PROCESS.get(error.errno or 0) if isinstance(error, OSError) else None
+        error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
+    if not isinstance(error, OSError) or error.errno not in _OF_THE_PROCESS:
+        return None
+    return (
+        f"{error.strerror}; next: end programs that are not needed, raise the limit of open files "
+        "(ulimit -n) or use fewer --workers, and run it again"
+    )
 
 
 @contextlib.contextmanager
@@ -72,12 +68,12 @@ def readable(address: str) -> Iterator[None]:
     try:
         yield
     except (OSError, MemoryError) as error:
-        lack = f"now: {of_the_process(error)}"
+        lack = of_the_process(error)
         if isinstance(error, PermissionError):
-            lack = "by this user (permission denied); next: change its permissions, or ask its owner to"
-        elif of_the_process(error) is None:
+            lack = "permission denied; next: change its permissions, or ask its owner to"
+        if lack is None:
             raise
-        raise InputError(f"{address!r} cannot be read {lack}") from error
+        raise InputError(f"{address!r} cannot be read: {lack}") from error
 
 
 def is_there(path: Path) -> bool:
@@ -128,6 +124,110 @@ def open_regular(path: Path) -> IO[bytes]:
     return stream
 
 
+@contextlib.contextmanager
+def locked(path: Path, *, shared: bool = False, patience_s: float = math.inf) -> Iterator[None]:
+    """Wait for the lock of a file, which is made, or of a folder that is there, and hold it.
+
+    Held by the open file: threads wait for one another too, and a killed process lets go. Any number hold it
+    ``shared`` at once, where the system knows that. A folder that cannot be locked is held by a file in it,
+    which a killed process leaves; for a file that cannot be locked, no one waits. Raises OSError where the
+    file cannot be opened, BlockingIOError where another has held it for so long, and FileNotFoundError for a
+    folder that was removed meanwhile.
+    """
+    deadline_s = time.monotonic() + patience_s
+    with contextlib.ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(_locked_now(path, shared))
+                break
+            except BlockingIOError:
+                if time.monotonic() >= deadline_s:
+                    raise
+                time.sleep(_LOOK_AGAIN_S)
+        yield
+
+
+@contextlib.contextmanager
+def _locked_now(path: Path, shared: bool) -> Iterator[None]:
+    fcntl, msvcrt, is_folder = _module("fcntl"), _module("msvcrt"), path.is_dir()
+    needs_file = is_folder and fcntl is None  # Windows opens no folders
+    with contextlib.ExitStack() as stack:
+        if not needs_file:
+            handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
+            stack.callback(os.close, handle)
+            try:
+                if fcntl is not None:
+                    fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+                    # Not left to closing: a child forked meanwhile has the file open too.
+                    stack.callback(fcntl.flock, handle, fcntl.LOCK_UN)
+                elif msvcrt is not None:
+                    msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            except OSError as error:
+                if isinstance(error, BlockingIOError) or fcntl is None:
+                    raise BlockingIOError from error
+                needs_file = is_folder
+            if is_folder and not os.path.samestat(os.fstat(handle), path.stat()):
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+        if needs_file:
+            stack.enter_context(_lock_file(path / LOCK_FILE))
+        yield
+
+
+@contextlib.contextmanager
+def _lock_file(path: Path) -> Iterator[None]:
+    try:
+        path.open("xb").close()
+    except (FileExistsError, PermissionError) as error:  # Windows refuses what is being removed
+        if isinstance(error, PermissionError) and os.name != "nt":
+            raise
+        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN), str(path)) from error
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def _held(path: Path, *, wait: bool = True) -> Iterator[bool]:
+    """Hold a file or folder that only one process uses, so that others see it; yield whether this one does.
+
+    Without ``wait``, one that a user holds is left to them, as is one that cannot be locked, and folders on
+    Windows, where an open file cannot be removed anyway. Raises OSError.
+    """
+    fcntl = _module("fcntl")
+    if fcntl is None:
+        yield wait or not path.is_dir()
+        return
+    handle = os.open(path, os.O_RDONLY)
+    try:
+        is_ours = wait
+        with contextlib.suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+            is_ours = True
+        yield is_ours
+    finally:
+        os.close(handle)
+
+
+def _module(name: str) -> Any:
+    """Return a module of Python's that this system may not have."""
+    try:
+        return import_module(name)
+    except ImportError:
+        return None
+
+
+def sync_folder(folder: Path) -> None:
+    """Bring the names in a folder to the disk: a rename survives a power cut only once they are there."""
+    if os.name == "nt":  # Windows opens no folders
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
 def new_file(path: Path) -> IO[bytes]:
     """Open a file that is not there yet for writing, making its folder."""
     for _ in range(_TRIES):
@@ -150,7 +250,7 @@ def temporary(
             make(path)
             # Somebody may have come by before it was held.
             with contextlib.suppress(FileNotFoundError):
-                stack.enter_context(held(path))
+                stack.enter_context(_held(path))
                 if path.exists():
                     break
         yield path
@@ -168,7 +268,7 @@ def remove_abandoned(folder: Path, prefix: str = TEMPORARY_PREFIX) -> None:
     for path in folder.glob(f"{prefix}*"):
         with contextlib.suppress(OSError):  # of other users it stays
             if _UNIQUE.match(path.name, len(prefix)):
-                with held(path, wait=False) as is_ours:
+                with _held(path, wait=False) as is_ours:
                     if is_ours:
                         _remove(path)
 

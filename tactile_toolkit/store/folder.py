@@ -16,6 +16,7 @@ import errno
 import math
 import os
 import shutil
+import stat
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -24,18 +25,18 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any, ClassVar
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
-from tactile_toolkit.run.system import locked, sync_folder
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.address import is_remote, place_of_data, scheme_of
 from tactile_toolkit.store.files import (
     expanded,
-    is_there,
+    locked,
     named_failures,
     new_file,
     open_regular,
     readable,
     scratch_folder,
+    sync_folder,
 )
+from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
 from tactile_toolkit.store.remote import Store
 
 PENDING_FOLDER = ".pending"
@@ -47,13 +48,12 @@ NEXT_FOLDER = ".next"
 TEMPORARY = "tmp-"
 """How the name of every unfinished file in :data:`PENDING_FOLDER` begins."""
 
-VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created")
-"""What stores say of a file, under which name each, that changes with its content."""
+VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created", "LastModified", "inode")
+"""What is known of a file, under which name each, that changes whenever it is replaced."""
 
 _READ_AT_ONCE = 16
 """Small files that are asked for at a time: a network file system or store answers many as fast as one."""
 _TRIES = 10
-_NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK)
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class DataFolder:
         return super().__new__(_StoreFolder if is_remote(url) else DataFolder)
 
     def __post_init__(self) -> None:
-        place = place_of_data(self.url)
+        place = normalize_uri(self.url)
         object.__setattr__(self, "root", str(expanded(place).absolute()) if self.is_local else place)
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -109,43 +109,49 @@ class DataFolder:
                 break
             if step.is_symlink():
                 raise InputError(
-                    f"{str(step)!r} is a symbolic link; nothing is written, moved or removed through a link; "
-                    "next: put what it leads to in its place, or choose another folder (--out or OUT)"
+                    f"{str(step)!r} is a symbolic link; nothing is written, moved or removed through a link",
+                    next="put what it leads to in its place, or choose another folder (--out or OUT)",
                 )
         return place
 
-    def problem(self) -> str:
-        """Say why nothing can be in the folder; empty where something can."""
-        if not Path(self.root).exists():
-            return f"{self.root!r} does not exist"
-        return "" if Path(self.root).is_dir() else f"{self.root!r} is a file, a folder was expected"
-
-    def lacks(self, what: str) -> str:
+    def missing_message(self, what: str) -> str:
         """State what is wrong with a folder in which something was not found: it, or what was looked for."""
-        return self.problem() or f"no {what} in {self.root!r}"
+        return self._problem() or f"no {what} in {self.root!r}"
+
+    def _problem(self) -> str:
+        """Say why nothing can be in the folder; empty where something can."""
+        found = self.info("")
+        if found is None:
+            return f"{self.root!r} does not exist"
+        return "" if found["type"] == "directory" else f"{self.root!r} is a file, a folder was expected"
+
+    def info(self, path: str) -> Mapping[str, Any] | None:
+        """Return type and size of a file or folder, and what changes with it; None where there is none."""
+        with readable(self.address(path)):
+            try:
+                found = Path(self.address(path)).stat()
+            except PermissionError:
+                raise
+            except (OSError, ValueError):  # too long a name, a circle of links
+                return None
+        kind = "directory" if stat.S_ISDIR(found.st_mode) else "file"
+        return {"type": kind, "size": found.st_size, "mtime": found.st_mtime_ns, "inode": found.st_ino}
 
     def exists(self, path: str = "") -> bool:
         """Return whether a file (or, without an argument, the folder) is there."""
-        # Who asks for the folder itself is about to write there, and names the failure.
-        with readable(self.address(path)) if path else contextlib.nullcontext():
-            return is_there(Path(self.address(path)))
+        return self.info(path) is not None
 
     def version(self, path: str) -> tuple[object, ...] | None:
         """Return what changes whenever a file is replaced; None where there is none."""
-        try:
-            facts = Path(self.address(path)).stat()
-        except OSError:
-            return None
-        return facts.st_ino, facts.st_size, facts.st_mtime_ns
+        found = self.info(path)
+        return None if found is None else tuple(str(found.get(key)) for key in VERSION_KEYS)
 
     def size_bytes(self, path: str) -> int:
         """Return the size of a file; raises FileNotFoundError."""
-        with readable(self.address(path)):
-            return Path(self.address(path)).stat().st_size
-
-    def facts(self, path: str) -> Mapping[str, Any]:
-        """Return what a store says of a file; raises FileNotFoundError."""
-        raise NotImplementedError
+        found = self.info(path)
+        if found is None:
+            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.address(path))
+        return int(found["size"])
 
     def entries(self, folder: str = "") -> dict[str, int | None]:
         """List names directly in a sub-folder, sorted, with sizes in bytes, None for what is not a file.
@@ -232,15 +238,12 @@ class DataFolder:
             try:
                 # The one step that is all or nothing on network file systems too.
                 os.link(stream.name, target)
-            except FileExistsError:
-                return os.fstat(stream.fileno()).st_nlink == 2  # done, and the answer of the server was lost
-            except OSError as error:
-                if error.errno not in _NO_LINKS:
-                    raise
-                with contextlib.suppress(FileExistsError), target.open("xb") as other:
-                    other.write(content)
-                    return True
-                return False
+            except OSError:
+                if os.fstat(stream.fileno()).st_nlink == 2:
+                    return True  # done, and the answer of the server was lost
+                if target.exists():
+                    return False
+                Path(stream.name).replace(target)  # a file system without links
             sync_folder(target.parent)
         return True
 
@@ -252,9 +255,15 @@ class DataFolder:
         """
         with named_failures(self.address(path)), self._temporary(path) as stream:
             yield stream
-            self._arrive(stream, path)
+            stream.flush()
+            os.fsync(stream.fileno())
+            stream.close()  # Windows moves no open file
+            target = self.place(path)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            Path(stream.name).replace(target)
+            sync_folder(target.parent)
 
-    def copy_in(self, path: str, source: Path) -> None:
+    def upload(self, path: str, source: Path) -> None:
         """Write a copy of a file of this machine, as :meth:`write_bytes` does, in pieces."""
 
         def copy(stream: IO[bytes]) -> None:
@@ -264,16 +273,15 @@ class DataFolder:
         self._write(path, copy)
 
     def _write(self, path: str, fill: Callable[[IO[bytes]], object]) -> None:
-        with named_failures(self.address(path)):
-            for tries_left in reversed(range(_TRIES)):
-                try:
-                    with self._temporary(path) as stream:
-                        fill(stream)
-                        self._arrive(stream, path)
-                    return
-                except FileNotFoundError:  # who finished a data set here has removed it
-                    if not tries_left:
-                        raise
+        for tries_left in reversed(range(_TRIES)):
+            try:
+                with self.writing(path) as stream:
+                    fill(stream)
+                return
+            except StorageError as error:
+                # Who finished a data set here has removed it.
+                if not tries_left or not isinstance(error.__cause__, FileNotFoundError):
+                    raise
 
     @contextlib.contextmanager
     def _temporary(self, path: str) -> Iterator[IO[bytes]]:
@@ -289,16 +297,7 @@ class DataFolder:
             with contextlib.suppress(OSError):  # something else is in it
                 temporary.parent.rmdir()
 
-    def _arrive(self, stream: IO[bytes], path: str) -> None:
-        stream.flush()
-        os.fsync(stream.fileno())
-        stream.close()  # Windows moves no open file
-        target = self.place(path)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        Path(stream.name).replace(target)
-        sync_folder(target.parent)
-
-    def copy_out(self, path: str, target: Path) -> None:
+    def download(self, path: str, target: Path) -> None:
         """Copy a file to a local one; FileNotFoundError where there is none."""
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(self.address(path), target)
@@ -321,9 +320,11 @@ class DataFolder:
         with contextlib.suppress(OSError):
             Path(self.address(folder)).rmdir()
 
-    def remove_tree(self, folder: str) -> None:
-        """Remove a sub-folder, if it is there, with all that it holds; raises InputError for a link."""
+    def remove_tree(self, folder: str, prefix: str = "") -> None:
+        """Remove a sub-folder with all in it whose name begins so; raises InputError for a link."""
         for name, size in self.entries(folder).items():
+            if not name.startswith(prefix):
+                continue
             if size is None:
                 self.remove_tree(f"{folder}/{name}")
             else:
@@ -332,10 +333,7 @@ class DataFolder:
 
     def remove_temporaries(self) -> None:
         """Remove what writers left half-written; one that is still at work writes again."""
-        for name in self.names(PENDING_FOLDER):
-            if name.startswith(TEMPORARY):
-                self.remove(f"{PENDING_FOLDER}/{name}")
-        self.remove_empty(PENDING_FOLDER)
+        self.remove_tree(PENDING_FOLDER, TEMPORARY)
 
     def require_folder(self) -> None:
         """Create the folder, and prove that it can be written to; a bucket must be there.
@@ -343,8 +341,8 @@ class DataFolder:
         Raises InputError when a file stands in its place or there is no such bucket.
         """
         with named_failures(self.root):
-            if Path(self.root).exists() and self.problem():
-                raise InputError(f"{self.problem()}; choose another path (--out or OUT)")
+            if self.exists() and self._problem():
+                raise InputError(self._problem(), next="choose another path (--out or OUT)")
             Path(self.root).mkdir(parents=True, exist_ok=True)
             with self._temporary(""):
                 pass
@@ -400,43 +398,29 @@ class _StoreFolder(DataFolder):
         """Return how the client calls a file."""
         return str(self._system._strip_protocol(self.address(path))).rstrip("/")
 
-    def _info(self, path: str, key: str | None = None) -> Mapping[str, Any] | None:
-        wanted = self._key(path) if key is None else key
-        with contextlib.suppress(FileNotFoundError):
-            found: Mapping[str, Any] = self._store.ask(lambda: self._system.info(wanted), "reading", path)
-            return found
-        return None
-
-    def problem(self) -> str:
+    def _problem(self) -> str:
         bucket = self._key().partition("/")[0]
-        if self._store.has_buckets and self._info("", bucket) is None:
+        if self._store.has_buckets and self._info(bucket, "") is None:
             return f"the bucket {bucket!r} of {self.root!r} does not exist"
         return ""
 
-    def exists(self, path: str = "") -> bool:
-        return self._info(path) is not None
+    def info(self, path: str) -> Mapping[str, Any] | None:
+        return self._info(self._key(path), path)
 
-    def facts(self, path: str) -> Mapping[str, Any]:
-        found = self._info(path)
-        if found is None:
-            raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), self.address(path))
-        return found
-
-    def version(self, path: str) -> tuple[object, ...] | None:
-        found, keys = self._info(path), (*VERSION_KEYS, "LastModified")
-        return None if found is None else tuple(str(found.get(key)) for key in keys)
-
-    def size_bytes(self, path: str) -> int:
-        return int(self.facts(path)["size"])
+    def _info(self, key: str, path: str) -> Mapping[str, Any] | None:
+        with contextlib.suppress(FileNotFoundError):
+            found: Mapping[str, Any] = self._store.with_retry(lambda: self._system.info(key), "reading", path)
+            return found
+        return None
 
     def entries(self, folder: str = "") -> dict[str, int | None]:
         key, sizes = self._key(folder), {}
         with contextlib.suppress(FileNotFoundError):
-            for entry in self._store.ask(lambda: self._system.ls(key, detail=True), "listing", folder):
+            found = self._store.with_retry(lambda: self._system.ls(key, detail=True), "listing", folder)
+            for entry in found:
                 name = entry["name"].strip("/")
-                if name != key.strip(
-                    "/"
-                ):  # a file, and the mark of an empty folder, are listed in themselves
+                # A file, and the mark of an empty folder, are listed in themselves.
+                if name != key.strip("/"):
                     is_folder = entry["type"] == "directory"
                     sizes[name.rpartition("/")[2]] = None if is_folder else int(entry["size"])
         return dict(sorted(sizes.items()))
@@ -447,18 +431,16 @@ class _StoreFolder(DataFolder):
 
     def _read(self, path: str) -> bytes:
         key = self._key(path)
-        return bytes(self._store.ask(lambda: self._system.cat_file(key), "reading", path))
+        return bytes(self._store.with_retry(lambda: self._system.cat_file(key), "reading", path))
 
     def write_bytes(self, path: str, content: bytes) -> None:
-        self._require_writable(path)
-        key, options = self._key(path), self._in_one_request(content)
-        self._put(path, lambda: self._system.pipe_file(key, content, **options))
+        options = self._in_one_request(content)
+        self._put(path, lambda key: self._system.pipe_file(key, content, **options))
 
     def create_bytes(self, path: str, content: bytes) -> bool:
-        self._require_writable(path)
-        key, options, tries = self._key(path), self._in_one_request(content), [0]
+        tries, options = [0], self._in_one_request(content)
 
-        def put() -> None:
+        def put(key: str) -> None:
             tries[0] += 1
             self._system.pipe_file(key, content, mode="create", **options)
 
@@ -473,10 +455,9 @@ class _StoreFolder(DataFolder):
         """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""
         return {"chunksize": len(content) + 1} if scheme_of(self.root) == "s3" else {}
 
-    def copy_in(self, path: str, source: Path) -> None:
-        self._require_writable(path)
-        key, options = self._key(path), {"max_concurrency": 2} if scheme_of(self.root) == "s3" else {}
-        self._put(path, lambda: self._system.put_file(str(source), key, **options))
+    def upload(self, path: str, source: Path) -> None:
+        options = {"max_concurrency": 2} if scheme_of(self.root) == "s3" else {}
+        self._put(path, lambda key: self._system.put_file(str(source), key, **options))
 
     @contextlib.contextmanager
     def writing(self, path: str) -> Iterator[IO[bytes]]:
@@ -484,44 +465,40 @@ class _StoreFolder(DataFolder):
             file = scratch / "file"
             with named_failures(str(file)), file.open("wb") as stream:
                 yield stream
-            self.copy_in(path, file)
+            self.upload(path, file)
 
-    def _put(self, path: str, put: Callable[[], object]) -> None:
+    def _put(self, path: str, put: Callable[[str], object]) -> None:
+        self._require_writable(path)
+        key = self._key(path)
         try:
-            self._store.ask(put, "writing", path)
+            self._store.with_retry(lambda: put(key), "writing", path)
         except FileNotFoundError as error:
             if self._store.has_buckets:
                 raise self._no_bucket() from error
-            parent = self._key(path).rpartition("/")[0]
-            self._store.ask(lambda: self._system.makedirs(parent, exist_ok=True), "writing", path)
-            self._store.ask(put, "writing", path)
+            parent = key.rpartition("/")[0]
+            self._store.with_retry(lambda: self._system.makedirs(parent, exist_ok=True), "writing", path)
+            self._store.with_retry(lambda: put(key), "writing", path)
 
-    def copy_out(self, path: str, target: Path) -> None:
+    def download(self, path: str, target: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
-        self._store.ask(lambda: self._system.get_file(self._key(path), str(target)), "reading", path)
+        self._store.with_retry(lambda: self._system.get_file(self._key(path), str(target)), "reading", path)
 
     def remove(self, path: str) -> None:
         self._require_writable(path)
         with contextlib.suppress(FileNotFoundError):
-            self._store.ask(lambda: self._system.rm_file(self._key(path)), "removing", path)
+            self._store.with_retry(lambda: self._system.rm_file(self._key(path)), "removing", path)
 
     def require_folder(self) -> None:
         self._require_writable("")
-        found = self._info("")
+        found = self.info("")
         if found is not None and found["type"] == "file":
             raise InputError(
-                f"{self.root!r} is a file, a folder was expected; choose another path (--out or OUT)"
+                f"{self.root!r} is a file, a folder was expected", next="choose another path (--out or OUT)"
             )
-        if found is None and self.problem():
+        if found is None and self._problem():
             raise self._no_bucket()
 
     # What only a file system has: a store lists what is there, has no empty folders, and knows no locks.
-
-    def place(self, path: str) -> Path:
-        raise NotImplementedError
-
-    def move(self, path: str, target: str) -> None:
-        raise NotImplementedError
 
     def remove_empty(self, folder: str) -> None:
         self.address(folder)  # refuses a path that leads out of the folder
@@ -535,8 +512,8 @@ class _StoreFolder(DataFolder):
 
     def _no_bucket(self) -> InputError:
         return InputError(
-            f"{self.problem()}; nothing was written, and no bucket was made; next: check its name, or make "
-            "it with the store's own tools"
+            f"{self._problem()}; nothing was written, and no bucket was made",
+            next="check its name, or make it with the store's own tools",
         )
 
     def _require_writable(self, path: str) -> None:
@@ -547,10 +524,10 @@ class _StoreFolder(DataFolder):
             )
 
 
-def file_at(place: str) -> tuple[DataFolder, str]:
+def split_uri(place: str) -> tuple[DataFolder, str]:
     """Return the folder of a file, local or at an address, and its name there."""
     if is_remote(place):
-        parent, _, name = place_of_data(place).rpartition("/")
+        parent, _, name = normalize_uri(place).rpartition("/")
         return DataFolder(parent), name
-    path = Path(place_of_data(place))
+    path = Path(normalize_uri(place))
     return DataFolder(str(path.parent)), path.name

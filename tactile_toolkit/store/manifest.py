@@ -7,7 +7,6 @@ two writers never share a file (:mod:`tactile_toolkit.store.job`).
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import gc
 import hashlib
 import json
@@ -20,9 +19,8 @@ import msgspec
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import names_inside
-from tactile_toolkit.store.shards import ShardEntry, ShardName, ShardRecord, add_up
-from tactile_toolkit.store.typed_json import Sha256, damaged, decode
+from tactile_toolkit.store.names import Sha256, damaged, decode, names_inside
+from tactile_toolkit.store.shards import ShardRecord, add_up
 from tactile_toolkit.wording import printable_json
 
 MANIFEST_FILE = "manifest.json"
@@ -38,7 +36,7 @@ class Manifest:
 
     Equal ``spec`` (JSON values) and ``toolkit_version`` give equal rows. ``shards`` are in order of split and
     index. ``files`` are checksums of further data files, such as reports, by path. ``complete`` is False
-    while a run is under way or after it was interrupted. ``extra_dirs`` are those of the build plan.
+    while a run is under way or after it was interrupted. ``trees`` are the ``extra_dirs`` of the build plan.
     ``libraries`` are the versions of the libraries that decide bytes, none where a manifest does not say.
     """
 
@@ -47,10 +45,10 @@ class Manifest:
     spec: Mapping[str, Any]
     split_order: tuple[str, ...]
     shards: tuple[ShardRecord, ...] = ()
-    files: Mapping[str, str] | None = None
-    schema_version: int = SCHEMA_VERSION
+    files: Mapping[str, Sha256] = field(default_factory=dict)
+    schema_version: Annotated[int, msgspec.Meta(ge=1)] = SCHEMA_VERSION
     complete: bool = False
-    extra_dirs: tuple[str, ...] = ()
+    trees: tuple[str, ...] = ()
     libraries: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -62,12 +60,12 @@ class Manifest:
     @property
     def splits(self) -> tuple[str, ...]:
         """Splits that have shards, in canonical order."""
-        present = {record.shard.split for record in self.shards}
+        present = {record.split for record in self.shards}
         return tuple(split for split in self.split_order if split in present)
 
     def shards_of(self, split: str) -> tuple[ShardRecord, ...]:
         """Return the records of one split in order of their index."""
-        return tuple(record for record in self.shards if record.shard.split == split)
+        return tuple(record for record in self.shards if record.split == split)
 
     def split_table(self) -> dict[str, dict[str, int]]:
         """Rows, shards, bytes and skipped items of each split."""
@@ -92,14 +90,14 @@ class Manifest:
         counted: dict[str, list[Mapping[str, Any]]] = {}
         for record in self.shards:
             if record.statistics is not None:
-                counted.setdefault(record.shard.split, []).append(record.statistics)
+                counted.setdefault(record.split, []).append(record.statistics)
         return {split: add_up(parts) for split, parts in counted.items()}
 
     def with_shards(self, records: Iterable[ShardRecord]) -> Manifest:
         """Return a manifest that holds these records next to its own, each shard once, in order."""
         merged = {record.shard: record for record in (*self.shards, *records)}
         order = {split: rank for rank, split in enumerate(self.split_order)}
-        ordered = sorted(merged.values(), key=lambda record: (order[record.shard.split], record.shard.index))
+        ordered = sorted(merged.values(), key=lambda record: (order[record.split], record.shard.index))
         return replace(self, shards=tuple(ordered))
 
     def sums(self) -> dict[str, dict[str, Any]]:
@@ -113,67 +111,60 @@ class Manifest:
     def to_json(self) -> str:
         """Return the text of ``manifest.json``; the same content gives the same text."""
         values = {
-            **vars(self),
+            "schema_version": self.schema_version,
+            "toolkit_version": self.toolkit_version,
+            "libraries": self.libraries,
+            "kind": self.kind,
+            "complete": self.complete,
+            "spec": self.spec,
+            "split_order": self.split_order,
             **self.sums(),
-            "files": dict(sorted((self.files or {}).items())),
-            "trees": self.extra_dirs,
+            "files": dict(sorted(self.files.items())),
+            "trees": self.trees,
             "shards": [record.to_dict() for record in self.shards],
         }
-        names = [name for name in _Document.__struct_encode_fields__ if values[name] or name not in _OPTIONAL]
-        return printable_json({name: values[name] for name in names}, indent=1) + "\n"
+        kept = {name: value for name, value in values.items() if value or name not in _OPTIONAL}
+        return printable_json(kept, indent=1) + "\n"
 
     @classmethod
     def from_json(cls, content: str | bytes, where: str) -> Manifest:
         """Parse ``manifest.json``; IntegrityError when it is not one, or one of a later layout."""
-        document = decode(content, _Document, where)
-        if document.schema_version > SCHEMA_VERSION:
+        manifest = decode(content, cls, where)
+        if manifest.schema_version > SCHEMA_VERSION:
             raise IntegrityError(
-                f"{where!r} has schema version {document.schema_version}, this toolkit reads up to "
+                f"{where!r} has schema version {manifest.schema_version}, this toolkit reads up to "
                 f"{SCHEMA_VERSION}",
                 next="install a newer tactile-toolkit",
             )
-        try:
-            records = tuple([entry.record() for entry in document.shards])
-        except ValueError as error:
-            raise damaged(where, "shards.file", str(error)) from error
-        fields = (each.name for each in dataclasses.fields(cls))
-        manifest = cls(**{name: getattr(document, name) for name in fields} | {"shards": records})
-        shards = {record.shard for record in records}
-        # Names of shards differ in split and numbers only: the last of each kind stands for all.
-        kinds = dict.fromkeys((shard.split, shard.count) for shard in shards)
-        paths = (ShardName(split, count - 1, count).data_path for split, count in sorted(kinds))
-        names_inside((*paths, *document.files, *document.extra_dirs), repr(where))
-        if len(shards) < len(records) or {split for split, _ in kinds} - {*manifest.split_order}:
-            raise damaged(where, "shards", "one is listed twice, or of no split in 'split_order'")
-        try:
-            sums = manifest.sums()
-        except (TypeError, AttributeError) as error:
-            problem = f"statistics are not numbers, lists of numbers or objects of them ({error})"
-            raise damaged(where, "shards", problem) from error
         # What follows from the shards stands there too, so that a number that was changed shows.
-        for name, expected in sums.items():
-            if getattr(document, name) != expected:
-                raise damaged(where, name, "its numbers are not those of the shards")
+        stated = msgspec.structs.asdict(decode(content, _Sums, where))
+        try:
+            shards = {record.shard for record in manifest.shards}
+            agrees = manifest.sums() == stated
+        except (ValueError, TypeError, AttributeError) as error:
+            raise damaged(where, f"shards: {error}") from error
+        if not agrees:
+            raise damaged(where, f"the numbers in {', '.join(stated)} are not those of the shards")
+        names_inside(
+            (
+                *{each.split: each.file for each in manifest.shards}.values(),
+                *manifest.files,
+                *manifest.trees,
+            ),
+            repr(where),
+        )
+        splits = {shard.split for shard in shards}
+        if len(shards) < len(manifest.shards) or splits - {*manifest.split_order}:
+            raise damaged(where, "shards: one is listed twice, or of no split in 'split_order'")
         return manifest
 
 
-class _Document(msgspec.Struct, kw_only=True, rename={"extra_dirs": "trees"}):
-    """The form of :meth:`Manifest.to_json` that is believed."""
+class _Sums(msgspec.Struct):
+    """What of the text of a manifest is no field of it."""
 
-    schema_version: Annotated[int, msgspec.Meta(ge=1)]
-    toolkit_version: str
-    libraries: dict[str, str] = {}
-    kind: str
-    complete: bool
-    spec: dict[str, Any]
-    split_order: tuple[str, ...]
     splits: dict[str, dict[str, int]] = {}
     skipped: dict[str, int] = {}
     statistics: dict[str, dict[str, Any]] = {}
-    files: dict[str, Sha256]
-    # The word of version 0.1.0, which wrote folders that are read today.
-    extra_dirs: tuple[str, ...] = ()
-    shards: list[ShardEntry]
 
 
 def read_manifest(folder: DataFolder) -> Manifest | None:

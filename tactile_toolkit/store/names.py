@@ -1,7 +1,7 @@
-"""Names of files that come from outside: manifests, records, rows, archives, the Hub.
+"""What comes from outside: places as users write them, names of files, JSON documents.
 
-Whoever wrote them may be anyone, and a name decides what is read, overwritten or deleted. All of them pass
-:func:`names_inside`.
+Whoever wrote them may be anyone, and a name decides what is read, overwritten or deleted. One reading of each
+for all that takes it. What an address must not hold (keys, signatures) is never repeated in a message.
 """
 
 from __future__ import annotations
@@ -9,36 +9,106 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterable
+from functools import cache
+from typing import Annotated, Any, TypeVar, cast
 
-from tactile_toolkit.errors import IntegrityError
+import msgspec
+
+from tactile_toolkit.errors import InputError, IntegrityError
+
+T = TypeVar("T")
+
+_SCHEME = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]*)://(?P<rest>.*)", re.DOTALL)
+_FOLDED = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
+_LOCAL_SCHEMES = ("file", "local")
+_WEB_SCHEMES = ("http", "https")
+_OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
+_USER = re.compile(r"://[^/\s'\"@]*@")
+_SIGNED = re.compile(r"\?[^\s'\"]*")
 
 _LONGEST_BYTES = 1024
-# File systems take 255 bytes; while a file is written, host, process and time stand before its name.
+# File systems take 255 bytes; while a file is written, more stands before its name.
 _LONGEST_PART_BYTES = 150
 _DRIVE = re.compile("[A-Za-z]:")
 _PORTS = frozenset(f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³")
 _WINDOWS_DEVICES = _PORTS | {"con", "prn", "aux", "nul", "conin$", "conout$"}
 _SHOWN = 80
 
+LARGEST = (1 << 63) - 1
+Count = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
+Sha256 = Annotated[str, msgspec.Meta(pattern=r"\A[0-9a-f]{64}\Z")]
+
+
+def scheme_of(place: str) -> str:
+    """Return the scheme of an address, such as ``s3``; empty for a local path, also in the form ``file://``."""
+    match = _SCHEME.fullmatch(place)
+    scheme = match["scheme"].lower() if match else ""
+    return "" if scheme in _LOCAL_SCHEMES else _OTHER_NAMES.get(scheme, scheme)
+
+
+def is_remote(place: str) -> bool:
+    """Return whether a place is not on a local file system."""
+    return bool(scheme_of(place))
+
+
+def redact(place: str) -> str:
+    """Return a place for a message: without a user, a key or a signature, which may stand in it."""
+    return _SIGNED.sub("?...", _USER.sub("://...@", place)) if is_remote(place) else place
+
+
+def normalize_uri(place: str) -> str:
+    """Return a local path without ``file://``, or an address in its one form, without a slash at its end.
+
+    Raises InputError for an address that names no bucket, is of the web, or holds a key or a signature.
+    """
+    match, scheme = _SCHEME.fullmatch(place), scheme_of(place)
+    if match is None:
+        if _FOLDED.match(place):
+            raise InputError(
+                f"{place!r} is an address of which a slash was lost, as pathlib.Path does it",
+                next="give it as text, or write ./ before it where a local folder is meant",
+            )
+        return place
+    rest = match["rest"].rstrip("/")
+    bucket, *parts = rest.split("/")
+    if not scheme:
+        if not match["rest"].startswith("/"):
+            expected = f"{match['scheme']}:///FOLDER"
+            raise InputError(
+                f"{place!r} is not the address of a file; expected {expected}", next="write it so"
+            )
+        return rest or "/"
+    is_plain = rest.isprintable() and "?" not in rest and not {".", ".."} & {bucket, *parts}
+    if not bucket or "@" in bucket or scheme in _WEB_SCHEMES or not is_plain:
+        raise InputError(
+            f"{redact(place)!r} is not the address of a data set; expected a folder, s3://BUCKET/FOLDER or "
+            "the like, of plain names ('.', '..' and control characters are none), without a user, a key or "
+            "a signature, and not of the web",
+            next="write it so, and give credentials as the store's own tools take them, such as AWS_PROFILE",
+        )
+    return f"{scheme}://{rest}"
+
 
 def problem_of_name(name: object) -> str:
     """Say why a name, a path with slashes, cannot be that of a file of a data set; empty where it can."""
-    if not isinstance(name, str):
-        return "is not a text"
-    if not name or len(name.encode(errors="replace")) > _LONGEST_BYTES:
-        return f"is not of 1 to {_LONGEST_BYTES:,} bytes"
-    if not name.isprintable():
-        return "holds control characters"
-    for part in name.split("/"):
-        if part in ("", ".", "..") or "\\" in part or _DRIVE.match(part):
-            return "leads out of the folder on some system, or is not a plain relative path"
-        if part.startswith("."):
-            return "is hidden, and data sets have no hidden files"
-        if part.endswith((".", " ")) or part.partition(".")[0].rstrip().casefold() in _WINDOWS_DEVICES:
-            return "means something else on Windows"
-        if len(part.encode(errors="replace")) > _LONGEST_PART_BYTES:
-            return f"has a part of more than {_LONGEST_PART_BYTES} bytes"
-    return ""
+    is_plain = (
+        isinstance(name, str)
+        and name.isprintable()
+        and len(name.encode(errors="replace")) <= _LONGEST_BYTES
+        and all(map(_is_plain_part, name.split("/")))
+    )
+    return "" if is_plain else "is not the plain relative path of a visible file on every system"
+
+
+def _is_plain_part(part: str) -> bool:
+    return not (
+        part.startswith(".")
+        or part.endswith((".", " "))
+        or "\\" in part
+        or _DRIVE.match(part)
+        or part.partition(".")[0].rstrip().casefold() in _WINDOWS_DEVICES
+        or not 0 < len(part.encode(errors="replace")) <= _LONGEST_PART_BYTES
+    )
 
 
 def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
@@ -59,8 +129,34 @@ def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
             shown = ascii(name)
             shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
             raise IntegrityError(
-                f"{where} names the file {shown}, which {problem}; expected plain relative paths; nothing "
-                "was done with it",
+                f"{where} names the file {shown}, which {problem}; nothing was done with it",
                 next="do not use this data set, or ask who made it",
             )
     return tuple(seen.values())
+
+
+@cache
+def _decoder(kind: Any) -> msgspec.json.Decoder[Any]:
+    return msgspec.json.Decoder(kind)
+
+
+def decode(content: str | bytes, kind: type[T], where: str) -> T:
+    """Return a JSON document as a value of a type; IntegrityError, naming ``where`` it is from, otherwise."""
+    try:
+        decoded: T = _decoder(cast(Any, kind)).decode(content)
+    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+        raise damaged(where, error) from error
+    return decoded
+
+
+def damaged(where: str, problem: object) -> IntegrityError:
+    """Return the error for a document in which a value cannot be right."""
+    return IntegrityError(f"{where!r} is damaged: {problem}", next="download or generate the data set again")
+
+
+def typed(values: Any, kind: type[T], where: str, field: str) -> T:
+    """Return a part of a decoded document as a value of a type; raises as :func:`decode`."""
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise damaged(where, f"{field}: {error}") from error

@@ -18,8 +18,7 @@ import msgspec
 
 from tactile_toolkit.store.files import open_regular
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import names_inside
-from tactile_toolkit.store.typed_json import Count, damaged, decode
+from tactile_toolkit.store.names import Count, damaged, decode, names_inside
 
 RECORD_FILE = ".download.json"
 
@@ -116,7 +115,7 @@ def read_record(folder: DataFolder) -> DownloadRecord | None:
         try:
             digest = Digest(entry.kind, str(entry.digest)) if entry.kind is not None else None
         except ValueError as error:
-            raise damaged(where, f"files.{path}.digest", str(error)) from error
+            raise damaged(where, f"files.{path}.digest: {error}") from error
         files[path] = HubFile(path, entry.bytes, digest)
     names_inside((*files, *document.labels), repr(where))
     origin = (document.repository, document.commit, document.revision)

@@ -15,17 +15,15 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.store.files import TEMPORARY_PREFIX
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
-from tactile_toolkit.store.job import CARDS, refuse_links, refuse_unknown_files
+from tactile_toolkit.store.job import BuildPlan, refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
-from tactile_toolkit.store.names import names_inside
+from tactile_toolkit.store.names import decode, names_inside
 from tactile_toolkit.store.origin import RECORD_FILE
-from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
-from tactile_toolkit.store.typed_json import decode
 
 _PROMOTION = f"{NEXT_FOLDER}/promotion.json"
 _PATIENCE_S = 60.0
-_OURS = ("reports/*.parquet", "previews/*.png", *CARDS, RECORD_FILE, MANIFEST_FILE)
+_OURS = ("reports/*.parquet", "previews/*.png", "README.md", "croissant.json", RECORD_FILE, MANIFEST_FILE)
 
 
 class _Promotion(msgspec.Struct):
@@ -35,7 +33,7 @@ class _Promotion(msgspec.Struct):
     leave: list[str]
 
 
-def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list[str]:
+def require_replaceable(folder: DataFolder) -> list[str]:
     """Return the files of the data set that a run may replace, none where there is none; changes nothing.
 
     All that a data set of ours can hold is known by its name; what is hidden and not of ours stays. Raises
@@ -43,7 +41,6 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list
     moves no file.
     """
     if not folder.exists(MANIFEST_FILE):
-        refuse_links(folder, extra_dirs)
         refuse_unknown_files(folder)
         return []
     if not folder.is_local:
@@ -54,29 +51,21 @@ def require_replaceable(folder: DataFolder, extra_dirs: tuple[str, ...]) -> list
         )
     manifest = _manifest(folder)
     # A manifest may be any user's, of a data set from the Hub: what it names counts where kinds know it.
-    named = () if manifest is None else manifest.extra_dirs
+    named = () if manifest is None else manifest.trees
     further = [pattern for pattern in _extra_files() if pattern.partition("/")[0] in named]
-    refuse_links(folder, (*extra_dirs, *(pattern.partition("/")[0] for pattern in further)))
-    found = []
-    for name in folder.names():
-        if name.startswith(".") and name not in (PENDING_FOLDER, RECORD_FILE):
-            continue
-        for path in folder.walk(name) if folder.place(name).is_dir() else [name]:
-            folder.place(path)  # refuses a link
-            if not _is_ours(path, further):
-                raise InputError(
-                    f"{folder.address()!r} holds more than a data set (found {path!r}); nothing was changed; "
-                    "next: move that file away, or choose an empty or new folder (--out or OUT)"
-                )
-            found.append(path)
+    names = [name for name in folder.names() if name in (PENDING_FOLDER, RECORD_FILE) or name[0] != "."]
+    found = [
+        path for name in names for path in (folder.walk(name) if folder.place(name).is_dir() else [name])
+    ]
+    strange = [path for path in found if folder.place(path) and not _is_ours(path, further)]
     # A damaged manifest of ours has shards next to it; other programs have files of that name, too.
-    if manifest is None and not any(
-        path.startswith((f"{DATA_FOLDER}/", f"{PENDING_FOLDER}/")) for path in found
-    ):
+    if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & {*names}:
+        strange = [MANIFEST_FILE]
+    if strange:
         raise InputError(
-            f"{folder.address(MANIFEST_FILE)!r} may be any user's: it is not a manifest of this toolkit, and "
-            "no data lies next to it; nothing was changed",
-            next="choose an empty or new folder (--out or OUT)",
+            f"{folder.address()!r} holds more than a data set of this toolkit (found {strange[0]!r}); "
+            "nothing was changed",
+            next="move that file away, or choose an empty or new folder (--out or OUT)",
         )
     return found
 
@@ -135,7 +124,7 @@ def promote(folder: DataFolder) -> None:
 
     Raises InputError where the folder holds more than a data set by now, and nothing was touched.
     """
-    leave = require_replaceable(folder, ())
+    leave = require_replaceable(folder)
     arrive = [path for path in DataFolder(folder.address(NEXT_FOLDER)).walk() if not path.startswith(".")]
     promotion = _Promotion(arrive, sorted({*leave} - {*arrive}))
     folder.write_bytes(_PROMOTION, msgspec.json.encode(promotion))  # from here on there is no way back
@@ -159,7 +148,7 @@ def _carry_on(folder: DataFolder) -> None:
         sizes = folder.sizes(DATA_FOLDER)
         missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
         if missing:
-            _clear(folder)  # the same run makes them again where they are to be
+            folder.remove_tree(NEXT_FOLDER)  # the same run makes them again where they are to be
             raise IntegrityError(
                 f"{folder.address(missing[0])!r} is missing or of another size, though it was made to take "
                 "the place of a former file",
@@ -169,11 +158,4 @@ def _carry_on(folder: DataFolder) -> None:
     for path in promotion.leave:
         while path := path.rpartition("/")[0]:
             folder.remove_empty(path)
-    _clear(folder)
-
-
-def _clear(folder: DataFolder) -> None:
-    for path in [*folder.walk(NEXT_FOLDER)]:
-        if path != _PROMOTION:
-            folder.remove(path)
     folder.remove_tree(NEXT_FOLDER)

@@ -1,4 +1,4 @@
-"""The Parquet bytes of shards and reports: encoding, opening, and how large the rows are unpacked."""
+"""The Parquet bytes of shards and reports: encoding and opening."""
 
 from __future__ import annotations
 
@@ -17,8 +17,6 @@ from typing import IO, Any
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.files import readable
 from tactile_toolkit.store.folder import DataFolder
-
-_OFFSET_BYTES = 4
 
 _TAIL = struct.Struct("<I4s")  # length of the footer and Parquet's mark: how a file ends
 _FOOTER_CHECKSUM = struct.Struct("<4sI")
@@ -46,16 +44,11 @@ class ParquetStyle:
 REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16)
 
 
-def write_parquet(table: Any, style: ParquetStyle) -> tuple[bytes, Any]:
-    """Encode an Arrow table as a Parquet file and return its bytes and footer; equal tables, equal bytes."""
-    stream = io.BytesIO()
-    footer = _write(stream.write, table.schema, [table], style)
-    return stream.getvalue(), footer
-
-
 def encode_parquet(table: Any, style: ParquetStyle) -> bytes:
-    """Encode an Arrow table as the bytes of a Parquet file."""
-    return write_parquet(table, style)[0]
+    """Encode an Arrow table as the bytes of a Parquet file; equal tables, equal bytes."""
+    stream = io.BytesIO()
+    _write(stream.write, table.schema, [table], style)
+    return stream.getvalue()
 
 
 def stream_parquet(stream: IO[bytes], tables: Iterable[Any], style: ParquetStyle) -> str:
@@ -89,15 +82,13 @@ def _whole_groups(tables: Iterable[Any], rows: int) -> Iterator[Any]:
     yield pa.concat_tables(held)
 
 
-def _write(write: Callable[[bytes], object], schema: Any, groups: Iterable[Any], style: ParquetStyle) -> Any:
-    """Write tables of complete row groups as one file, forward only; return its footer."""
+def _write(write: Callable[[bytes], object], schema: Any, groups: Iterable[Any], style: ParquetStyle) -> None:
+    """Write tables of complete row groups as one file, forward only."""
     import pyarrow.parquet as pq
 
     encodings = dict(style.encodings)
-    # pyarrow takes columns with a dictionary by their paths in the file.
-    others = [path for path, _ in _leaves(schema) if path not in encodings] if encodings else True
+    others = [path for path in _paths(schema) if path not in encodings] if encodings else True
     sink = _Sink(write)
-    footers: list[Any] = []
     with pq.ParquetWriter(
         sink,
         schema,
@@ -109,13 +100,11 @@ def _write(write: Callable[[bytes], object], schema: Any, groups: Iterable[Any],
         data_page_size=1 << 20,
         # Pages cut by content would save uploads too little: benchmarks/shared_chunks.py.
         write_page_checksum=True,
-        metadata_collector=footers,
     ) as writer:
         for table in groups:
             writer.write_table(table, row_group_size=style.rows_per_group)
         sink.tail = bytearray()
     sink.finish()
-    return footers[0]
 
 
 class _Sink(io.RawIOBase):
@@ -157,7 +146,7 @@ def named_damage(address: str) -> Iterator[None]:
         with readable(address):
             yield
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise IntegrityError(f"{address!r} is not a whole Parquet file: {error}") from error
+        raise IntegrityError(f"{address!r} is not an intact Parquet file: {error}") from error
 
 
 def open_parquet(folder: DataFolder, path: str) -> Any:
@@ -249,65 +238,11 @@ def is_unchanged(folder: DataFolder, path: str, sha256: str, reads: bool) -> boo
     return folder.exists(path) and (not reads or file_sha256(folder, path) == sha256)
 
 
-def unpacked_bytes(footer: Any, schema: Any, read_text: Callable[[list[str]], Any]) -> int:
-    """Return the size of a shard's rows in Arrow's memory, which `datasets` calls ``num_bytes``.
+def _paths(schema: Any) -> list[str]:
+    """Return the paths of a schema's columns in a file, by which pyarrow takes them."""
+    import pyarrow.parquet as pq
 
-    It follows from the footer, except for text, whose size a dictionary hides there: ``read_text`` takes the
-    paths of such columns and returns a table that has them, and maybe others. Exact within some bytes per row
-    group for numbers and text. Pictures and clips count as they lie in the file uncompressed, which is more
-    by their page headers, and the names next to them not at all; offsets of inner lists are left out.
-    """
-    import pyarrow as pa
-
-    leaves = list(_leaves(schema))
-    lists = sum(pa.types.is_list(field.type) for field in schema)
-    total = 0
-    for group in (footer.row_group(index) for index in range(footer.num_row_groups)):
-        total += lists * _OFFSET_BYTES * (group.num_rows + 1)
-        for index, (_, leaf) in enumerate(leaves):
-            if _is_binary(leaf):
-                total += group.column(index).total_uncompressed_size
-            elif not _is_text(leaf):
-                # A bit for each value says whether it is there: readers of columns that may be null keep it.
-                total += group.column(index).num_values * (leaf.bit_width + 1) // 8
-    beside_blobs = {path.rpartition(".")[0] for path, leaf in leaves if _is_binary(leaf)}
-    texts = [path for path, leaf in leaves if _is_text(leaf) and path.rpartition(".")[0] not in beside_blobs]
-    if texts:
-        table = read_text(texts)
-        named = any(_is_binary(column.type) for column in table.columns)
-        chunks = (chunk for column in table.columns for chunk in column.chunks if len(chunk))
-        total += sum(text.nbytes for chunk in chunks for text in _texts([chunk], beside_blobs=named))
-    return int(total)
-
-
-def _texts(siblings: list[Any], *, beside_blobs: bool) -> Iterator[Any]:
-    """Yield the arrays of text among columns and below them, except the names next to pictures or clips."""
-    for array in siblings:
-        if array.type.num_fields:
-            inner = array.flatten()
-            fields = inner if isinstance(inner, list) else [inner]  # of a struct, of a list
-            yield from _texts(fields, beside_blobs=any(_is_binary(field.type) for field in fields))
-        elif _is_text(array.type) and not beside_blobs:
-            yield array
-
-
-def _leaves(fields: Iterable[Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield path and type of Parquet's columns, in their order, as pyarrow names them."""
-    import pyarrow as pa
-
-    for field in fields:
-        path, inner = f"{prefix}{field.name}", field.type
-        while inner.num_fields and not pa.types.is_struct(inner):
-            path, inner = f"{path}.list.element", inner.value_type  # whatever its name in Arrow
-        if pa.types.is_struct(inner):
-            yield from _leaves(inner, f"{path}.")
-        else:
-            yield path, inner
-
-
-def _is_text(data_type: Any) -> bool:
-    return str(data_type) in ("string", "large_string")
-
-
-def _is_binary(data_type: Any) -> bool:
-    return str(data_type) in ("binary", "large_binary")
+    file = io.BytesIO()
+    pq.write_table(schema.empty_table(), file)
+    columns = pq.ParquetFile(file).schema
+    return [columns.column(index).path for index in range(len(columns))]

@@ -20,7 +20,7 @@ from functools import cached_property
 from typing import IO, Any, TypeVar, cast
 
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
-from tactile_toolkit.store.address import scheme_of, shown
+from tactile_toolkit.store.names import redact, scheme_of
 
 _READ_AHEAD_BYTES = 1 << 20
 _PATIENCE_S = 20.0
@@ -35,7 +35,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Store:
-    """The store of an address such as ``s3://BUCKET/FOLDER``, in the form of ``address.place_of_data``."""
+    """The store of an address such as ``s3://BUCKET/FOLDER``, in the form of ``names.normalize_uri``."""
 
     address: str
 
@@ -69,7 +69,7 @@ class Store:
         logging.getLogger(type(system).__module__.partition(".")[0]).addHandler(logging.NullHandler())
         return system
 
-    def ask(self, action: Callable[[], T], doing: str, path: str) -> T:
+    def with_retry(self, action: Callable[[], T], doing: str, path: str) -> T:
         """Do something with the store; what fails in passing is tried again for a while.
 
         ``doing`` says, for messages, what is done with the file of that path. Raises FileNotFoundError and
@@ -83,18 +83,19 @@ class Store:
             except (FileNotFoundError, FileExistsError):
                 raise
             except Exception as error:
-                failure = _Failure(error)
-                said = failure.as_error(doing, address)
-                if said is None:
+                failure, is_transient = _failure(error, doing, address)
+                if failure is None:
                     raise
-                if not failure.is_passing or time.monotonic() - began_s + wait_s > _PATIENCE_S:
-                    raise said from (None if failure.holds_secrets else error)
+                if not is_transient or time.monotonic() - began_s + wait_s > _PATIENCE_S:
+                    raise failure from None  # what the client raised may quote keys
             time.sleep(wait_s)
             wait_s *= 2
 
     def open(self, key: str, path: str) -> IO[bytes]:
         """Open a file for reading piece by piece; FileNotFoundError where there is none."""
-        stream = self.ask(lambda: self.system.open(key, "rb", block_size=_READ_AHEAD_BYTES), "reading", path)
+        stream = self.with_retry(
+            lambda: self.system.open(key, "rb", block_size=_READ_AHEAD_BYTES), "reading", path
+        )
         # Whoever reads from the Hub names its failures.
         return cast(IO[bytes], stream if scheme_of(self.address) == "hf" else _Stream(self, path, stream))
 
@@ -124,11 +125,11 @@ class _Stream(io.BufferedIOBase):
     def read(self, size: int | None = -1) -> bytes:
         position = self._stream.tell()
 
-        def ask() -> bytes:
+        def read() -> bytes:
             self._stream.seek(position)
             return bytes(self._stream.read(-1 if size is None else size))
 
-        return self._store.ask(ask, "reading", self._path)
+        return self._store.with_retry(read, "reading", self._path)
 
     def readable(self) -> bool:
         return True
@@ -143,85 +144,67 @@ class _Stream(io.BufferedIOBase):
 
 _CLIENTS = {"botocore", "aiobotocore", "aiohttp", "gcsfs", "google", "huggingface_hub", "httpx", "httpcore"}
 _CLIENTS |= {"requests", "urllib3", "s3fs", "azure", "adlfs", "fsspec", "httpx2", "httpcore2"}
-_PASSING = {"SlowDown", "InternalError", "ServiceUnavailable", "RequestTimeout", "OperationAborted"}
-_PASSING |= {"Throttling", "ThrottlingException", "ConditionalRequestConflict", "RequestLimitExceeded"}
-_PASSING |= {"408", "429", "500", "502", "503", "504"}
-_BROKEN = {"ConnectionClosedError", "IncompleteRead", "IncompleteReadError", "ClientPayloadError"}
-_BROKEN |= {"ResponseStreamingError", "ServerDisconnectedError", "HTTPClientError", "ClientOSError"}
-_CREDENTIALS = (
-    "next: give credentials as the store's own tools take them (for S3: AWS_PROFILE, AWS_ACCESS_KEY_ID and "
-    "AWS_SECRET_ACCESS_KEY, or `aws configure`)"
+# What stores and their clients call what went wrong; numbers are those of HTTP.
+_TRANSIENT = re.compile(
+    "SlowDown|InternalError|Unavailable|RequestTimeout|Aborted|Throttling|Conflict|LimitExceeded|408|429|5.."
 )
-# The codes and the types of errors that a sentence is for.
-_SENTENCES: tuple[tuple[str, str], ...] = (
-    ("NoCredentialsError PartialCredentialsError CredentialRetrievalError ProfileNotFound "
-     "TokenRetrievalError SSOTokenLoadError UnauthorizedSSOTokenError DefaultCredentialsError RefreshError",
-     f"{{where}} needs credentials, and none can be used here ({{answer}}); {_CREDENTIALS}"),
-    ("ExpiredToken TokenRefreshRequired RequestExpired",
-     "the credentials for {where} have expired ({code}); next: renew them, and run it again"),
-    ("RequestTimeTooSkewed",
-     "{where}: the store reports that the clock of this machine is wrong; next: set it right"),
-    ("InvalidAccessKeyId SignatureDoesNotMatch InvalidToken AuthFailure 401",
-     f"{{where}}: the store does not take the credentials ({{code}}); {_CREDENTIALS}"),
-    # The answer of S3 to a question for the head of a file.
-    ("400",
-     "{where}: the store answers '400 Bad Request' and gives no reason, as S3 does for a wrong region or "
-     "expired credentials; next: set AWS_DEFAULT_REGION to the region of the bucket, check AWS_ENDPOINT_URL "
-     "if you set it, and renew the credentials"),
-    # A client that is sent on and on ends in a RecursionError.
-    ("PermanentRedirect AuthorizationHeaderMalformed 301 307 IllegalLocationConstraint RecursionError",
-     "{where} lies in another region ({code}); next: set AWS_DEFAULT_REGION to that of the bucket"),
-    ("403 AccessDenied AccessDeniedException AllAccessDisabled PermissionError",
-     "{doing} {where} is refused ({code}): the store does not know these credentials, or they may not do "
-     f"that; {_CREDENTIALS}, or ask the owner of the bucket"),
-)  # fmt: skip
-_NO_ANSWER = (
-    "the store of {where} gives no answer ({answer}); finished files stay; next: check the network and the "
-    "address of the store (for S3: AWS_ENDPOINT_URL), and run the same command again"
+_CONNECTION = re.compile("Connect|Timeout|Incomplete|Payload|Streaming|HTTPClientError|ClientOSError")
+_BAD_NAME = re.compile("InvalidBucketName|NoSuchBucketName|ParamValidation")
+# 400 is the answer of S3 to a question for the head of a file; a client that is sent on and on ends in a
+# RecursionError.
+_ELSEWHERE = re.compile("Redirect|AuthorizationHeader|LocationConstraint|RecursionError|301|307|400")
+_REFUSED = re.compile(
+    "Credential|Profile|Token|Expired|Auth|Access|Signature|Denied|Permission|Skewed|40[13]|Refresh"
 )
-_OTHER = "{doing} {where} failed: {code}: {answer}; finished files stay; next: run the same command again"
 _SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
 _ACCESS_KEY = re.compile(r"\b(?:AKIA|ASIA)[A-Z0-9]{12,}\b|\bhf_[A-Za-z0-9]{6,}")
 _ADDRESS = re.compile(r"\w+://[^\s'\"<>]+")
 
 
-class _Failure:
-    """What a client raised, with all that led to it."""
+def _failure(error: Exception, doing: str, address: str) -> tuple[ToolkitError | None, bool]:
+    """Return what is to be raised for what a client raised, and whether trying again may help.
 
-    def __init__(self, error: Exception) -> None:
-        self.chain = list(_chain(error))
-        self.names = {type(link).__name__ for link in self.chain}
-        self.code = next((code for code in map(_code_of, self.chain) if code is not None), None)
-        self.is_silence = self.code is None and any(map(_is_silence, self.chain))
-        self.is_passing = self.code in _PASSING or self.is_silence
-
-    def as_error(self, doing: str, address: str) -> ToolkitError | None:
-        """Return what is to be raised; None for an error that has nothing to do with a store."""
-        if any(isinstance(link, ToolkitError) for link in self.chain):
-            return None
-        link = next((each for each in reversed(self.chain) if _is_of_client(each)), self.chain[0])
-        said = (_hidden(str(link)).strip().splitlines() or [""])[0][:300] or type(link).__name__
-        code = self.code or type(self.chain[0]).__name__
-        words = {"where": repr(address), "doing": doing, "code": code, "answer": said}
-        if "FileExpired" in self.names:
-            message = f"{address!r} was replaced while it was read; next: run the same command again"
-            return IntegrityError(message)
-        if {self.code, *self.names} & {"InvalidBucketName", "NoSuchBucketName", "ParamValidationError"}:
-            return InputError(f"{address!r} holds no name that a bucket or file can have; next: check it")
-        for causes, sentence in _SENTENCES:
-            if {self.code, *self.names} & set(causes.split()):
-                return RemoteError(sentence.format(**words))
-        if self.is_silence:
-            return RemoteError(_NO_ANSWER.format(**words))
-        is_of_store = self.code is not None or any(map(_is_of_client, self.chain))
-        if is_of_store or isinstance(self.chain[0], OSError):
-            return RemoteError(_OTHER.format(**words))
-        return None
-
-    @property
-    def holds_secrets(self) -> bool:
-        """Whether a text of it is not to be shown."""
-        return any(_hidden(str(link)) != str(link) for link in self.chain)
+    None stands for an error that has nothing to do with a store.
+    """
+    chain = list(_chain(error))
+    if any(isinstance(link, ToolkitError) for link in chain):
+        return None, False
+    status = next((code for code in map(_code_of, chain) if code is not None), None)
+    is_silent = status is None and any(map(_is_connection_error, chain))
+    code = status or type(error).__name__
+    causes = " ".join([status or "", *(type(link).__name__ for link in chain)])
+    link = next((each for each in reversed(chain) if _is_of_client(each)), error)
+    answer = (_hidden(str(link)).strip().splitlines() or [""])[0][:300] or type(link).__name__
+    failure: ToolkitError | None = None
+    if "FileExpired" in causes:
+        failure = IntegrityError(f"{address!r} was replaced while it was read", next="run it again")
+    elif _BAD_NAME.search(causes):
+        failure = InputError(f"{address!r} holds no name that a bucket or file can have", next="check it")
+    elif _ELSEWHERE.search(causes):
+        failure = RemoteError(
+            f"{address!r} lies in another region ({code}), or the credentials have expired",
+            next="set AWS_DEFAULT_REGION to the region of the bucket, check AWS_ENDPOINT_URL if you set it, "
+            "and renew the credentials",
+        )
+    elif _REFUSED.search(causes):
+        failure = RemoteError(
+            f"{doing} {address!r} is refused ({code}: {answer})",
+            next="give credentials that may do that and have not expired, as the store's own tools take them "
+            "(for S3: AWS_PROFILE, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or `aws configure`), and "
+            "check the clock of this machine",
+        )
+    elif is_silent:
+        failure = RemoteError(
+            f"the store of {address!r} gives no answer ({answer}); finished files stay",
+            next="check the network and the address of the store (for S3: AWS_ENDPOINT_URL), and run the "
+            "same command again",
+        )
+    elif status is not None or isinstance(error, OSError) or any(map(_is_of_client, chain)):
+        failure = RemoteError(
+            f"{doing} {address!r} failed: {code}: {answer}; finished files stay",
+            next="run the same command again",
+        )
+    return failure, is_silent or bool(_TRANSIENT.match(status or ""))
 
 
 def _chain(error: BaseException | None) -> Iterator[BaseException]:
@@ -243,11 +226,9 @@ def _code_of(link: BaseException) -> str | None:
     return str(status) if isinstance(status, int) else None
 
 
-def _is_silence(link: BaseException) -> bool:
+def _is_connection_error(link: BaseException) -> bool:
     """Return whether a store gave no answer, or broke off in the middle of one."""
-    name = type(link).__name__
-    is_broken = name in _BROKEN or (_is_of_client(link) and re.search("Connect|Timeout", name))
-    return bool(is_broken) or isinstance(link, (ConnectionError, TimeoutError))
+    return bool(_CONNECTION.search(type(link).__name__)) or isinstance(link, (ConnectionError, TimeoutError))
 
 
 def _is_of_client(link: BaseException) -> bool:
@@ -262,4 +243,4 @@ def _hidden(text: str) -> str:
     for name in _SECRET_VARIABLES:
         if os.environ.get(name):
             text = text.replace(os.environ[name], "***")
-    return _ADDRESS.sub(lambda match: shown(match[0]), _ACCESS_KEY.sub("***", text))
+    return _ADDRESS.sub(lambda match: redact(match[0]), _ACCESS_KEY.sub("***", text))

@@ -5,15 +5,16 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import zip_longest
 from pathlib import PurePosixPath
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.folder import PENDING_FOLDER
-from tactile_toolkit.store.typed_json import LARGEST, Count, Sha256
+from tactile_toolkit.store.names import LARGEST, Count, Sha256
 from tactile_toolkit.wording import did_you_mean, printable
 
 DAMAGED = "damaged"
@@ -27,8 +28,9 @@ MOST_ROWS = 1 << 40
 
 _MANY_SHARDS = 8192
 
-# Numbers have five digits, and more where five are too few.
-_SHARD_PATTERN = re.compile(r"(?P<split>\w+)-(?P<index>[0-9]{5,12})-of-(?P<count>[0-9]{5,12})\.parquet")
+# Numbers have five digits, and more where five are too few: one shard, one name.
+_NUMBER = "([0-9]{5}|[1-9][0-9]{5,11})"
+_SHARD_PATTERN = re.compile(rf"(\w+)-{_NUMBER}-of-{_NUMBER}\.parquet")
 _NUMBERS = re.compile("([0-9]+)")
 
 
@@ -63,9 +65,8 @@ class ShardName(msgspec.Struct, frozen=True, order=True):
         match = _SHARD_PATTERN.fullmatch(file_name)
         if match is None:
             return None
-        shard = cls(match["split"], int(match["index"]), int(match["count"]))
-        # One shard, one name: what has more zeros than we write is a file of another user.
-        return shard if file_name == f"{shard}.parquet" else None
+        split, index, count = match.groups()
+        return cls(split, int(index), int(count))
 
     @property
     def can_be_read_back(self) -> bool:
@@ -112,37 +113,13 @@ class Skipped(msgspec.Struct, frozen=True):
         msgspec.structs.force_setattr(self, "message", printable(self.message))
 
 
-class ShardRecord(NamedTuple):
-    """What was written for one shard; merged into the manifest at the end of a run.
+class ShardRecord(msgspec.Struct, frozen=True, dict=True):
+    """What was written for one shard, in the form in which manifests and pending records hold it.
 
     ``report_sha256`` is the checksum of its report rows, where there are any. ``statistics`` are counts over
-    its rows that add up over shards, see :func:`add_up`. ``unpacked_bytes`` is the size of its rows in memory
-    for the card, see :func:`tactile_toolkit.store.parquet.unpacked_bytes`; folders of before 0.2 lack it.
+    its rows that add up over shards, see :func:`add_up`. ``unpacked_bytes`` is the size of its rows in
+    memory, for the card; folders of before 0.2 lack it.
     """
-
-    shard: ShardName
-    rows: int
-    bytes: int
-    sha256: str
-    report_sha256: str | None = None
-    skipped: tuple[Skipped, ...] = ()
-    statistics: Mapping[str, Any] | None = None
-    unpacked_bytes: int | None = None
-
-    def is_size_of(self, sizes: Mapping[str, int]) -> bool:
-        """Return whether the shard's file is among the sizes of those in ``data``, with the size it had."""
-        return sizes.get(f"{self.shard}.parquet") == self.bytes
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values; ``file`` is the shard's path in the folder."""
-        values: tuple[Any, ...] = self[1:]
-        entry = ShardEntry(self.shard.data_path, self.shard.split, *values)
-        entries = msgspec.to_builtins(entry).items()
-        return {name: value for name, value in entries if value is not None or name == "report_sha256"}
-
-
-class ShardEntry(msgspec.Struct, frozen=True):
-    """The form of :meth:`ShardRecord.to_dict` that is believed: its fields, in their order."""
 
     file: str
     split: str
@@ -154,14 +131,28 @@ class ShardEntry(msgspec.Struct, frozen=True):
     statistics: dict[str, Any] | None = None
     unpacked_bytes: Count | None = None
 
-    def record(self) -> ShardRecord:
-        """Return the record; ValueError where the file is not named as that shard is."""
-        file, split, *values = msgspec.structs.astuple(self)[: len(ShardEntry.__struct_fields__)]
-        folder, _, name = file.rpartition("/")
+    @classmethod
+    def of(cls, shard: ShardName, rows: int, size_bytes: int, sha256: str, **more: Any) -> ShardRecord:
+        """Return the record of a shard."""
+        return cls(shard.data_path, shard.split, rows, size_bytes, sha256, **more)
+
+    @cached_property
+    def shard(self) -> ShardName:
+        """Which shard it is of; ValueError where the file is not named as that shard is."""
+        folder, _, name = self.file.rpartition("/")
         shard = ShardName.parse(name)
-        if shard is None or folder != DATA_FOLDER or shard.index >= shard.count or shard.split != split:
-            raise ValueError(f"found {file[:80]!r}, expected a shard's name and split")
-        return ShardRecord(shard, *values)
+        if shard is None or folder != DATA_FOLDER or shard.index >= shard.count or shard.split != self.split:
+            raise ValueError(f"found file {self.file[:80]!r}, expected a shard's name and split")
+        return shard
+
+    def is_size_of(self, sizes: Mapping[str, int]) -> bool:
+        """Return whether the shard's file is among the sizes of those in ``data``, with the size it had."""
+        return sizes.get(self.file.rpartition("/")[2]) == self.bytes
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        values = msgspec.to_builtins(self).items()
+        return {name: value for name, value in values if value is not None or name == "report_sha256"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,6 +243,8 @@ def files_of_split(files: list[ShardFile], split: str, where: str) -> list[Shard
 def no_split(split: str, known: tuple[str, ...], where: str) -> InputError:
     """Return the error for a split that is not there, among those that are."""
     if not known:
-        return InputError(f"no Parquet files in {where!r}; next: give the folder or repository of a data set")
+        return InputError(
+            f"no Parquet files in {where!r}", next="give the folder or repository of a data set"
+        )
     found = f"it has {', '.join(known)}{did_you_mean(split, known)}"
-    return InputError(f"no split {split!r} in {where!r}: {found}; next: choose one of them, or make it")
+    return InputError(f"no split {split!r} in {where!r}: {found}", next="choose one of them, or make it")

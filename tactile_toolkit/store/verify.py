@@ -6,7 +6,7 @@ import contextlib
 import io
 import os
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -78,25 +78,30 @@ def verify(
         record = read_record(folder)
         if record is None:
             raise InputError(
-                f"{folder.lacks(f'{MANIFEST_FILE} and no record of a download')}",
-                next="give the folder of a "
-                "generated or downloaded data set, whose files can be compared with those",
+                folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
+                next="give the folder of a generated or downloaded data set",
             )
         return _verify_copy(folder, record, on_file, workers)
     findings = _incomplete(folder, manifest)
 
-    def shards() -> Iterator[ShardRecord]:
-        for record in manifest.shards:
-            on_file(record.shard.data_path)
-            yield record
+    def announced(record: ShardRecord) -> ShardRecord:
+        on_file(record.file)
+        return record
 
-    checked = list(in_threads(partial(_check_shard, folder, schema), shards(), workers))
-    for (found, _), repeated in zip(checked, _repeated_ids(manifest.shards, checked), strict=True):
+    shards = map(announced, manifest.shards)
+    checked = list(in_threads(partial(_check_shard, folder, schema), shards, workers))
+    ids = [each for _, each in checked]
+    for (found, _), repeated in zip(checked, _repeated_ids(manifest.shards, ids), strict=True):
         findings += [*found, *repeated]
-    files = {path: each for path, each in (manifest.files or {}).items() if not _is_left_out(folder, path)}
+    # Files for the Hub's page may be left out, as in the cache of who wanted the rows alone.
+    files = {
+        path: each
+        for path, each in manifest.files.items()
+        if not path.startswith(f"{VIEWER_FOLDER}/") or folder.exists(path)
+    }
     for path, checksum in files.items():
         on_file(path)
-        findings += _check_file(folder, path, Digest("sha256", checksum))[0]
+        findings += _check_file(folder, HubFile(path, 0, Digest("sha256", checksum)))[0]
     if check_card is not None and not findings:  # what is damaged is named, and cannot be compared with
         findings += check_card(folder)
     rows = sum(shard.rows for shard in manifest.shards)
@@ -104,48 +109,29 @@ def verify(
     return Verification(len(manifest.shards) + len(files), rows, size, tuple(findings))
 
 
-def _is_left_out(folder: DataFolder, path: str) -> bool:
-    """Return whether a file for the Hub's page is not here, as in the cache of who wanted the rows alone."""
-    return path.startswith(f"{VIEWER_FOLDER}/") and not folder.exists(path)
-
-
 def _verify_copy(
     folder: DataFolder, record: DownloadRecord, on_file: Callable[[str], None], workers: int
 ) -> Verification:
-    findings: list[Finding] = []
-    rows = 0
+    def announced(file: HubFile) -> HubFile:
+        on_file(file.path)
+        return file
 
-    def files() -> Iterator[HubFile]:
-        for file in record.files.values():
-            on_file(file.path)
-            yield file
-
-    def check(file: HubFile) -> tuple[list[Finding], int]:
-        return _check_file(folder, file.path, file.digest, file.size_bytes)
-
-    for problems, held in in_threads(check, files(), workers):
-        findings += problems
-        rows += held
-    findings += [
-        Finding(f"{DATA_FOLDER}/{name}", f"is not listed in {RECORD_FILE}; next: remove it")
-        for name in folder.names(DATA_FOLDER)
-        if f"{DATA_FOLDER}/{name}" not in record.files and not name.startswith(".")
-    ]
+    # Ids are the publisher's own: nothing says that they differ between splits.
+    checked = list(in_threads(partial(_check_file, folder), map(announced, record.files.values()), workers))
+    findings = [finding for found, _ in checked for finding in found]
+    findings += _unlisted(folder, record.files, RECORD_FILE)
     size = sum(file.size_bytes for file in record.files.values())
     reference = f"{record.repo_id} at {record.commit[:12]}"
-    return Verification(len(record.files), rows, size, tuple(findings), reference)
+    return Verification(len(checked), sum(rows for _, rows in checked), size, tuple(findings), reference)
 
 
-def _check_file(
-    folder: DataFolder, path: str, digest: Digest | None, size: int | None = None
-) -> tuple[list[Finding], int]:
+def _check_file(folder: DataFolder, file: HubFile) -> tuple[list[Finding], int]:
     """Check one file against what is known of it; return what is wrong, and the rows that it holds."""
     try:
-        # Ids are the publisher's own: nothing says that they differ between splits.
-        with _intact(folder, path, digest, size) as stream, named_damage(folder.address(path)):
-            return [], open_checked(stream).metadata.num_rows if path.endswith(".parquet") else 0
+        with _intact(folder, file) as stream, named_damage(folder.address(file.path)):
+            return [], open_checked(stream).metadata.num_rows if file.path.endswith(".parquet") else 0
     except IntegrityError as error:
-        return [Finding(path, str(error))], 0
+        return [Finding(file.path, str(error))], 0
 
 
 def problem_of_place(folder: DataFolder, path: str) -> str:
@@ -175,47 +161,51 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
         missing = set(range(shards[0].count)) - {shard.index for shard in shards}
         if missing:
             findings.append(Finding(MANIFEST_FILE, f"split {split!r} lacks shards {sorted(missing)}"))
-    known = {record.shard.data_path for record in manifest.shards}
-    # Hidden names are of temporary files, and a run may be at work on a split of which nothing is listed.
+    # A run may be at work on a split of which nothing is listed.
     others = set(manifest.split_order) - set(manifest.splits)
+    return findings + _unlisted(folder, {record.file for record in manifest.shards}, MANIFEST_FILE, others)
+
+
+def _unlisted(
+    folder: DataFolder, listed: Collection[str], where: str, others: Collection[str] = ()
+) -> list[Finding]:
+    """Find files among the shards that are not listed, but for those of other splits and temporary ones."""
+    findings = []
     for name in folder.names(DATA_FOLDER):
         path, shard = f"{DATA_FOLDER}/{name}", ShardName.parse(name)
         is_begun = shard is not None and shard.split in others
-        if not (path in known or is_begun or name.startswith(".")):
-            findings.append(Finding(path, f"is not listed in {MANIFEST_FILE}; next: remove it"))
+        if not (path in listed or is_begun or name.startswith(".")):
+            findings.append(Finding(path, f"is not listed in {where}; next: remove it"))
     return findings
 
 
 @contextlib.contextmanager
-def _intact(
-    folder: DataFolder, path: str, digest: Digest | None, size: int | None = None
-) -> Iterator[IO[bytes]]:
-    """Open a file that has this digest, or this size; IntegrityError says what is wrong with any other."""
-    problem = problem_of_place(folder, path)
-    if not problem:
-        # One of a store is brought here whole, because it is gone through twice.
-        with folder.open(path) if folder.is_local else io.BytesIO(folder.read_bytes(path)) as stream:
-            found_size = stream.seek(0, io.SEEK_END)
-            stream.seek(0)
-            found = None if digest is None else digest.of_stream(stream, found_size)
-            if digest is not None and found is not None and found != digest:
-                problem = f"{found.kind} is {found.value}, expected {digest.value}"
-            elif size not in (None, found_size):
-                problem = f"has {found_size:,} bytes, expected {size:,}"
-            else:
-                yield stream
-                return
-    raise IntegrityError(problem)
+def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
+    """Open a file that has this digest or size; IntegrityError says what is wrong with any other."""
+    problem = problem_of_place(folder, file.path)
+    if problem:
+        raise IntegrityError(problem)
+    # One of a store is brought here whole, because it is gone through twice.
+    with folder.open(file.path) if folder.is_local else io.BytesIO(folder.read_bytes(file.path)) as stream:
+        size = stream.seek(0, io.SEEK_END)
+        stream.seek(0)
+        found = None if file.digest is None else file.digest.of_stream(stream, size)
+        if found != file.digest:
+            raise IntegrityError(f"{found}, expected {file.digest}")
+        if file.digest is None and size != file.size_bytes:
+            raise IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
+        yield stream
 
 
 def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[list[Finding], Any]:
     """Check one shard; return what is wrong with it, and its ids as an Arrow array (None: unreadable)."""
     import pyarrow as pa
 
-    path, ids, findings = record.shard.data_path, None, []
+    path, ids, findings = record.file, None, []
     address = folder.address(path)
+    file = HubFile(path, record.bytes, Digest("sha256", record.sha256))
     try:
-        with _intact(folder, path, Digest("sha256", record.sha256)) as stream, named_damage(address):
+        with _intact(folder, file) as stream, named_damage(address):
             parquet = open_checked(address if folder.is_local else stream)
             rows, stored = parquet.metadata.num_rows, parquet.schema_arrow
             place = stored.get_field_index("id")
@@ -227,51 +217,44 @@ def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[
         return [Finding(path, str(error))], None
     if rows != record.rows:
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
+    # Compared by Arrow: how the element of a list is called does not count.
     if schema is not None and not stored.equals(schema):
-        # Compared by Arrow: how the element of a list is called does not count.
         there, expected = (
-            [str(each).partition("<")[2][:-1] for each in one if not any(map(each.equals, other))]
+            [f"{each.name}: {each.type}" for each in one if not any(map(each.equals, other))]
             for one, other in ((stored, schema), (schema, stored))
         )
-        differences = f"{there} there, {expected} expected"
-        if not there and not expected:
-            differences = (
-                f"columns in the order {', '.join(stored.names)}, expected {', '.join(schema.names)}"
-            )
+        differences = f"{there} there, {expected} expected" if there or expected else "the order of columns"
         findings.append(Finding(path, f"schema differs: {differences}"))
     return findings, ids
 
 
-def _repeated_ids(
-    records: Sequence[ShardRecord], checked: Sequence[tuple[list[Finding], Any]]
-) -> Iterator[list[Finding]]:
+def _repeated_ids(records: Sequence[ShardRecord], ids: Sequence[Any]) -> Iterator[list[Finding]]:
     """Yield for each shard a finding where an id stands in it twice, or in a shard before it."""
-    suspects = _suspects([ids for _, ids in checked if ids is not None])
+    suspects = _suspects([each for each in ids if each is not None])
     first_files: dict[object, str] = {}
-    for record, (_, ids) in zip(records, checked, strict=True):
-        path = record.shard.data_path
-        held = [each for each in ids.to_pylist() if each in suspects] if suspects and ids is not None else ()
-        repeated = [each for each, count in Counter(held).items() if count > 1 or each in first_files]
+    for record, each in zip(records, ids, strict=True):
+        held = (
+            [value for value in each.to_pylist() if value in suspects]
+            if suspects and each is not None
+            else ()
+        )
+        repeated = [value for value, count in Counter(held).items() if count > 1 or value in first_files]
+        found = []
         if repeated:
-            first = first_files.get(repeated[0], path)
-            problem = (
-                f"id {repeated[0]!r} is not unique, it also stands in {first} ({len(repeated)} such ids)"
-            )
-            yield [Finding(path, problem)]
-        else:
-            yield []
-        first_files.update(dict.fromkeys(held, path))
+            first = first_files.get(repeated[0], record.file)
+            problem = f"is not unique, it also stands in {first} ({len(repeated)} such ids)"
+            found.append(Finding(record.file, f"id {repeated[0]!r} {problem}"))
+        yield found
+        first_files.update(dict.fromkeys(held, record.file))
 
 
 def _suspects(ids: Sequence[Any]) -> set[object]:
-    """Return the ids that stand in some arrays more than once; integers without an object for each."""
-    import numpy as np
+    """Return the ids that stand in some arrays more than once."""
     import pyarrow as pa
+    import pyarrow.compute as pc
 
-    types = {array.type for array in ids}
-    if len(types) > 1 or any(not pa.types.is_integer(array.type) or array.null_count for array in ids):
-        counts = Counter(each for array in ids for each in array.to_pylist())
-        return {each for each, count in counts.items() if count > 1}
-    values = np.concatenate([array.to_numpy() for array in ids] or [np.zeros(0, np.int64)])
-    values.sort()
-    return set(values[1:][values[1:] == values[:-1]].tolist())
+    suspects: set[object] = set()
+    for kind in {array.type for array in ids}:
+        counted = pa.chunked_array([array for array in ids if array.type == kind]).value_counts()
+        suspects.update(counted.filter(pc.greater(counted.field("counts"), 1)).field("values").to_pylist())
+    return suspects

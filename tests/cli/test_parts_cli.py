@@ -15,7 +15,7 @@ import pytest
 
 from realtouch import frames
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.run.processes import Finish, Part
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tests import command_line

@@ -14,7 +14,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.run.parts import Check
+from tactile_toolkit.run.processes import Check
 from tactile_toolkit.store.parquet import sha256_hex
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth

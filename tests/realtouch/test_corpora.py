@@ -19,8 +19,7 @@ from PIL import Image
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.run.parts import Check, Finish, Part
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part
 from tactile_toolkit.touch.jpeg import decode_image
 from tests.command_line import call
 from tests.realtouch import factories

@@ -20,8 +20,7 @@ import realtouch
 from realtouch.convert import plan
 from realtouch.exchange import lerobot
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.run.parts import Check, Finish, Part
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part
 from tactile_toolkit.touch.jpeg import decode_image
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth

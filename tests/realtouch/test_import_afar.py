@@ -47,7 +47,7 @@ def test_what_lies_in_a_store_becomes_what_a_folder_becomes(
         home, columns = tmp_path / "there" / "webdataset", realtouch.ImportColumns(round="round_id")
     afar = DataFolder(f"s3://{bucket}/of others")
     for path in folder_bytes(home):
-        afar.copy_in(path, home / path)
+        afar.upload(path, home / path)
     s3.traffic.reset()
     made = realtouch.import_images(afar.url, tmp_path / "afar", layout, columns)
     folders = {str(Path(path).parent) for path in folder_bytes(home)}

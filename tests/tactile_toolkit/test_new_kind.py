@@ -11,7 +11,7 @@ import pytest
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.exchange.upload import check_folder, collect
 from tactile_toolkit.making import forecast, generate
-from tactile_toolkit.run.parts import Finish, Part
+from tactile_toolkit.run.processes import Finish, Part
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tests.tactile_toolkit import boxes

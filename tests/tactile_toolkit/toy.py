@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
+from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.plan import BuildPlan, ShardContent
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tests.mesh_columns import list_array
 

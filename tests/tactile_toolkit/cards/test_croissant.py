@@ -8,6 +8,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
@@ -127,7 +128,10 @@ def test_many_shards_are_one_set_of_files(folder):
     manifest = read_manifest(place)
     assert manifest is not None
     (record,) = manifest.shards_of("test")
-    many = [record._replace(shard=ShardName("test", index, 5_000)) for index in range(5_000)]
+    many = [
+        msgspec.structs.replace(record, file=ShardName("test", index, 5_000).data_path)
+        for index in range(5_000)
+    ]
     manifest = replace(manifest, shards=(*many, *manifest.shards_of("holdout")))
     facts = folder_facts(place, manifest, digit_schema())
     _, head, body = (folder / "README.md").read_text().split("---\n", 2)

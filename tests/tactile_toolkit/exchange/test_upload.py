@@ -389,13 +389,13 @@ def test_a_folder_in_a_store_is_sent_from_a_copy_that_goes_with_the_upload(serve
 def test_the_first_failure_ends_the_copying(tmp_path, monkeypatch):
     asked = []
 
-    def copy_out(_: DataFolder, path: str, __: Path) -> None:
+    def download(_: DataFolder, path: str, __: Path) -> None:
         asked.append(path)
         raise OSError(path)
 
     for number in range(200):
         (tmp_path / f"{number:03d}").touch()
-    monkeypatch.setattr(DataFolder, "copy_out", copy_out)
+    monkeypatch.setattr(DataFolder, "download", download)
     with pytest.raises(OSError, match="000"):
         local_copy(DataFolder(str(tmp_path)), tmp_path / "copy")
     assert len(asked) < 50

@@ -25,7 +25,7 @@ def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, m
     starstruck_gen.generate(spec, tmp_path / "scenes")
     place = DataFolder(f"s3://{bucket}/scenes")
     for path in folder_bytes(tmp_path / "scenes"):
-        place.copy_in(path, tmp_path / "scenes" / path)
+        place.upload(path, tmp_path / "scenes" / path)
     assert len(place.names("data")) == 9
 
     def batches_of(name):

@@ -168,7 +168,7 @@ def test_a_run_without_tasks_or_workers() -> None:
 def test_workers_and_command_lines_do_without_pandas() -> None:
     code = """
 import sys
-from tactile_toolkit.run.limits import skip_pandas
+from tactile_toolkit.run.threads import skip_pandas
 skip_pandas()
 import pyarrow as pa
 pa.array([1, 2]), pa.Table.from_pylist([{"x": "a"}])

@@ -25,7 +25,7 @@ from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.run import InlineRunner, RayRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.plan import BuildPlan
+from tactile_toolkit.store.job import BuildPlan
 from tests.processes import alive, children, printed_by, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 

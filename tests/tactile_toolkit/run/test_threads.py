@@ -40,10 +40,10 @@ for shard in find_shards(sys.argv[1], "train"):
 """,
     ),
     "report": (
-        "tactile_toolkit.store.reports",
+        "tactile_toolkit.store.derived",
         """
 from tactile_toolkit.store.folder import DataFolder
-assert len(tactile_toolkit.store.reports.read_report(DataFolder(sys.argv[1]), "reports/toy.parquet"))
+assert len(tactile_toolkit.store.derived.read_report(DataFolder(sys.argv[1]), "reports/toy.parquet"))
 """,
     ),
 }
@@ -63,7 +63,7 @@ def test_reading_starts_no_thread(tmp_path, what):
 
 LIMITED = """
 import pathlib
-from tactile_toolkit.run.limits import limit_threads
+from tactile_toolkit.run.threads import limit_threads
 limit_threads()
 import numpy
 numpy.ones((500, 500)) @ numpy.ones((500, 500))

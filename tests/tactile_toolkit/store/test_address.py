@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.address import is_remote, place_of_data
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.names import is_remote, normalize_uri
 from tests.processes import printed_by
 
 
@@ -29,26 +29,25 @@ from tests.processes import printed_by
     ],
 )
 def test_one_form_of_each_place(given, place):
-    assert place_of_data(given) == place
-    assert place_of_data(place) == place
+    assert normalize_uri(given) == place
+    assert normalize_uri(place) == place
     assert is_remote(given) == is_remote(place) == (place.partition("://")[0] in ("s3", "gs", "hf"))
 
 
 @pytest.mark.parametrize(
     ("address", "words"),
     [
-        ("s3://", "'s3://' names no bucket; next: write it as s3://BUCKET/FOLDER"),
-        ("s3:///set", "names no bucket"),
-        ("file://set", "expected file:///FOLDER; next: write it so, or as a path"),
-        ("s3://a/../b", "'s3://a/../b' has '.' or '..' in it, which lead nowhere in a store"),
-        ("s3://a/./b", "next: write the folder in full"),
-        ("s3://../b", "which lead nowhere in a store"),
-        ("s3://a/b\0", "holds a line break or another control character"),
-        ("s3://KEY:SECRET@bucket/set", "'s3://...@bucket/set' holds a user, a key or a signature"),
-        ("s3://bucket/set?X-Amz-Signature=SECRET", "'s3://bucket/set?...' holds a user"),
-        ("https://KEY:SECRET@host/set", "'https://...@host/set' is an address of the web"),
+        ("s3://", "'s3://' is not the address of a data set; expected a folder, s3://BUCKET/FOLDER"),
+        ("s3:///set", "is not the address of a data set"),
+        ("file://set", "expected file:///FOLDER; next: write it so"),
+        ("s3://a/../b", "'s3://a/../b' is not the address of a data set"),
+        ("s3://a/./b", "of plain names ('.', '..' and control characters are none)"),
+        ("s3://a/b\0", "is not the address of a data set"),
+        ("s3://KEY:SECRET@bucket/set", "'s3://...@bucket/set' is not the address"),
+        ("s3://bucket/set?X-Amz-Signature=SECRET", "'s3://bucket/set?...' is not the address"),
+        ("https://KEY:SECRET@host/set", "'https://...@host/set' is not the address"),
         ("s3:/bucket/set", "'s3:/bucket/set' is an address of which a slash was lost"),
-        ("http://host/set?X-Amz-Signature=SECRET", "give a folder, s3://BUCKET/FOLDER"),
+        ("http://host/set?X-Amz-Signature=SECRET", "and not of the web"),
     ],
 )
 def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address, words):
@@ -65,7 +64,7 @@ def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address
         lambda folder: folder.require_folder(),
         lambda folder: folder.write_bytes("data/a", b"1"),
         lambda folder: folder.create_bytes("data/a", b"1"),
-        lambda folder: folder.copy_in("data/a", Path(__file__)),
+        lambda folder: folder.upload("data/a", Path(__file__)),
         lambda folder: folder.remove("data/a"),
     ],
 )

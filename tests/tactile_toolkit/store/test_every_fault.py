@@ -20,8 +20,7 @@ from typing import Any
 import pytest
 
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
-from tactile_toolkit.run.parts import Finish, Part
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.run.processes import Finish, InlineRunner, Part
 from tactile_toolkit.store import build as module
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder

@@ -67,7 +67,7 @@ def test_more_shards_than_five_digits_count_are_planned_and_read(tmp_path):
     few = replace(plan, tasks=(tasks[0], *tasks[-2:]))
     made = {record.shard.index: record for record in build(folder, few, InlineRunner()).shards}
     records = [
-        made.get(task.shard.index) or ShardRecord(task.shard, 1, 1, "0" * 64, unpacked_bytes=1)
+        made.get(task.shard.index) or ShardRecord.of(task.shard, 1, 1, "0" * 64, unpacked_bytes=1)
         for task in tasks
     ]
     write_manifest(folder, plan.new_manifest().with_shards(records))

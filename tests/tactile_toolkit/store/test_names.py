@@ -158,7 +158,7 @@ def test_digests_of_a_manifest_are_digests(finished, field, digest):
     shards = json.loads((finished / "manifest.json").read_text())["shards"]
     shards[0]["sha256"] = digest
     edited(finished, **({"shards": shards} if field == "shards" else {"files": {"reports/x": digest}}))
-    with pytest.raises(IntegrityError, match=r"manifest\.json.*expected (64 hexadecimal digits|str)"):
+    with pytest.raises(IntegrityError, match=r"manifest\.json.*Expected `str`.* at `\$\.(files|shards)"):
         verify(DataFolder(str(finished)))
 
 
@@ -169,7 +169,7 @@ def test_overwriting_removes_only_what_sets_of_ours_have(finished, name):
     (finished / name).mkdir(exist_ok=True)
     (finished / name / "thesis.tex").write_text("years of work")
     before = folder_bytes(finished)
-    with pytest.raises(InputError, match=rf"holds more than a data set \(found '{name}.*nothing was changed"):
+    with pytest.raises(InputError, match=rf"more than a data set .*\(found '{name}.*nothing was changed"):
         build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
     assert folder_bytes(finished) == before
 

@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import io
-from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.parquet import (
     ParquetStyle,
     encode_parquet,
     sha256_hex,
     stream_parquet,
-    unpacked_bytes,
-    write_parquet,
 )
 
 MEDIA = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
@@ -48,16 +44,6 @@ def table(rows: int) -> pa.Table:
         for row in range(rows)
     ]
     return pa.Table.from_pylist(values, schema=SCHEMA)
-
-
-@pytest.mark.parametrize("rows", [0, 1, 5, 23])
-def test_the_size_of_rows_is_the_same_before_and_after_reading(tmp_path: Path, rows: int) -> None:
-    made = table(rows)
-    content, footer = write_parquet(made, ParquetStyle(rows_per_group=5))
-    (tmp_path / "train-00000-of-00001.parquet").write_bytes(content)
-    shard = Shard(str(tmp_path / "train-00000-of-00001.parquet"))
-    read = unpacked_bytes(shard.metadata, shard.schema, shard.read)
-    assert unpacked_bytes(footer, made.schema, lambda _: made) == read
 
 
 def test_columns_are_encoded_as_asked_whatever_their_nesting() -> None:

@@ -9,13 +9,11 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
-from tactile_toolkit.run.parts import Check, Finish, Part, part_of
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store.build import MissingPartsError, array_text, build
+from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part, ProcessRunner, part_of
+from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import TEMPORARY, DataFolder
-from tactile_toolkit.store.job import manifest_so_far
+from tactile_toolkit.store.job import BuildPlan, MissingPartsError, array_text, manifest_so_far
 from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.verify import verify
 from tests.processes import printed_by
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
@@ -75,7 +73,7 @@ def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner)
     for _ in range(2):
         with pytest.raises(
             MissingPartsError,
-            match=r"4 of 6 shards of '.*set' are not finished; .* parts 1-4 of 6.*auto/6.*--array=1-4",
+            match=r"4 of 6 shards of '.*set' are not finished, .* parts 1-4 of 6.*auto/6.*--array=1-4",
         ) as error:
             make(tmp_path / "set", Finish())
         assert (error.value.array, error.value.exit_code) == ("1-4", 3)
@@ -273,7 +271,7 @@ def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, momen
         if (progress.record is not None) == (moment == "between two shards") and not started:
             started.append(make(tmp_path / "set", plan=other, overwrite=True))
 
-    with pytest.raises(InputError, match="was replaced while this run was at work"):
+    with pytest.raises(InputError, match="was removed or replaced while this run was at work"):
         make(tmp_path / "set", Part(0, 2), on_progress=others)
     assert started
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "other")
@@ -376,11 +374,11 @@ def test_numbers_are_written_as_slurm_takes_them():
 DIES_EVERYWHERE = """
 import os, shutil, signal, sys
 from pathlib import Path
-from tactile_toolkit.run.parts import Check, Finish, Part
+from tactile_toolkit.run.processes import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import TEMPORARY, DataFolder
-from tactile_toolkit.store.build import MissingPartsError
+from tactile_toolkit.store.job import MissingPartsError
 from tests.tactile_toolkit.store.test_parts import few_shards
 from tests.tactile_toolkit.toy import folder_bytes
 

@@ -14,11 +14,11 @@ from dataclasses import replace
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, SpecMismatchError
-from tactile_toolkit.run.parts import Check, Finish, Part
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store import remote, reports
-from tactile_toolkit.store.build import MissingPartsError, build
+from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part, ProcessRunner
+from tactile_toolkit.store import derived, remote
+from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import MissingPartsError
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.verify import verify
@@ -76,7 +76,7 @@ def test_of_a_large_file_that_cannot_be_sent_whole_no_piece_stays(folder, s3, bu
         ("403 Forbidden", "AccessDenied") if "partNumber=3" in asked["QUERY_STRING"] else None
     )
     with pytest.raises(RemoteError, match="AccessDenied"):
-        folder.copy_in("reports/large", tmp_path / "report")
+        folder.upload("reports/large", tmp_path / "report")
     assert s3.traffic.requests["POST"] == 1  # it was begun in pieces
     assert s3.uploads(bucket) == []
     assert folder.names("reports") == []
@@ -150,7 +150,7 @@ def test_no_bucket_is_ever_made(s3, act):  # noqa: F811
         act(DataFolder("s3://mistyped/set"))
     assert s3.buckets() == before
     assert (
-        DataFolder("s3://mistyped/set").lacks("data")
+        DataFolder("s3://mistyped/set").missing_message("data")
         == "the bucket 'mistyped' of 's3://mistyped/set' does not exist"
     )
 
@@ -218,7 +218,7 @@ def test_a_status_without_a_reason_names_the_region(folder, s3):  # noqa: F811
 
 @pytest.mark.parametrize("mark", ["\n", "\r", "\x1b"])
 def test_a_line_break_in_an_address_is_refused_and_no_bucket_is_called_missing(bucket, mark):  # noqa: F811
-    with pytest.raises(InputError, match="holds a line break or another control character; next: ") as told:
+    with pytest.raises(InputError, match=r"control characters.*; next: ") as told:
         DataFolder(f"s3://{bucket}/se{mark}t").write_bytes("a", b"1")
     assert mark not in str(told.value)
 
@@ -226,11 +226,10 @@ def test_a_line_break_in_an_address_is_refused_and_no_bucket_is_called_missing(b
 @pytest.mark.parametrize(
     ("code", "words"),
     [
-        ("InvalidAccessKeyId", "does not take the credentials"),
-        ("SignatureDoesNotMatch", "does not take the credentials"),
-        ("ExpiredToken", "have expired"),
-        ("AccessDenied", "is refused"),
-        ("RequestTimeTooSkewed", "clock"),
+        ("InvalidAccessKeyId", r"is refused \(InvalidAccessKeyId"),
+        ("ExpiredToken", r"is refused \(ExpiredToken"),
+        ("AccessDenied", r"is refused \(AccessDenied"),
+        ("RequestTimeTooSkewed", r"is refused \(RequestTimeTooSkewed"),
         ("IllegalLocationConstraint", r"another region \(IllegalLocationConstraint\)"),
         ("NotImplemented", "failed: NotImplemented: .*as the test wants"),
     ],
@@ -277,7 +276,7 @@ def test_without_credentials_the_way_to_give_some_is_named(s3, monkeypatch, tmp_
         monkeypatch.delenv(name)
     monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "none"))
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(tmp_path / "none"))
-    with pytest.raises(RemoteError, match=r"needs credentials.*next: give credentials.*AWS_PROFILE"):
+    with pytest.raises(RemoteError, match=r"is refused.*next: give credentials.*AWS_PROFILE"):
         DataFolder("s3://lake/set").names()
 
 
@@ -332,7 +331,7 @@ def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, buc
 
 def test_the_report_of_splits_made_in_turn_is_that_of_one_run(folder, s3, bucket, tmp_path, monkeypatch):  # noqa: F811
     # Shards lie across row groups, as they do in large sets.
-    monkeypatch.setattr(reports, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
+    monkeypatch.setattr(derived, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
     for split in ("test", "train"):
         build(folder, toy_plan((split,)), InlineRunner())
     build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
@@ -373,7 +372,7 @@ def test_verify_brings_each_shard_once(folder, s3):  # noqa: F811
     folder.write_bytes(first, folder.read_bytes(second))
     folder.remove(third)
     found = {finding.file: finding.problem for finding in verify(folder, SCHEMA, workers=2).findings}
-    assert found[first].startswith("sha256 is")
+    assert found[first].startswith("sha256 ")
     assert found[third] == "is missing"
 
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store import reports
+from tactile_toolkit.store import derived
 from tactile_toolkit.store.build import build
+from tactile_toolkit.store.derived import merge_reports, read_report
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.reports import merge_reports, read_report, report_shards
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 REPORT = "reports/toy.parquet"
@@ -22,8 +24,7 @@ REPORT = "reports/toy.parquet"
 @pytest.fixture(autouse=True)
 def small_row_groups(monkeypatch):
     """Shards lie across row groups, as they do in large sets."""
-    monkeypatch.setattr(reports, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
-    monkeypatch.setattr(reports, "_READ_AHEAD", 2)
+    monkeypatch.setattr(derived, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ def test_rows_come_from_the_run_before_and_from_this_one(tmp_path, whole, splits
     (tmp_path / "set" / "data/train-00002-of-00004.parquet").unlink()  # made again, the others are not
     build(folder, toy_plan(), InlineRunner())
     assert folder_bytes(tmp_path / "set") == folder_bytes(whole)
-    assert report_shards(folder, REPORT) == {
+    assert Counter(read_report(folder, REPORT)["shard"].to_pylist()) == {
         **{f"train-{index:05d}-of-00004": 5 - index % 2 for index in range(4)},
         "test-00000-of-00002": 5,
         "test-00001-of-00002": 4,
@@ -61,7 +62,7 @@ def test_rows_that_are_nowhere_are_named_and_the_report_stays(whole):
     manifest = build(folder, toy_plan(), InlineRunner())
     before = folder_bytes(whole)
     first, *others = manifest.shards
-    more = replace(manifest, files={}, shards=(first._replace(rows=first.rows + 1), *others))
+    more = replace(manifest, files={}, shards=(msgspec.structs.replace(first, rows=first.rows + 1), *others))
     with pytest.raises(IntegrityError, match=r"holds 5 rows of shard train-00000-of-00004, expected 6"):
         merge_reports(folder, REPORT, more)
     assert folder_bytes(whole) == before

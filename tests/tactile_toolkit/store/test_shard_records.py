@@ -7,16 +7,17 @@ import json
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.shards import ShardEntry, ShardName, ShardRecord, Skipped
-from tactile_toolkit.store.typed_json import decode
+from tactile_toolkit.store.names import decode
+from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
 
-WHOLE = ShardRecord(
-    ShardName("train", 1, 3), 5, 7, "a" * 64, None, (Skipped(3, "nine", "it ends"),), {"n": [1]}, 9
+SKIPPED = (Skipped(3, "nine", "it ends"),)
+WHOLE = ShardRecord.of(
+    ShardName("train", 1, 3), 5, 7, "a" * 64, skipped=SKIPPED, statistics={"n": [1]}, unpacked_bytes=9
 ).to_dict()
 
 
 def read(values: dict[str, object]) -> ShardRecord:
-    return decode(json.dumps(values).encode(), ShardEntry, "m").record()
+    return decode(json.dumps(values).encode(), ShardRecord, "m")
 
 
 def test_a_record_is_what_was_written() -> None:
@@ -28,7 +29,7 @@ def test_a_record_is_what_was_written() -> None:
 )
 def test_a_record_whose_file_is_not_a_shard_is_damaged(name: str) -> None:
     with pytest.raises(ValueError, match="expected a shard's name and split"):
-        read(WHOLE | {"file": name})
+        _ = read(WHOLE | {"file": name}).shard
 
 
 @pytest.mark.parametrize("other", [None, True, -1, 2.0, "train", [], {}, 1 << 63])
@@ -36,5 +37,5 @@ def test_a_record_whose_file_is_not_a_shard_is_damaged(name: str) -> None:
 def test_a_value_of_another_type_is_named(name: str, other: object) -> None:
     if (name, other) in (("file", "train"), ("split", "train"), ("skipped", []), ("unpacked_bytes", None)):
         return  # of the right type
-    with pytest.raises(IntegrityError, match=rf"'m' is damaged, {name}: found .*, expected "):
+    with pytest.raises(IntegrityError, match=rf"'m' is damaged: .*Expected .* at `\$\.{name}"):
         read(WHOLE | {name: other})

@@ -76,7 +76,7 @@ def test_of_the_dead_and_of_the_living(tmp_path):
 def test_a_file_that_is_removed_before_it_is_held_is_made_again(tmp_path, monkeypatch):
     from tactile_toolkit.store import files
 
-    held, seen = files.held, []
+    held, seen = files._held, []
 
     def removed_first(path):
         seen.append(path)
@@ -84,7 +84,7 @@ def test_a_file_that_is_removed_before_it_is_held_is_made_again(tmp_path, monkey
             path.unlink()
         return held(path)
 
-    monkeypatch.setattr(files, "held", removed_first)
+    monkeypatch.setattr(files, "_held", removed_first)
     with atomic_file(tmp_path / "mine") as stream:
         stream.write(b"all of it")
     assert len(seen) == 2
