@@ -199,7 +199,8 @@ class Job:
     def require(self) -> Manifest:
         """Return the manifest; InputError where it is gone, or that of another job by now."""
         folder = self.folder
-        manifest = _manifest_of_version(folder, folder.version(MANIFEST_FILE))
+        version = folder.version(MANIFEST_FILE)
+        manifest = None if version is None else _manifest_of_version(folder, version)
         if (manifest is None or manifest.identity != self.of) and folder.exists():
             folder.refresh("")  # a network file system may have shown what was there a while ago
             manifest = read_manifest(folder)

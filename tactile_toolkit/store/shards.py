@@ -151,8 +151,11 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        values = msgspec.to_builtins(self).items()
-        return {name: value for name, value in values if value is not None or name == "report_sha256"}
+        values: dict[str, Any] = msgspec.to_builtins(self)
+        for name in ("statistics", "unpacked_bytes"):
+            if values[name] is None:
+                del values[name]
+        return values
 
 
 @dataclass(frozen=True, slots=True)

@@ -190,8 +190,8 @@ def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
         size = stream.seek(0, io.SEEK_END)
         stream.seek(0)
         found = None if file.digest is None else file.digest.of_stream(stream, size)
-        if found != file.digest:
-            raise IntegrityError(f"{found}, expected {file.digest}")
+        if found is not None and file.digest is not None and found != file.digest:
+            raise IntegrityError(f"{found.kind} is {found.value}, expected {file.digest.value}")
         if file.digest is None and size != file.size_bytes:
             raise IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
         yield stream

@@ -105,7 +105,7 @@ def test_info_lists_what_a_provider_would_give(tmp_path):
     shown = run("info", tmp_path, "--json")
     found = {(entry["name"], entry["split"]): entry for entry in json.loads(shown.stdout)}
     assert set(found) == {("damaged", ""), ("stars", "train"), ("stars", "test"), ("wrench", "train")}
-    assert "a JSON object was expected" in found["damaged", ""]["problem"]
+    assert "is damaged: " in found["damaged", ""]["problem"]
     stars = found["stars", "train"]
     assert (stars["kind"], stars["rows"], stars["classes"]) == ("starstruck", 6, ["1", "2", "3"])
     assert max(stars["largest_mm"]) <= 120

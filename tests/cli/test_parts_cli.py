@@ -142,7 +142,7 @@ def test_a_node_that_does_not_see_the_folder(tmp_path):
     mounts = ["unshare", "-Urm", "sh", "-c", 'mount -t tmpfs none "$0"', str(place)]
     if shutil.which("unshare") is None or subprocess.run(mounts, check=False).returncode:
         pytest.skip("this system gives no mount namespaces")
-    told = r"2 of 2 shards that were to be made are not in '.*set'.*does not see.*s3://"
+    told = r"2 of 2 shards of '.*set' are not finished.*does not see.*s3://"
     with pytest.raises(IntegrityError, match=told):
         build(DataFolder(str(place)), toy_plan(("test",)), BlindNode(place))
     assert not (place / "data").exists()

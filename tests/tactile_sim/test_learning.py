@@ -312,7 +312,7 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("tactile_toolkit.store.folder.os.fsync", no_room)
-    with pytest.raises(StorageError, match="no space is left"):
+    with pytest.raises(StorageError, match="No space left"):
         train(pairs, full, CONFIG, device="cpu")
     assert not [file for file in full.rglob("*") if file.is_file()]
 

@@ -281,6 +281,6 @@ def test_a_file_that_may_not_be_read_is_not_called_damaged(
         raise PermissionError(13, "Permission denied", str(path))
 
     monkeypatch.setattr(Path, "open", refuse)
-    with pytest.raises(ToolkitError, match="cannot be read by this user") as caught:
+    with pytest.raises(ToolkitError, match="cannot be read: permission denied") as caught:
         _ = shard.metadata
     assert caught.value.exit_code == 2
