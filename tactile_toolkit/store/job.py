@@ -27,7 +27,7 @@ from tactile_toolkit.store.names import Count, decode
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord, Skipped
 
-_LONGEST_SHOWN = 50
+_LONGEST_SHOWN = 200
 
 
 @dataclass(frozen=True)
@@ -450,7 +450,8 @@ def _short(value: Any) -> str:
     text = repr(value)
     if len(text) <= _LONGEST_SHOWN:
         return text
-    return f"{text[:_LONGEST_SHOWN]}... (fingerprint {sha256_hex(text.encode())[:8]})"
+    short = f"{len(value):,} entries" if isinstance(value, list) else f"{text[:_LONGEST_SHOWN]}..."
+    return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
 
 
 def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:
