@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_chec
 
 import numpy as np
 from numpy.typing import NDArray
-from tactile_toolkit.run.system import locked
 
 from env_assets.meshes import MeshView, mesh_bounds_m, mesh_files
 from env_assets.wrench.kind import KIND as WRENCH
@@ -33,7 +32,7 @@ from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.store.files import expanded, is_there, named_failures
+from tactile_toolkit.store.files import expanded, is_there, locked, named_failures
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.wording import did_you_mean
 
@@ -478,7 +477,8 @@ def inventory(root: Path) -> list[AssetSummary]:
     """
     if not root.is_dir():
         raise InputError(
-            f"{DataFolder(str(root)).missing_message('data sets')}", next="give the folder of an AssetProvider"
+            f"{DataFolder(str(root)).missing_message('data sets')}",
+            next="give the folder of an AssetProvider",
         )
     found = []
     for place in sorted(each for each in root.iterdir() if each.is_dir() and each.name[0] != "."):

@@ -116,7 +116,8 @@ def local_sets(folder: Path) -> list[LocalSet]:
     """
     if not folder.is_dir():
         raise InputError(
-            f"{DataFolder(str(folder)).missing_message('data sets')}", next="give a folder with data set folders"
+            f"{DataFolder(str(folder)).missing_message('data sets')}",
+            next="give a folder with data set folders",
         )
     found = []
     for place in [folder, *sorted(each for each in folder.iterdir() if each.is_dir())]:
