@@ -32,7 +32,7 @@ from tactile_toolkit.store.files import (
 LOCKS = "locks"
 """Folder of the cache whose files processes hold while they write others."""
 
-_FOLDERS = ("blocks", "checked", "environments", "linked", LOCKS)
+_FOLDERS = ("blocks", "environments", "linked", LOCKS)
 """All folders of the cache; what else lies next to them is not ours."""
 
 CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"

@@ -147,7 +147,9 @@ def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
     if not len(vertices_m) or not np.isfinite(vertices_m).all():
         raise InputError("a mesh with no vertices, or NaN or infinite ones, has no height map")
     low, high = vertices_m[:, :2].astype(np.float64).min(axis=0), vertices_m[:, :2].max(axis=0)
-    with np.errstate(over="ignore", invalid="ignore"):  # of a tiny pitch, which is refused below
+    with np.errstate(
+        over="ignore", invalid="ignore", divide="ignore"
+    ):  # of a tiny pitch, which is refused below
         # Counted from the origin and not from the mesh: two meshes of one frame share their pixels.
         first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
         columns, rows = np.maximum(stop - first, 1).tolist()

@@ -130,9 +130,9 @@ class DataFolder:
         with readable(self.address(path)):
             try:
                 found = Path(self.address(path)).stat()
-            except PermissionError:
-                raise
-            except (OSError, ValueError):  # too long a name, a circle of links
+            except (OSError, ValueError) as error:  # a circle of links, or a null byte: nothing is there
+                if getattr(error, "errno", None) in (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG):
+                    raise
                 return None
         kind = "directory" if stat.S_ISDIR(found.st_mode) else "file"
         return {"type": kind, "size": found.st_size, "mtime": found.st_mtime_ns, "inode": found.st_ino}

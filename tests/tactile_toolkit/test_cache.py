@@ -17,6 +17,7 @@ import pytest
 from tactile_toolkit.cache import (
     _FOLDERS,
     CACHE_VARIABLE,
+    LOCKS,
     DiskCache,
     MemoryCache,
     cache_folder,
@@ -261,14 +262,14 @@ def test_only_what_is_ours_is_listed_and_removed(tmp_path, monkeypatch):
     """The variable may name a folder that holds other things: a scratch disk, or a home."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
     theirs = [tmp_path / "thesis.tex", tmp_path / "thesis" / "blocks" / "chapter.tex"]
-    ours = [tmp_path / name / "file" for name in ("blocks", "checked", "environments", "locks")]
+    ours = [tmp_path / name / "file" for name in ("blocks", "environments", "locks")]
     for path in (*theirs, *ours):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("")
-    assert sorted(cached_files()) == ["blocks", "checked", "environments", "locks"]
+    assert sorted(cached_files()) == ["blocks", "environments", "locks"]
     assert sorted(prune_cache(1.0)) == []
-    assert sorted(prune_cache()) == ours[:3]
-    assert all(path.exists() for path in (*theirs, ours[3]))
+    assert sorted(prune_cache()) == ours[:2]
+    assert all(path.exists() for path in (*theirs, ours[2]))
 
 
 def test_all_folders_of_the_cache_are_listed():
@@ -278,4 +279,4 @@ def test_all_folders_of_the_cache_are_listed():
     code = [path.read_text() for name in packages for path in (root / name).rglob("*.py")]
     pattern = r'DiskCache\(\s*"(\w+)"|cache_folder\(\) / "(\w+)"'
     used = {found[1] or found[2] for text in code for found in re.finditer(pattern, text)}
-    assert used == set(_FOLDERS)
+    assert used | {LOCKS} == set(_FOLDERS)
