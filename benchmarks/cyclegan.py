@@ -93,7 +93,7 @@ def make(work: Path, split: str, objects: int, touches: int, count: int) -> None
             )  # fmt: skip
     run(
         "tactile_sim", "pairs", made, "--real", work / f"real-{split}", "--split", split, "--size", "64x64",
-        "--count", count, "--without-contact", WITHOUT_CONTACT, "--like", "environment",
+        "--count", count, "--without-contact", WITHOUT_CONTACT, "--window", "center",
         "--min-height-mm", 1e3 * CONTACT_M, "--out", work / f"pairs-{split}",
     )  # fmt: skip
 

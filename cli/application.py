@@ -37,10 +37,15 @@ _FORMER = {
     "--gap": "--gap-mm",
     "--jpeg": "--format=jpeg",
     "--layout": "--format",
+    "--like": "--window",
     "--margin": "--margin-mm",
     "--noise": "--sensor-noise",
+    "--no-shift": "--no-perturb",
     "--objects": "--ids",
+    "--place": "--positions",
     "--png": "--format=png",
+    "--profile": "--edge-profile",
+    "--shift": "--perturb",
     "--turn": "--turn-deg",
 }
 """Spellings of an earlier version, in commands that have the one of now alone; they work for one version."""
@@ -321,7 +326,7 @@ def _annotation(name: str, rule: Rule, shown: Any, default: Any) -> Any:
     text, metavar = rule.option, None
     names = text.get("name", f"--{name.replace('_', '-')}").split()
     kind: Any = str if "read" in text else rule.kind
-    if rule.choices:
+    if rule.choices and "read" not in text:
         kind = Literal[rule.choices]
         if isinstance(default, tuple):  # Typer takes lists of enumerations, but not of literals
             words: Any = StrEnum("Choice", [(word, word) for word in rule.choices])  # type: ignore[misc]

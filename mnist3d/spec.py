@@ -79,7 +79,7 @@ class SolidSpec:
     half_thickness_mm: float = real(
         4.0, above=0, help="Height above the mid-plane of ink that is wide enough."
     )
-    profile: str = choice("round", PROFILES, help="How the rim of a digit rises.")
+    profile: str = choice("round", PROFILES, name="--edge-profile", help="How the rim of a digit rises.")
     erosion: str = choice(
         "outline",
         EROSIONS,

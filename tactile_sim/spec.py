@@ -42,6 +42,23 @@ def _is_table(given: Any) -> bool:
     return isinstance(given, GivenTouches)
 
 
+_WINDOWS = {"center": "environment", "full": "published"}
+
+
+def _window(word: str) -> str:
+    if word not in (*_WINDOWS, *_WINDOWS.values()):  # the latter are those of the former option
+        raise InputError(f"--window is {word!r}; expected one of {', '.join(_WINDOWS)}")
+    return _WINDOWS.get(word, word)
+
+
+def _window_option(default: str, help: str) -> Any:
+    shown = next(word for word, like in _WINDOWS.items() if like == default)
+    known = tuple(_WINDOWS.values())
+    return choice(
+        default, known, name="--window", metavar="|".join(_WINDOWS), shown=shown, read=_window, help=help
+    )
+
+
 def _turn_rad(word: str) -> float:
     if word not in TURNS:
         raise InputError(f"--turn is {word!r}; expected one of {', '.join(TURNS)}")
@@ -87,6 +104,7 @@ class TouchPlan:
     place: str = choice(
         "cell",
         PLACES,
+        name="--positions",
         help="Where the gel goes: uniform in the cell, on a grid, or on the object only; or given by "
         "--touches-from.",
     )
@@ -108,7 +126,9 @@ class TouchPlan:
         help="Turn of the object: up to 22.5 degrees, any, or none.",
     )
     lie: str = choice("random", ("random", "middle"))
-    shift: bool = switch(True, help="Move the object a little after each touch, as the environments do.")
+    shift: bool = switch(
+        True, name="--perturb", help="Move the object a little after each touch, as the environments do."
+    )
     seed: int = integer(0, help="Seed of everything that is drawn at random.")
 
     def __post_init__(self) -> None:
@@ -118,7 +138,7 @@ class TouchPlan:
             raise InputError(
                 f"the plan of touches has place {self.place!r}, and its given touches are {held}; expected "
                 "place 'given' and a GivenTouches, or neither",
-                next="--place given --touches-from FILE",
+                next="--positions given --touches-from FILE",
             )
         if given is not None:
             object.__setattr__(self, "touches", given.longest)
@@ -299,11 +319,10 @@ class PictureOptions:
         shown="taxim; depth without the extra sim",
         help="How depth becomes a picture.",
     )
-    like: str = choice(
+    like: str = _window_option(
         "environment",
-        ("environment", "published"),
-        help="environment: rendered in this size, with the window that the environments show; published: "
-        "rendered as 320x240 of the whole sensor and scaled.",
+        "center: what the environments show in this size; full: the full view of the sensor, as in published "
+        "sets.",
     )
     image_format: Literal["jpeg", "png"] = choice(
         "jpeg", ("jpeg", "png"), name="--format", help="Format of the pictures."
@@ -372,10 +391,9 @@ class PairsSpec:
     min_height_m: float | None = contact_height_option(
         above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
     )
-    like: Literal["published", "environment"] = choice(
+    like: Literal["published", "environment"] = _window_option(
         "published",
-        ("published", "environment"),
-        help="Depth of the whole sensor, as real touches show it, or of an environment's window.",
+        "full: depth of the full view of the sensor, as real touches show it; center: as environments do.",
     )
     image_format: Literal["png", "jpeg"] = choice(
         "png", ("png", "jpeg"), name="--format", help="Format of the real touches."

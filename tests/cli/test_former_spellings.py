@@ -60,6 +60,37 @@ def test_lengths_and_angles_that_had_other_units(equals, tmp_path, capsys):
     assert found[0] == found[1]
 
 
+@pytest.mark.parametrize("former", [True, False])
+def test_options_that_had_other_names_make_the_same(former, tmp_path, capsys):
+    digits, touches = tmp_path / "digits", tmp_path / "touches"
+    profile = "--profile" if former else "--edge-profile"
+    words = ("generate", "--split", "test", "--per-class", 1, "--limit", 1, "--out", digits, "-w", 1)
+    assert call("mnist3d", *words, profile, "linear") == 0
+    assert json.loads((digits / "manifest.json").read_text())["spec"]["solid"]["profile"] == "linear"
+    assert ("--profile is deprecated; next: write --edge-profile" in capsys.readouterr().err) == former
+    named = ("--place", "object", "--like", "published", "--no-shift")
+    if not former:
+        named = ("--positions", "object", "--window", "full", "--no-perturb")
+    words = (
+        "generate",
+        digits,
+        "--optics",
+        "depth",
+        "--rounds",
+        1,
+        "--touches",
+        2,
+        "--out",
+        touches,
+        "-w",
+        1,
+    )
+    assert call("tactile-sim", *words, *named) == 0
+    spec = json.loads((touches / "manifest.json").read_text())["spec"]["options"]
+    assert (spec["plan"]["place"], spec["like"], spec["plan"]["shift"]) == ("object", "published", False)
+    assert capsys.readouterr().err.count("is deprecated") == 3 * former
+
+
 def test_no_help_names_a_former_spelling_or_a_type_of_python():
     for line in COMMAND_LINES:
         app = import_module(f"cli.{line}").app

@@ -341,7 +341,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     # A folder of another specification would be refused: the options mean what `SPEC` says.
     words = [
         "pairs", sources[0], "--real", sources[1], "--size", "32x32", "--count", "60",
-        "--without-contact", "0.2", "--min-height-mm", "6", "--like", "environment", "-w", "1", "--out",
+        "--without-contact", "0.2", "--min-height-mm", "6", "--window", "center", "-w", "1", "--out",
     ]  # fmt: skip
     made = run.invoke(app, [*words, pairs])
     assert made.exit_code == 0, made.output
