@@ -152,7 +152,7 @@ class _Command(TyperCommand):
 
     def _renewed(self, args: list[str]) -> Iterator[str]:
         """Give arguments their spelling of now, with a warning."""
-        known = {option for parameter in self.params for option in parameter.opts}
+        known = {name for each in self.params for name in (*each.opts, *each.secondary_opts)}
         words = iter(args)
         for word in words:
             name, equals, value = word.partition("=")
