@@ -228,7 +228,7 @@ def croissant_again(
     page: str | None = None,
     others: Sequence[str] = (),
 ) -> str:
-    """Return the text anew for a folder that has other files by now, or for the ``page`` of a repository.
+    """Return the text again for a folder that has other files by now, or for the ``page`` of a repository.
 
     There ``others`` lie next to the files of the folder. ValueError where the text is not a JSON object.
     """

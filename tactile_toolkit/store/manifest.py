@@ -160,7 +160,7 @@ class Manifest:
 
 
 class _Sums(msgspec.Struct):
-    """What of the text of a manifest is no field of it."""
+    """What the text of a manifest states that its fields do not hold."""
 
     splits: dict[str, dict[str, int]] = {}
     skipped: dict[str, int] = {}

@@ -286,5 +286,5 @@ def test_a_manifest_without_operation_is_damage(
     manifest = tmp_path / "out" / "manifest.json"
     manifest.write_text(manifest.read_text().replace(text, damaged))
     assert call("realtouch", "info", tmp_path / "out") == 3
-    assert "spec.operation: found " in capsys.readouterr().err
+    assert "spec.operation: Expected `str`, got " in capsys.readouterr().err
     assert call("realtouch", "verify", tmp_path / "out") == 3

@@ -70,35 +70,14 @@ APPLY: dict[str, Callable[[Any], Any]] = {
 }
 """Of ``gymnasium.wrappers.vector``.
 
-Those for observations or actions that are one box do not apply, nor does ``DictInfoToList``, which divides
-arrays alone: ``info`` holds poses, as that of the published class does.
+Those for observations or actions that are one box do not apply, nor do ``DictInfoToList`` and those for torch,
+which convert arrays alone: ``info`` holds poses, as that of the published class does.
 """
 
 
 @pytest.mark.parametrize("name", APPLY)
 def test_wrappers_of_gymnasium(assets, name):
     drive(APPLY[name](make(assets)))
-
-
-def test_videos_are_recorded(assets, tmp_path):
-    pytest.importorskip("moviepy", reason="moviepy is not installed")
-    env = wrappers.RecordVideo(make(assets, render_mode="rgb_array"), str(tmp_path), video_length=5)
-    drive(env)
-    env.close()
-    assert any(tmp_path.iterdir())
-
-
-def test_observations_and_rewards_as_tensors(assets):
-    torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
-    pytest.importorskip("array_api_compat", reason="array-api-compat, of gymnasium, is not installed")
-    env = make(assets)
-    action = env.action_space.sample()
-    env = wrappers.TransformAction(env, lambda _: action)
-    env = wrappers.NumpyToTorch(env)
-    observation, _ = env.reset(seed=0)
-    assert all(isinstance(each, torch.Tensor) for each in observation.values())
-    observation, reward, *_ = env.step(torch.zeros(1))
-    assert reward.shape == (ENVS,)
 
 
 @pytest.mark.parametrize(

@@ -219,7 +219,7 @@ def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pai
         train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
     manifest = tmp_path / "few" / "manifest.json"
     manifest.write_text(manifest.read_text().replace('"complete": true', '"complete": false'))
-    with pytest.raises(InputError, match="few' is not finished; next: the same command"):
+    with pytest.raises(InputError, match="few' is not finished; next: run the same command"):
         train(str(tmp_path / "few"), tmp_path / "out", CONFIG, device="cpu")
     assert not (tmp_path / "out").exists()
 

@@ -171,7 +171,7 @@ def test_bad_places_and_formats_are_named(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="is a file"):
         export_files(named(SHAPES), str(tmp_path / "file"))
-    with pytest.raises(StorageError, match="a part of the path is a file"):
+    with pytest.raises(StorageError, match="Not a directory"):
         export_files(named(SHAPES), str(tmp_path / "file" / "below"))
     with pytest.raises(InputError, match="memory://"):
         export_files(named(SHAPES), "memory://prints")
@@ -180,7 +180,7 @@ def test_bad_places_and_formats_are_named(tmp_path: Path) -> None:
     (name,) = [item.name for item in named(SHAPES)[:1]]
     (tmp_path / "files").mkdir()
     (tmp_path / "files" / name).write_text("where the folder of the parts should be")
-    with pytest.raises(StorageError, match="a part of the path is a file"):
+    with pytest.raises(StorageError, match="Not a directory"):
         export_files(named(SHAPES)[:1], str(tmp_path / "files"), "urdf")
     (tmp_path / "folders" / f"{name}.stl").mkdir(parents=True)
     with pytest.raises(InputError, match=r"cannot read .*\.stl': .*; next: move it away"):
