@@ -70,7 +70,7 @@ APPLY: dict[str, Callable[[Any], Any]] = {
 }
 """Of ``gymnasium.wrappers.vector``.
 
-Those for observations or actions that are one box do not apply, nor do ``DictInfoToList`` and those for torch,
+Those for observations or actions that are one box do not apply, nor ``DictInfoToList`` and those for torch,
 which convert arrays alone: ``info`` holds poses, as that of the published class does.
 """
 
