@@ -3,7 +3,7 @@
 Taxim makes pictures from a calibration of colours by slope, with shadows; our own kernels render it. The
 tables are those of the package `taxim` (GelSight Mini). Its steps are followed, with one rule of our own:
 where the gel is flat, the package looks a colour up by the direction of a slope that is rounding noise, so
-that its backends differ by up to 25 levels; here slopes below :data:`FLAT_SLOPE` count as none, and their
+that its backends differ by up to 25 levels; here slopes below ``FLAT_SLOPE`` count as none, and their
 colour is that of direction 0, which the package gives to a slope of exactly none.
 """
 
@@ -29,6 +29,8 @@ from tactile_toolkit.touch.jpeg import resized
 
 if TYPE_CHECKING:
     from tactile_sim.kernels import Calibration, PictureTables
+
+__all__ = ["OPTICS", "Optics", "make_optics", "scaled"]
 
 
 class Optics(Protocol):

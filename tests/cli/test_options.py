@@ -65,5 +65,5 @@ def test_the_home_of_nobody_is_refused():
 
 def test_options_that_are_not_given_mean_the_defaults_of_the_library():
     assert SceneOptions().spec() == SceneSpec()
-    assert GenerateSpec.of(PictureOptions()) == GenerateSpec()
+    assert GenerateSpec.of(PictureOptions(optics="taxim")) == GenerateSpec()
     assert TrainConfig.read(None, {}) == TrainConfig()

@@ -387,6 +387,7 @@ def test_some_objects_are_touched_as_among_all(scenes, touches, tmp_path):
 
 def test_the_default_of_the_optics_needs_no_extra(monkeypatch):
     options = PictureOptions()
+    monkeypatch.setattr("tactile_sim.generation.find_spec", lambda name: name)
     assert tactile_sim.GenerateSpec.of(options).optics == "taxim"
     monkeypatch.setattr("tactile_sim.generation.find_spec", lambda _: None)
     assert tactile_sim.GenerateSpec.of(options).optics == "depth"

@@ -154,7 +154,8 @@ def test_a_set_without_taxim_says_what_to_install(made, tmp_path, monkeypatch):
     monkeypatch.setattr("tactile_sim.optics.find_spec", lambda _: None)
     tactile_sim.optics._taxim.cache_clear()
     result = CliRunner().invoke(
-        app, ["generate", str(made.parent / "scenes"), "--out", str(tmp_path / "out")]
+        app,
+        ["generate", str(made.parent / "scenes"), "--optics", "taxim", "--out", str(tmp_path / "out")],
     )
     tactile_sim.optics._taxim.cache_clear()
     assert result.exit_code == 2
