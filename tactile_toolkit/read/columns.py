@@ -43,23 +43,26 @@ def ragged_column(array: Any) -> RaggedColumn:
     """
     import pyarrow as pa
 
-    # A slice keeps the values of all rows; flattened, it has its own.
-    inner = array.flatten()
-    flat = inner.flatten()
-    nulls = array.null_count + inner.null_count + flat.null_count
-    if nulls:
-        raise ValueError(f"{nulls} null values where every row needs one")
+    # A slice keeps the values of all rows, which are cut out here: Arrow imports `pyarrow.compute` for that,
+    # which takes longer than to unpack the first row group.
+    offsets = _numbers(array.offsets)
+    first, last = (int(offsets[0]), int(offsets[-1])) if len(offsets) else (0, 0)
+    inner = array.values.slice(first, last - first)
     if pa.types.is_fixed_size_list(inner.type):
         width = inner.type.list_size
+        flat = inner.values.slice(inner.offset * width, len(inner) * width)
     else:
-        widths = np.unique(np.diff(_numbers(inner.offsets)))
+        ends = _numbers(inner.offsets)
+        flat = inner.values.slice(int(ends[0]), int(ends[-1] - ends[0])) if len(ends) else inner.values
+        widths = np.unique(np.diff(ends))
         if len(widths) > 1:
             raise ValueError(f"inner lists of {widths[0]} and {widths[1]} values in one column")
         # Without a row the width is unknown; that of corners and triangles does no harm.
         width = int(widths[0]) if len(widths) else 3
-    offsets = _numbers(array.offsets)
-    if len(offsets) and offsets[0]:
-        offsets = offsets - offsets[0]
+    nulls = array.null_count + inner.null_count + flat.null_count
+    if nulls:
+        raise ValueError(f"{nulls} null values where every row needs one")
+    offsets = offsets - first if first else offsets
     values = _numbers(flat).reshape(-1, width)
     values.setflags(write=False)
     return RaggedColumn(values, offsets)
