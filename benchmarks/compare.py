@@ -5,7 +5,7 @@
     python benchmarks/compare.py --before OLD/.venv/bin/python     # "after" is the interpreter that runs it
     python benchmarks/compare.py --before OLD/.venv/bin/python --jobs random-touch clip-frame
 
-Each job runs in a fresh process of each interpreter, in turn, and tells the processor seconds
+Each job runs in a fresh process of each interpreter, in turn, and reports the processor seconds
 of what it measures (the download: the time that passes). Printed are the medians and the median of the ratios
 before / after, pair by pair: 2.0 is twice as fast as before. Only public names are used, so that any two
 versions compare.

@@ -57,7 +57,7 @@ SMALL = {
     "depth_cycle_weight": 10.0,
     "touch_cycle_weight": 40.0,
     "noise": 0.06,
-    # Noise tells real touches from all that is made without it; at first fine detail does, too.
+    # Real touches differ by noise from all that is made without it; at first fine detail does, too.
     "sensor_noise": SensorNoise.calibrated(),
     "judge_noise": 0.06,
     "identity_weight": 0.0,

@@ -1,6 +1,6 @@
 """The figures that the benchmarks report: kept with date, machine and versions, written into the documents.
 
-A benchmark calls :func:`tell` for each figure. ``benchmarks/run`` runs the benchmarks, keeps what they tell
+A benchmark calls :func:`tell` for each figure. ``benchmarks/run`` runs the benchmarks, keeps what they report
 in ``results.json`` and writes the tables between ``<!-- figures: NAME -->`` and ``<!-- end -->`` in README.md
 and benchmarks/README.md. A table whose code has changed since it was measured says so.
 """

@@ -1,7 +1,7 @@
 """How fast real touches load: ours against the published loader and plain `datasets`, in one run.
 
 Sets in the published schema (256 touches per round) are made in a temporary folder, with noise in all frames
-so that decoding costs what it costs on a real sensor. Told are medians.
+so that decoding costs what it costs on a real sensor. Reported are medians.
 
     python benchmarks/real_touches.py [--folder KEPT] [--rounds 6]
 """

@@ -5,8 +5,8 @@
     python benchmarks/training_order.py [--folder SET] [--shards 20] [--rounds 2]
 
 Everything runs on one thread of one process, in turn, and is given in processor time per touch: a batch of
-images and labels as tensors. Told are medians of the turns; beside them what decoding alone takes, of which
-nobody can have less. What lies in the cache was unpacked before, as in every epoch but the first, which is a
+images and labels as tensors. Reported are medians of the turns; next to them what decoding alone takes, the
+least possible. What lies in the cache was unpacked before, as in every epoch but the first, which is a
 line of its own.
 """
 

@@ -24,7 +24,7 @@ from tactile_toolkit.wording import printable
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 _EXIT_CLOSED_PIPE = 141
-"""128 and the number of SIGPIPE: what a shell tells of `cat`, `grep` and others whose reader left."""
+"""128 and the number of SIGPIPE: what a shell reports of `cat`, `grep` and others whose reader left."""
 
 _DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
 _SETTINGS = {"max_content_width": 100}
@@ -189,12 +189,12 @@ class _Command(TyperCommand):
             if isinstance(error, ToolkitError):
                 message, code = self._with_option(str(error)), error.exit_code
             elif error.filename is not None:
-                # A path that the system refuses and nobody asked more about, such as too long a name. As a
-                # traceback it would end with 1, which says that a validation failed.
+                # A path that the system refuses, such as too long a name. As a traceback it would end with 1:
+                # a validation failed.
                 from tactile_toolkit.store.files import of_the_process
 
-                lack = of_the_process(error) or f"{error.strerror}; next: give another path"
-                message, code = f"{str(error.filename)!r}: {lack}", InputError.exit_code
+                reason = of_the_process(error) or f"{error.strerror}; next: give another path"
+                message, code = f"{str(error.filename)!r}: {reason}", InputError.exit_code
             else:
                 raise
             sys.stderr.write(f"error: {printable(message)}\n")

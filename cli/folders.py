@@ -208,7 +208,7 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
     again = f"remove those files, then run the same `{made_by}` again"
     if record is not None:
         again = f"download {record.repo_id} there again, only what is damaged is fetched"
-    # Unknown files, links and cards: what no run would mend states itself what to do.
+    # Unknown files, links and cards: what no run would repair states itself what to do.
     if all("; next: " in finding.problem for finding in result.findings):
         again = "follow the next step of each"
     raise IntegrityError(f"{counted(len(findings), 'problems')} in {folder!r}", next=again)

@@ -86,7 +86,7 @@ def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
         if not dry_run:
             # Even where all files are there, a branch to make is a change that may not be meant.
             is_change = not (prepared.plan.is_done and prepared.target.has_branch)
-            refused = "upload asks before it sends, and there is no terminal to ask on; nothing was sent"
+            refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
             question = f"Send this to {prepared.target.page}?"
             if is_change and not (
                 yes or _confirmed(question, refused, "add --yes, or look first with --dry-run")
@@ -144,7 +144,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         place = ""
         if not dry_run:
             size = bytes_text(plan.missing_bytes)
-            refused = f"{size} would be fetched, and there is no terminal to ask on"
+            refused = f"{size} would be fetched, and stdin is not a terminal"
             is_small = plan.missing_bytes <= _LARGE_BYTES
             if not (yes or is_small or _confirmed(f"fetch {size}?", refused, "add --yes, or name a --split")):
                 raise InputError("aborted, nothing was fetched", next="name a --split to fetch less")
@@ -181,7 +181,7 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
     plan, target, where = prepared.plan, prepared.target, _where(prepared)
     for paths, words in (
         (prepared.left_out, "left out, no part of the data set: {}"),
-        (plan.kept, "kept on the Hub, though the folder lacks it: {} (--delete removes it)"),
+        (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes it)"),
     ):
         if paths:
             sink.info(words.format(_listed(paths)))

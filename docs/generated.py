@@ -279,7 +279,7 @@ def _command_pages() -> dict[str, str]:
     listed = "\n".join(sorted(names))
     pages["cli/index.md"] = (
         "# Command lines\n\n"
-        "Every option of every command, as `--help` tells it. Exit codes: 0 done, 1 something that was "
+        "Every option of every command, as `--help` shows it. Exit codes: 0 done, 1 something that was "
         "checked is not as it should be, 2 mend what you gave, 3 stored data is damaged or not all there, 4 "
         "the Hub, a store or the network, 130 interrupted.\n\n"
         f"```{{toctree}}\n:maxdepth: 2\n\n{listed}\n```\n"

@@ -473,7 +473,7 @@ def inventory(root: Path) -> list[AssetSummary]:
     """Look into every data set folder of a provider's folder, reading the vertices of all meshes.
 
     By name, splits in the order of the data set; one that cannot be used is named with the reason. InputError
-    when there is no such folder.
+    when the folder does not exist.
     """
     if not root.is_dir():
         raise InputError(

@@ -100,7 +100,7 @@ COLUMNS = meanings(DigitRow)
 
 # Two pixels of the published scale: a digit is some 150 pixels tall.
 _PITCH_M = 0.0004
-# Rows mix the classes: that 200 of them lack one has a chance of 1 in 10^8.
+# Rows mix the classes: that 200 of them hold none of one has a chance of 1 in 10^8.
 _ROWS_SEEN = 200
 
 

@@ -95,7 +95,7 @@ def _item(record: MeshRecord, split: str, names: tuple[str, ...], report: Mappin
     label = class_name(names, record.label)
     # Each in the size of its tile: a digit of 3 cm is recognised like one of 8.
     longest_m = float(np.ptp(vertices_m[:, :2], axis=0).max())
-    # Somebody else's mesh may have no extent at all.
+    # Another source's mesh may have no extent at all.
     pitch_m = max(longest_m, 1e-3 / MM_PER_M) / (_OVERSAMPLING * THUMBNAIL_PX - _MARGIN_PX)
     source = [("Source", record.source)] if record.source else []
     return Item(

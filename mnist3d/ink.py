@@ -167,7 +167,7 @@ def clean(mask: Mask, spec: SolidSpec) -> Mask:
         window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
         # Corners first: whole pieces that go later cannot leave a new contact at a corner behind.
         inked = repair_corners(np.pad(mask[window], 1))
-        # The corner of the padding is the paper around the digit, which is no pinhole.
+        # The corner of the padding is the paper around the digit, which is not a pinhole.
         inked = ~_without_small(~inked, pinhole_px, always=(0, 0))
         inked = _without_small(inked, speck_px)
         cleaned[window] = _without_attached_specks(inked, speck_px)[1:-1, 1:-1]

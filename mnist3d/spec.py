@@ -46,7 +46,7 @@ class SolidSpec:
         What a radius is measured from. ``"outline"`` draws the outline of the ink in by the radius: a pixel
         stays whose centre is the radius and half a pixel or more from the next pixel of paper. ``"disc"``
         erodes with a disc of pixels, as image libraries do: a pixel stays that is further than the radius
-        from paper, so every layer is half a pixel (0.1 mm) wider on each side. Nothing published tells
+        from paper, so every layer is half a pixel (0.1 mm) wider on each side. Nothing published states
         which one was used: on 473 pen digits both give a height of 8.0 mm before smoothing (published: 6.5 to
         8.2 mm), and volumes with a median of 5,422 and of 5,564 mm^3 (1.9 to 3.3 % more, none is published).
         The outline is the default because its solids do not depend on how finely the image is sampled.

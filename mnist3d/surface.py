@@ -118,7 +118,7 @@ def smooth(surface: Surface, iterations: int, factor: float) -> Surface:
             moved = vertices + np.float32(share) * (average @ vertices - vertices)
             moved[rim, 2] = vertices[rim, 2]
             vertices = moved
-    # Volume and topology come before smoothness there: a wall that folds is no solid.
+    # Volume and topology come before smoothness there: a wall that folds is not a solid.
     vertices = vertices.copy()
     vertices[surface.still] = surface.vertices_px[surface.still]
     vertices[:, 2] = np.maximum(vertices[:, 2], np.float32(surface.least_px))

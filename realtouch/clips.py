@@ -299,7 +299,7 @@ class TouchClip(Sequence[Pixels]):
         Raises
         ------
         InputError
-            There is no such method.
+            The method is unknown.
         """
         chosen = require_method(method)
         if chosen == "best":

@@ -64,7 +64,7 @@ def _counted(row: Row) -> str:
 def entries_of(row: Row, name: str, touch: int | None = None) -> tuple[NestedColumn, int, int]:
     """Return a column and the range of its entries that are the round's, or one touch's.
 
-    Raises IntegrityError unless there are T, IndexError when there is no such touch.
+    Raises IntegrityError unless there are T, IndexError when it has no such touch.
     """
     column = column_of(row, name)
     start, stop = column.inside(0, row.index, row.index + 1)
@@ -114,7 +114,7 @@ def intended_positions(row: Row, touch: int | None = None) -> NDArray[np.floatin
     finite.
     """
     positions = vectors(row, "pos_in_cell", 2, touch)
-    # One sum tells of any value that is not finite, and costs a tenth of looking at each.
+    # One sum shows any value that is not finite, and costs a tenth of looking at each.
     if not np.isfinite(positions.sum()):
         wrong = int(np.argmin(np.isfinite(positions).all(axis=1)))
         if not np.isfinite(positions[wrong]).all():

@@ -288,7 +288,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         Raises
         ------
         IndexError
-            There is no such touch.
+            The data set has no touch of that index.
         """
         return self._located(int(self._rows[checked_index(index, len(self), "index", self.things)]))
 
@@ -336,7 +336,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         Raises
         ------
         InputError
-            There is no such column.
+            The data set has no column of that name.
         """
         if name == _INDEX:
             return self.touch_indices

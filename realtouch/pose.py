@@ -27,7 +27,7 @@ class Pose(RigidTransform):
         matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = rotation.as_matrix(), position_m, 1.0
         # Rotations are of length one already; to normalise again would change their last bits.
         made = cls(matrix, normalize=False, copy=False)
-        # Kept: quaternions of opposite sign are one rotation; a matrix does not tell which was stored.
+        # Kept: quaternions of opposite sign are one rotation; a matrix does not show which was stored.
         made._rotation = rotation
         return made
 

@@ -149,7 +149,7 @@ def bad_pose(position_m: NDArray[Any], quaternion: NDArray[Any]) -> tuple[int, s
     """Find the first of n rows that is not a pose: its number and what is wrong with it, or None."""
     norms = np.einsum("ij,ij->i", quaternion, quaternion)
     with np.errstate(invalid="ignore", over="ignore"):  # infinite values of both signs add up to NaN
-        # One sum tells of any value that is not finite, and costs a tenth of looking at each.
+        # One sum shows any value that is not finite, and costs a tenth of looking at each.
         finite_sums = np.isfinite(position_m.sum()) and np.isfinite(norms.sum())
     if finite_sums and (norms > _SHORTEST_QUATERNION**2).all():
         return None

@@ -102,7 +102,7 @@ def best_frame(
     clip : TouchClip, or ndarray of shape (N, H, W, 3), uint8
         At least one frame.
     rule : ContactRule, optional
-        Threshold of a changed pixel, and crop. Whether the frame shows contact at all, ``rule.holds`` tells.
+        Threshold of a changed pixel, and crop. ``rule.holds`` returns whether the frame shows contact at all.
     base : ndarray, shape (H, W, 3), uint8, optional
         The background; by default the median of the clip.
 
@@ -179,7 +179,7 @@ class Contacts:
 
 
 def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, threads: int = 1) -> Contacts:
-    """Find the best picture of each touch, and tell by it whether there was contact.
+    """Find the best picture of each touch, and by it whether there was contact.
 
     The background is the median of each clip; of images, which stand alone, the median of the round's images
     that are among these touches. With the defaults, ``find_contacts(touches).select(0.015)`` is the

@@ -296,7 +296,7 @@ def timeline(count: int, contact: slice, shown: tuple[int, ...], width_px: int) 
     picture = Image.new("RGB", (width_px, _BAR_PX + 26), PAPER)
     pen = ImageDraw.Draw(picture)
     step = (width_px - 2 * margin) / count
-    # Of many frames there is no room for gaps between the cells; those of contact come last, above others.
+    # Many frames leave no space for gaps between the cells; those of contact come last, above others.
     gap = _GAP_PX if step > 2 * _GAP_PX else 0
     for frame in sorted(range(count), key=lambda frame: contact.start <= frame < contact.stop):
         left = margin + frame * step

@@ -73,7 +73,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     Raises
     ------
     InputError
-        There is no such target, or no such way to choose a frame.
+        The target, or the way to choose a frame, is unknown.
     """
 
     def __init__(

@@ -205,7 +205,7 @@ class SceneTable(ShardedTable):
 
     @property
     def identity(self) -> str:
-        """What tells these scenes from all others."""
+        """By what these scenes differ from all others."""
         return repr((self.spec, self.split, self.size, self.seed))
 
     @property

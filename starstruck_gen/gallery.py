@@ -82,7 +82,7 @@ def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None
 
 
 def _parts(record: SceneRecord) -> list[tuple[int, str]]:
-    """Tell stars from other objects; nothing where the triangles are not those of the declared objects.
+    """Separate stars from other objects; nothing where the triangles are not those of the declared objects.
 
     Where it is not stored which objects are stars, none is painted as one.
     """

@@ -87,7 +87,7 @@ def outlines_clear(one: Placement, other: Placement, clearance_m: float) -> bool
         return True
     first, second = _standing(one), _standing(other)
     least_mm = (clearance_m + STORAGE_MARGIN_M) * MM_PER_M
-    # The gap alone would not tell an object inside another one, whose surfaces can be far apart; and of two
+    # The gap alone would not reveal an object inside another one, whose surfaces can be far apart; and of two
     # that overlap it takes several times as long to find.
     return bool((first ^ second).is_empty() and first.min_gap(second, 2 * least_mm) > least_mm)
 

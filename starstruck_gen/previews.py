@@ -110,7 +110,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
 
 
 def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> Pixels:
-    """Draw scenes from above at one scale; ``spec`` tells the size of the cell."""
+    """Draw scenes from above at one scale; ``spec`` states the size of the cell."""
     px_per_mm = _TILE_PX / (max(spec.cell_m) * MM_PER_M)
     tiles = [
         (counted(record.star_count, "stars"), Tile(_from_above(record, spec, px_per_mm), f"{record.id}"))

@@ -316,7 +316,7 @@ def outline(key: str) -> Outline:
     """Return the rings that a :func:`shape_key` names, read-only; unit: the circumscribed radius.
 
     Frame: origin at the centre of the circumscribed circle, first corner of a star on +x. Raises InputError
-    when there is no such shape, or its proportions cannot be used.
+    when the shape is unknown, or its proportions cannot be used.
     """
     return read_only(_parse_key(key).rings())
 

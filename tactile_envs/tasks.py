@@ -208,7 +208,7 @@ class ObjectPose(_Regression):
 def placements_m(hull: NDArray[np.float32], turn_rad: float, config: Config) -> tuple[Numbers, Numbers]:
     """Return the lowest and highest position, (2,) each, metres, of a turned object inside the cell.
 
-    Where there is no room, both are the middle.
+    Where the object does not fit, both are the middle.
     """
     least_x, least_y, most_x, most_y = spread_of_turned(hull, math.cos(turn_rad), math.sin(turn_rad))
     room_x, room_y = (side / 2 - config.object_placement_margin for side in config.cell_size)

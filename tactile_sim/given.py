@@ -77,7 +77,7 @@ class GivenTouches:
         missing = [name for name in _POSES if name not in self._held]
         if 0 < len(missing) < len(_POSES):
             raise InputError(
-                f"given touches lack {', '.join(missing)}; expected all of {', '.join(_POSES)}, or none"
+                f"given touches have no {', '.join(missing)}; expected all of {', '.join(_POSES)}, or none"
             )
 
     @classmethod

@@ -87,7 +87,7 @@ def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, nu
         drawn = rng.normal(size=(plan.touches_of(object_id, number), 3))
         lies = _shifted(drawn, x_m, y_m, angle_rad, shift=plan.shift)
     else:
-        lies = np.concatenate([lies, lies[-1:]])  # nobody says where the object is after the last touch
+        lies = np.concatenate([lies, lies[-1:]])  # where the object is after the last touch is not known
     z_m = 0.0 - solid.foot_m  # not -foot_m, which of a foot of 0 would be -0.0: other bytes
     matrices = np.array([pose(x_m, y_m, z_m, turn_rad=turned_rad) for x_m, y_m, turned_rad in lies.tolist()])
     quaternions = [turn_quaternion(turned_rad) for turned_rad in lies[:, 2].tolist()]

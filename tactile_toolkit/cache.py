@@ -102,7 +102,7 @@ class DiskCache:
         """Write a file of about that size, making room first; return whether it is there now.
 
         A folder that could not be written once is not tried again by this process, for filling may be slow.
-        What the process itself lacks for a moment, such as file handles, does not end its use.
+        What the process itself has too few of for a moment, such as file handles, does not end its use.
         """
         path = self.path(name)
         if path.parent in _unwritable:

@@ -1,6 +1,6 @@
 """Processes that start at once: forked from one that has imported before what most of them need.
 
-They have the environment of the test, no thread, and nothing that a test has left behind. What is told of
+They have the environment of the test, no thread, and nothing that a test has left behind. What is reported of
 imports needs an interpreter of its own: :func:`tests.processes.printed_by`.
 """
 

@@ -99,7 +99,7 @@ def _is_method(node: ast.expr) -> bool:
 def _named(node: ast.AST) -> Any:
     """Return what a dotted name of the toolkit stands for; None for all else.
 
-    AttributeError: there is no such name.
+    AttributeError: the name does not exist.
     """
     if isinstance(node, ast.Name):
         if node.id in _ROOTS:

@@ -34,7 +34,7 @@ def new_clients() -> Iterator[None]:
 
 @pytest.fixture
 def s3(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> S3Server:
-    """The server, asked with credentials, which nobody else's configuration disturbs."""
+    """The server, asked with credentials, which no other configuration disturbs."""
     for name, value in s3_server.environment().items():
         monkeypatch.setenv(name, value)
     for name in ("AWS_PROFILE", "AWS_SESSION_TOKEN", "AWS_ENDPOINT_URL_S3"):

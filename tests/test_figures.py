@@ -21,7 +21,7 @@ def results() -> dict[str, Any]:
 
 @pytest.mark.parametrize("document", figures.DOCUMENTS, ids=lambda path: path.parent.name)
 def test_tables_are_written_by_the_script(document: Path) -> None:
-    """Nobody edits a figure by hand; ``benchmarks/run --write`` marks what is older than its code."""
+    """Figures are not edited by hand; ``benchmarks/run --write`` marks what is older than its code."""
     text = document.read_text(encoding="utf-8")
     assert text == figures.written(text, results()), "next: run benchmarks/run --write"
 

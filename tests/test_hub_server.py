@@ -95,7 +95,7 @@ def test_a_folder_is_uploaded_once(server, tmp_path, folder):
 def test_pull_request(server, tmp_path, folder):
     server.create("someone/set")
     stranger = server.account("else")
-    # A stranger may open a pull request, but not make the repository.
+    # Another user may open a pull request, but not make the repository.
     script = UPLOAD.format(private=False, pull=True).replace("api.create_repo", "str or api.create_repo")
     script = script.partition("\n")[2].partition("\n")[2]
     done = client(script, server, tmp_path, stranger)

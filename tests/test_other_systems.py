@@ -1,6 +1,6 @@
 """Nothing asks for what only some systems have: all is imported, a set made, loaded and verified without it.
 
-Python runs without the modules and functions that Windows lacks, and without ``/proc``, which macOS lacks.
+Python runs without the modules and functions missing on Windows, and without ``/proc``, as on macOS.
 """
 
 from __future__ import annotations

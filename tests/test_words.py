@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -23,20 +24,23 @@ PACKAGES = (
 
 INSTEAD = {
     r"anew": "again",
-    r"told|vouch\w*": "reported, holds the checksums of",
+    r"told|tells?|vouch\w*": "reports, states, shows, distinguishes, holds the checksums of",
+    r"is no (?:such|terminal|way|table|room)": "is not ..., has no ..., does not exist",
+    r"lacks": "has no, is missing in",
+    r"strangers?": "a user, another file",
     r"whoever's|somebody'?s?|anybody'?s": "a user, other users",
     r"nobody'?s?": "no user, not",
-    r"(?<!there )(?:is|are|was|were) no": "is not a",
+    r"(?<!there )(?:is|are|was|were) no(?! longer| larger| wider)": "is not a",
     r"unproven|forsaken|fleck\w*|hopeless|whims?": "the term of the field",
     r"beside": "next to, besides, in addition to",
-    r"whole (?:number|file|copy|round|row|image|picture|tar)s?": "integer, intact, complete, entire",
+    r"whole (?:number|file|copy|round|row(?! group)|image|picture|tar)s?": "integer, intact, complete",
     r"(?:is|are|be|was|were) whole": "is intact, is complete",
     r"goes on|go on|went on|going on": "continues",
     r"mends?|mended": "repair, correct",
 }
 """Patterns of words, in any case, and what to write."""
 
-ONLY_IN_MESSAGES = {r"says?|said|tells?": "states, reports, shows"}
+ONLY_IN_MESSAGES = {r"says?|said": "states, reports, shows"}
 """The same of strings that are not docstrings."""
 
 FORMER = {"starstruck_gen/sampling.py": "hopeless"}
@@ -77,9 +81,15 @@ def faults(file: Path) -> Iterator[str]:
             name = getattr(node, "name", None) or getattr(node, "arg", None) or getattr(node, "id", "")
             if NAMES.search(name) and name != FORMER.get(str(file.relative_to(ROOT))):
                 yield f"{file.relative_to(ROOT)}:{node.lineno}: the name {name}"
+    with file.open("rb") as stream:
+        for token in tokenize.tokenize(stream.readline):
+            if token.type == tokenize.COMMENT:
+                for pattern, instead in compiled(INSTEAD):
+                    for found in pattern.finditer(token.string):
+                        yield f"{file.relative_to(ROOT)}:{token.start[0]}: {found[0]!r}; write: {instead}"
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_names_messages_and_docstrings_use_plain_words(package: str) -> None:
+def test_names_messages_docstrings_and_comments_use_plain_words(package: str) -> None:
     found = [fault for file in sorted((ROOT / package).rglob("*.py")) for fault in faults(file)]
     assert not found, "\n".join(found)

@@ -92,7 +92,7 @@ def _paste(position_mm: Floats, images: Floats, maps: Floats) -> None:
                 if 0 <= i < SIDE and 0 <= j < SIDE:
                     depth = images[n, row, column]
                     count[i, j] += 1
-                    # Where the gel touches nothing, the surface lies lower than it can tell.
+                    # Where the gel touches nothing, the surface lies lower than it can measure.
                     if depth < 1:
                         height_mm = position_mm[n, 2] - (1 + depth) * _PRESS_MM
                         total[i, j] += max(np.float32(0), height_mm)

@@ -204,7 +204,7 @@ class _Stored:
         super().__init__(StoredRows(records, self.readers), cache_size=cache_size)  # type: ignore[call-arg]
         self.records = records
 
-    # The package takes all rows that are no `datasets.Dataset` for a stream without random access.
+    # The package takes all rows but a `datasets.Dataset` for a stream without random access.
     def __iter__(self) -> Iterator[Any]:
         return (self[index] for index in range(len(self.records)))  # type: ignore[index]
 

@@ -347,7 +347,7 @@ def noise_folder(rounds: Any, where: str) -> Path:
             next="download such a data set and give its folder",
         )
     targets = [Path(file).resolve() for file in files]
-    # Size and time as well: a link does not tell that its file was written again.
+    # Size and time as well: a link does not show that its file was written again.
     facts = [(str(target), target.stat().st_size, target.stat().st_mtime_ns) for target in targets]
     folder = cache_folder() / "linked" / hashlib.sha256(repr(facts).encode()).hexdigest()[:32]
     with named_failures(str(folder)):

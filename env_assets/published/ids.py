@@ -206,7 +206,7 @@ def _state(environment: PublishedEnvironment) -> EnvironmentState:
 # Hundreds of ids share three sensors, and a failing import is tried again each time.
 @cache
 def _lacking(sensor: str) -> str:
-    """State what a sensor lacks on this machine; empty where nothing is missing."""
+    """State what is missing here for a sensor; empty where nothing is."""
     try:
         require_sensor(sensor, "auto")
     except InputError as error:

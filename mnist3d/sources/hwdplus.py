@@ -167,7 +167,7 @@ def _int_column(table: NDArray[Any], column: int, path: str, most: float = np.in
     """Return a column of numbers, or strings of them, as integers; a digit is at most 9 and at least 0."""
     cells, least = table[:, column], 0 if most == 9 else -np.inf
     numbers = np.array([_number(cell) for cell in cells]) if cells.dtype.kind in "US" else cells.astype(float)
-    # From 2**53 on a float no longer tells one integer from the next.
+    # From 2**53 on floats are not distinct for all integers.
     fits = (
         (np.rint(numbers) == numbers) & (np.abs(numbers) < 2.0**53) & (numbers >= least) & (numbers <= most)
     )
@@ -208,6 +208,6 @@ def open_npy(path: str) -> NDArray[Any]:
 
 
 def _stamp(path: str) -> tuple[int, int]:
-    """Return size and time of change, by which caches tell a file that was replaced."""
+    """Return size and time of change, by which caches recognise a file that was replaced."""
     status = Path(path).stat()
     return status.st_size, status.st_mtime_ns

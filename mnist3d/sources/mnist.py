@@ -79,7 +79,7 @@ class MnistSource:
     def image(self, digit_id: int) -> DigitImage:
         """Draw one digit, 500 x 500 px.
 
-        Raises ItemError ``"unknown-id"`` when there is no such digit.
+        Raises ItemError ``"unknown-id"`` when no digit has the id.
         """
         index = digit_id
         for images, labels in self._parts():

@@ -96,7 +96,7 @@ class WriterStyle:
     jitter: float  # size of the changes from digit to digit, relative to those between writers
     tremor_px: float  # deviation of the pen's path
     roughness_px: float  # deviation of the edge of the ink
-    gaps: float  # mean number of light flecks in the ink
+    gaps: float  # mean number of light spots in the ink
     specks: float  # mean number of stray dots next to it
     fidelity: float  # chance that a digit takes the writer's preferred shape
 

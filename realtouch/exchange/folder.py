@@ -37,7 +37,7 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
 def _table_name(home: DataFolder, table: str | None) -> str:
     if table is not None:
         if problem_of_name(table) or not home.exists(table):
-            raise InputError(f"there is no table {table!r} in {home.address()!r}")
+            raise InputError(f"{home.address()!r} has no table {table!r}")
         return table
     found = [name for name in home.sizes() if name.endswith(".csv") and not name.startswith(".")]
     if len(found) != 1:

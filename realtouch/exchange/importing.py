@@ -209,7 +209,7 @@ def _plan(
     style = ParquetStyle(max(1, per_group // per_round), compression_level=3, encodings=encodings)
 
     def is_current(_folder: DataFolder, record: ShardRecord, _reads: bool) -> bool:
-        # Names and sizes would not tell whether the source still gives the same: the images are read again.
+        # Names and sizes would not show whether the source still gives the same: the images are read again.
         content = tasks[str(record.shard)].make()
         same = sha256_hex(encode_parquet(content.table, style)) == record.sha256
         return same and content.skipped == record.skipped
@@ -420,7 +420,7 @@ def _text(values: Mapping[str, Any], name: str | None) -> str:
 
 
 def _integer_text(text: str) -> str:
-    """Return ``"3"`` for ``"3.0"``: so tables have integers whose column lacks a value somewhere."""
+    """Return ``"3"`` for ``"3.0"``: so tables have integers whose column has a gap."""
     match = _NUMBER.fullmatch(text)
     return text if match is None else match[1]
 

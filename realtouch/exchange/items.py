@@ -193,5 +193,5 @@ def size_below(home: DataFolder, name: str, sizes: Callable[[str], Mapping[str, 
             raise ItemError("name", "a link leads out of the folder; expected a path below it")
         size = path.stat().st_size if path.is_file() else None
     if size is None:
-        raise ItemError("missing", "there is no such file")
+        raise ItemError("missing", "the file does not exist")
     return size

@@ -155,7 +155,7 @@ class CycleGan:
         return pictures + deviation * noise.to(pictures.dtype)
 
     def _add_cycle_noise(self, name: str, pictures: Any, rng: np.random.Generator) -> Any:
-        """Return touches as the way back is shown them; real and made alike, so that it cannot tell them."""
+        """Return touches as the way back is shown them; real and made alike, so that they look the same."""
         return self._add_white_noise(name, pictures, self.config.noise * rng.random())
 
     def _generator_losses(

@@ -239,7 +239,7 @@ def read_weights(file: str | Path) -> GeneratorWeights:
     Raises
     ------
     InputError
-        There is no such file, it is damaged, or it holds something else than a generator.
+        The file is not there, is damaged, or holds something else than a generator.
     """
     path = expanded(file)
     try:

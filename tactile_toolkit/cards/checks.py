@@ -1,4 +1,4 @@
-"""Whether a card tells the truth about its folder: splits, files, columns, counts, pictures."""
+"""Whether a card is true of its folder: splits, files, columns, counts, pictures."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ _PLAIN_TYPES = {
 _LINK = re.compile(r"\[([^\]]+)\]\([^)]*\)")
 _CODE = re.compile(r"```.*?```", re.DOTALL)
 _BIBTEX = re.compile(r"```bibtex\n(.*?)```", re.DOTALL)
-# Words of the Hub that are no licence of SPDX.
+# Words of the Hub that are not licences of SPDX.
 _UNNAMED_LICENCES = ("other", "unknown")
 _REPOSITORY = "repository"
 # What stands, by agreement of those who keep the format, for the digest of a repository.
@@ -242,7 +242,7 @@ def croissant_again(
 
 
 def check_croissant(folder: DataFolder, facts: FolderFacts, manifest: Manifest | None) -> list[Finding]:
-    """List what of the file is not as the folder is; none where there is no such file."""
+    """List what of the file is not as the folder is; nothing without the file."""
     if not folder.exists(CROISSANT_FILE):
         return []  # data sets made before there was one
     try:

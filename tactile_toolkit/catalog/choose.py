@@ -38,7 +38,7 @@ def open_splits(
     """Open one split of a data set, or all of them; those without rows are left out.
 
     ``load`` opens a split of a path; ``things`` is what the rows are, for messages, such as ``"digits"``.
-    InputError where there is no such split, or nothing in it.
+    InputError where the split does not exist, or is empty.
     """
     chosen = splits_of(name, revision=revision) if split is None else (split,)
     opened = {each: load(name, each) for each in chosen}

@@ -26,7 +26,7 @@ _THREADS = 8
 
 
 def kind_of_meshes(schema: Any) -> DatasetKind | None:
-    """Tell the kind of meshes by a column that only it has, or else by the classes of its published set."""
+    """Return the kind of meshes by a column that only it has, or else by the classes of its published set."""
     for kind in kinds():
         if any(column in schema.names for column in kind.columns):
             return kind
@@ -86,7 +86,7 @@ def require_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest:
 
 @contextmanager
 def specification_read(where: str) -> Iterator[None]:
-    """Take a manifest whose specification lacks something, or holds something else there, for damaged."""
+    """Take a manifest whose specification is not as expected for damaged."""
     try:
         yield
     except (KeyError, TypeError, AttributeError) as error:

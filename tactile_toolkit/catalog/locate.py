@@ -40,7 +40,7 @@ def find_shards(
     ``name`` is a folder or a Parquet file, local or in an object store (``s3://BUCKET/FOLDER``), or a
     repository of the Hub: ``USER/NAME[@REVISION]``, or the address of it, or of a folder or file in it,
     ``hf://datasets/USER/NAME[@REVISION][/PATH]``. What lies in a store is read piece by piece. A file whose
-    name tells no split is taken for whatever split, and any file for ``train``. With ``streaming``, shards
+    name states no split is taken for whatever split, and any file for ``train``. With ``streaming``, shards
     have remote addresses that are read piece by piece. Raises InputError (no such folder or split),
     IntegrityError (a damaged manifest, an interrupted run) or HubError.
     """
@@ -154,7 +154,7 @@ def _is_file(named: HubName) -> bool:
 
 
 def _split_in_name(place: str | HubName) -> str | None:
-    """Return the split that the name of a file tells, such as ``test-00000-of-00002.parquet``."""
+    """Return the split that the name of a file states, such as ``test-00000-of-00002.parquet``."""
     shard = ShardName.parse(Path(place.path if isinstance(place, HubName) else place).name)
     return None if shard is None else shard.split
 
@@ -222,7 +222,7 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
 
 
 def available_splits(folder: DataFolder) -> tuple[str, ...]:
-    """List the splits of a folder: those of its manifest, or else those its file names tell."""
+    """List the splits of a folder: those of its manifest, or else those its file names state."""
     manifest = read_manifest(folder)
     if manifest is not None:
         return manifest.splits

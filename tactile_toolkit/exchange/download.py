@@ -348,7 +348,7 @@ def _fitted_card(card: str, plan: DownloadPlan, folder: DataFolder, is_part: boo
 
     Shards and manifest must be in place.
     """
-    # ``datasets.load_dataset(folder)`` fails over a split that the head names and the folder lacks.
+    # ``datasets.load_dataset(folder)`` fails over a split of the head that is not in the folder.
     here = card_head(folder_facts(folder))
     note = (
         f"\n> This folder holds {', '.join(f'`{split}`' for split in plan.splits)} of "

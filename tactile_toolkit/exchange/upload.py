@@ -104,7 +104,7 @@ class LocalFile:
 class UploadPlan:
     """The difference between a folder and a repository.
 
-    Of what the folder lacks, but for what the Hub writes itself, some files are ``kept``, others ``removed``.
+    Of what is not in the folder, but for what the Hub writes itself, some is ``kept``, the rest ``removed``.
     """
 
     to_send: tuple[LocalFile, ...]
@@ -159,7 +159,7 @@ class UploadTarget:
     """A branch of a data set repository as it is now, or a pull request.
 
     ``held`` is what the commit holds that the branch points to, or that it will start at, the head of
-    ``main``; None where there is no such repository. ``tags`` name commits. ``on_wait`` gets a sentence for
+    ``main``; None where the repository does not exist. ``tags`` name commits. ``on_wait`` gets a sentence for
     each wait.
     """
 
@@ -229,7 +229,7 @@ class PreparedUpload:
 
     @cached_property
     def plan(self) -> UploadPlan:
-        """What the Hub lacks of the folder, and has next to it."""
+        """What is missing on the Hub, and what it has next to the folder's files."""
         return self.compared(self.target.held)
 
     def compared(self, held: HubSnapshot | None) -> UploadPlan:
@@ -312,7 +312,7 @@ def prepare_upload(
 def local_copy(folder: DataFolder, root: Path) -> DataFolder:
     """Copy all files of a folder but hidden ones to this machine.
 
-    Raises IntegrityError for names that lead out of a folder, StorageError where there is no room, and
+    Raises IntegrityError for names that lead out of a folder, StorageError where the disk is full, and
     RemoteError where the store fails.
     """
     visible = [path for path in folder.walk() if not path.startswith(".") and "/." not in path]

@@ -318,7 +318,7 @@ class SiteForecast:
 
 
 def forecast_site(gallery: Gallery, out: str, workers: int, *, overwrite: bool = False) -> SiteForecast:
-    """Make a few items, write nothing, and tell what all would take; InputError as :func:`build_site`."""
+    """Make a few items, write nothing, and return what all would take; InputError as :func:`build_site`."""
     _require_free(out, overwrite=overwrite)
     _require_size(gallery)
     site, tasks = _Files(gallery), gallery.tasks

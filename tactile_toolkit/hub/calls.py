@@ -35,7 +35,7 @@ _BROKEN = frozenset(
         *("RequestError", "Timeout", "ChunkedEncodingError"),
     }
 )
-# What a longer wait than anyone's patience would not mend, and what the client has waited for in vain.
+# What no wait would repair, and what the client has waited for in vain.
 _LASTING = frozenset(
     {"ConnectError", "ConnectTimeout", "LocalProtocolError", "UnsupportedProtocol", "ProxyError"}
 )

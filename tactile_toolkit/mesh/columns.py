@@ -42,7 +42,7 @@ def class_names(schema: Any, default: tuple[str, ...], where: str = "") -> tuple
 
 
 def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
-    """Refuse the data set ``name`` where it lacks a column of the published mesh layout.
+    """Refuse the data set ``name`` where it has not all columns of the published mesh layout.
 
     ``made_by`` is the command that writes such data sets, for the message of the InputError.
     """
@@ -111,7 +111,7 @@ def flat_table(rows: RecordDataset[Any]) -> Any:
     for number, record in enumerate(rows):
         mesh = Mesh(record.vertices_m, record.faces)
         sizes.append(np.ptp(np.asarray(mesh.vertices_m, np.float64), axis=0))
-        # `datasets` tells by the name what kind of file the bytes are.
+        # `datasets` takes the kind of file from the name.
         files.append({"bytes": pack_mesh(mesh, ".glb"), "path": f"{number:05d}.glb"})
     for name, values in zip(SIZES, np.reshape(sizes, (-1, 3)).T, strict=True):
         table = table.append_column(name, pa.array(values, pa.float64()))

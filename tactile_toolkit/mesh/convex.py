@@ -21,7 +21,7 @@ _DIRECTIONS = [
 _OUTLINE_MM = 0.02  # finer detail of an outline decides no cut
 # Larger than any plate, and small enough for a half plane of doubles.
 _FAR_MM = 1e5
-_LEAST_MM3 = 1e-6  # what a cut leaves of a face is no part
+_LEAST_MM3 = 1e-6  # what a cut leaves of a face is not a part
 
 
 def convex_parts(
@@ -37,7 +37,7 @@ def convex_parts(
     """
     solid = require_solid(mesh).manifold
     parts, whole_mm3 = _parts(solid), solid.volume()
-    for _ in range(most):  # of so many cuts: one may split off a chip that is no part, time and again
+    for _ in range(most):  # of so many cuts: one may split off a chip that is not a part, time and again
         if len(parts) >= most or sum(hull.volume() for *_, hull in parts) <= excess * whole_mm3:
             break
         _, part, _ = parts.pop(int(np.argmax([added_mm3 for added_mm3, *_ in parts])))

@@ -5,7 +5,7 @@ volume counts it so. Sheets that only touch enclose nothing twice and are left a
 
 Sheets cross where an edge passes through a triangle with which it shares no corner, and neighbours where one
 is folded back onto the other. An edge that meets a triangle only within :func:`tolerance_mm` of its ends, or
-of the rim of the triangle, may touch it or be the seam of a crossing: winding numbers of points around tell.
+of the rim of the triangle, may touch it or be the seam of a crossing: winding numbers around it decide.
 """
 
 from __future__ import annotations

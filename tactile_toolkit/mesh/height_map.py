@@ -51,7 +51,7 @@ class HeightMap:
 
     Row 0 has the least y and column 0 the least x: ``heights_m[row, column]`` is the surface above the point
     ``(x_m[column], y_m[row])``, the centre of that pixel. (Pictures put row 0 on top: show
-    ``heights_m[::-1]``, or tell matplotlib ``origin="lower"``.) Above pixels whose centre lies outside the
+    ``heights_m[::-1]``, or give matplotlib ``origin="lower"``.) Above pixels whose centre lies outside the
     mesh, as seen from above, the height is NaN.
 
     Attributes

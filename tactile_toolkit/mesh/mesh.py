@@ -107,7 +107,7 @@ class Mesh:
         """
         import manifold3d
 
-        # Mesh64, as manifold3d merges vertices that single precision does not tell apart.
+        # Mesh64, as manifold3d merges vertices that single precision does not distinguish.
         return manifold3d.Manifold(manifold3d.Mesh64(self.vertices_mm, self.faces.astype(np.uint64)))
 
     @classmethod

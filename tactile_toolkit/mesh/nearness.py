@@ -36,7 +36,7 @@ FACING = 0.95
 # Cosine up to which a way along the surface counts as leading no nearer: 3 degrees.
 _ALONG = 0.05
 
-# What lies no further before a triangle is in its plane: less than the data can tell, more than rounding.
+# What lies no further before a triangle is in its plane: less than the data resolve, more than rounding.
 _LEVEL = 1e-9
 
 # Every way across a wall starts this near to a direction in the boxes: by FACING, or at a notch between two
@@ -205,7 +205,7 @@ def passages(
     doubtful, count = np.empty((64, 3)), 0
     for pair in range(pairs.shape[1]):
         one, other = pairs[0, pair], pairs[1, pair]
-        # Within 8 degrees of opposite: the angle alone does not tell a fold from a thin edge, the gap does.
+        # Within 8 degrees of opposite: by the angle alone a fold is like a thin edge; the gap differs.
         opposed = _dot(_row(normal, one), _row(normal, other)) < -0.99
         for target, passing in ((one, other), (other, one)):
             for k in range(3):

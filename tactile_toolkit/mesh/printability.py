@@ -307,7 +307,7 @@ def _outline_points(
     spacing_mm = max(SPACING_MM, sum(lengths) / MAX_POINTS)
     points, inward = [], []
     for outline, length in zip(outlines, lengths, strict=True):
-        # A small hole too has enough points to tell its directions.
+        # A small hole too has enough points for its directions.
         count = max(16, round(length / spacing_mm))
         way = np.concatenate([[0.0], np.cumsum(_edge_lengths(outline))])
         # Half a step off the first corner: at a corner itself the outline has no direction.

@@ -23,7 +23,7 @@ _EDGE_PX = 1e-9
 # Lines or pixels that are worked on together: bounds the memory of large triangles on fine grids.
 _AT_ONCE = 1 << 20
 
-# Heights that :func:`highest_faces` tells apart: 1e-7 mm on a solid of 10 cm.
+# Heights that :func:`highest_faces` distinguishes: 1e-7 mm on a solid of 10 cm.
 # Next to 32 bits of the triangle's number this fills a signed integer of 64.
 _DEPTH_STEPS = 1 << 30
 

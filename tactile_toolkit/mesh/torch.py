@@ -203,7 +203,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     Raises
     ------
     InputError
-        There is no such form or target, or a number is impossible.
+        The form or the target is unknown, or a number is impossible.
     """
 
     extent_m: ClassVar[tuple[float, float, float]] = (0.12, 0.12, 0.01)

@@ -163,7 +163,7 @@ def _plotted(
         size = (size_in[0] * columns, size_in[1] * rows + size_in[2])
         figure = Figure(figsize=size, dpi=_DPI, layout="constrained")
         canvas = FigureCanvasAgg(figure)
-        # Of letters that the font lacks it draws boxes, and would say so on stderr.
+        # For letters that the font does not have it draws boxes, with a warning on stderr.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
         _write_title(figure, title)
         for number, panel in enumerate(panels, start=1):

@@ -49,7 +49,7 @@ class PreviewSpec:
 class MeshPreviews(Generic[D]):
     """A data set that is to be drawn: the splits that have rows, and the rows that are drawn alone.
 
-    InputError where there is no such split or id, nothing in it, or data of another kind.
+    InputError where the split or id does not exist, the split is empty, or the data are of another kind.
     """
 
     def __init__(self, kind: DatasetKind, name: str, spec: PreviewSpec) -> None:

@@ -31,7 +31,7 @@ ACCENTS: tuple[Colour, ...] = (
     (204, 121, 167),
     (86, 180, 233),
 )
-"""Colours that people with any kind of colour vision tell apart (Okabe and Ito 2008)."""
+"""Colours that people with any kind of colour vision distinguish (Okabe and Ito 2008)."""
 
 TITLE_PX, TEXT_PX, CAPTION_PX = 20, 14, 12
 

@@ -85,7 +85,7 @@ def plan_kinds(
             reasons.append(error)
     if not pictures and reasons:
         raise reasons[0]
-    # Several kinds may lack the same package.
+    # Several kinds may need the same missing package.
     return PicturePlan(tuple(pictures), tuple(dict.fromkeys(str(reason) for reason in reasons)))
 
 
@@ -141,7 +141,7 @@ def figure_html(pixels: Pixels, caption: str, style: str = "") -> str:
 
 
 def file_stem(name: str) -> str:
-    """Return what tells the pictures of data sets apart: the last part of a path, in plain letters."""
+    """Return by what pictures of data sets differ in name: the last part of a path, in plain letters."""
     path = expanded(name)
     last = path.resolve().name if path.is_dir() else path.stem if path.is_file() else path.name
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)

@@ -313,7 +313,7 @@ def _safe(word: str) -> str:
     return _UNSAFE.sub("_", unicodedata.normalize("NFC", word))
 
 
-# Objects that a forecast packs, from all over the list, to tell the size of all.
+# Objects that a forecast packs, from all over the list, to estimate the size of all.
 _SAMPLED = 32
 
 

@@ -381,5 +381,5 @@ class _Filling:
         """Count taken cells under a shape or its rim, for every position of the shape."""
         rows, columns = (side - cells + 1 for side, cells in zip(self._plate, shape.cells.shape, strict=True))
         counts = fft.irfft2(self._spectrum * spectrum, self._size)[:rows, :columns]
-        # Whole numbers again: the choice does not hang on the last bits of a transform.
+        # Integers again: the choice does not hang on the last bits of a transform.
         return np.asarray(np.rint(counts), np.float32)

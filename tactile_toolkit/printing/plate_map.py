@@ -1,4 +1,4 @@
-"""Maps of build plates: a picture that tells printed objects apart."""
+"""Maps of build plates: a picture by which printed objects are found."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 _PAPER, _PLATE, _GRID, _INK, _FIELD = "#ffffff", "#f4f2ec", "#e0dcd2", "#222222", "#ffffff"
 _MARGIN = "#b9b3a3"
-# One per class; the words on the map, not the colours, tell objects apart.
+# One per class; the words on the map, not the colours, distinguish objects.
 _FILLS = (
     *("#9ecae1", "#fdbe85", "#a1d99b", "#fc9f97", "#cbb8dd"),
     *("#d8b49c", "#f5b9d6", "#c4c9cf", "#d9dc8c", "#9fdde2"),
@@ -217,7 +217,7 @@ def _name_objects(sheet: _Sheet, plate: Sequence[Placed], spec: PlateSpec, share
         else:
             left_out += 1
     if left_out:
-        words = f"{left_out:,} without words, as there is no room: plates.csv lists them"
+        words = f"{left_out:,} without words, for want of space: plates.csv lists them"
         sheet.text((spec.width_mm / 2, 0), words, _SMALL_PX, anchor="ma", shift_px=(0, 44))
 
 

@@ -41,7 +41,7 @@ from tactile_toolkit.printing.spec import PlateSpec
 from tactile_toolkit.wording import counted
 
 TABLE_FILE = "plates.csv"
-# Objects that a forecast packs to tell the size of all.
+# Objects that a forecast packs to estimate the size of all.
 _SAMPLED = 4
 
 _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer knows a micrometre

@@ -339,7 +339,7 @@ class RowGroup:
     def arrow(self, name: str) -> Any:
         """Return a column as an Arrow array, by dotted name, whether stored flat or as a struct's field.
 
-        Raises KeyError when there is no such column.
+        Raises KeyError when the column does not exist.
         """
         import pyarrow as pa
 

@@ -84,7 +84,7 @@ class Row:
         names = self.group.names
         if set(names) != set(other.group.names):
             return False
-        # Ids first: they tell most rows apart, and no mesh or picture is looked at then.
+        # Ids first: most rows differ there, and no mesh or picture is looked at then.
         return all(
             same_values(
                 self.group.arrow(name).slice(self.index, 1), other.group.arrow(name).slice(other.index, 1)
@@ -133,7 +133,7 @@ class Record:
         return self._row.equals(other._row)
 
     def __hash__(self) -> int:
-        # Of this row alone: a neighbour's damage must not tell a record from its pickled copy.
+        # Of this row alone: a neighbour's damage must not make a record differ from its pickled copy.
         try:
             number = self._row.group.arrow("id")[self._row.index].as_py()
         except (KeyError, ValueError):
@@ -348,7 +348,7 @@ class RecordDataset(LazySequence[T]):
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Splits that the rows are of, as the names of their files tell them."""
+        """Splits that the rows are of, by the names of their files."""
         return tuple(dict.fromkeys(split for table in self._tables for _, split in table.origins if split))
 
 

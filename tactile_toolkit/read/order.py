@@ -64,7 +64,7 @@ class GlobalOrder:
 
     @cached_property
     def fingerprint(self) -> str:
-        """What tells this order from others: a checksum of all that it follows from."""
+        """By what this order differs from others: a checksum of all that it follows from."""
         order = self.parts.order
         parts = [repr((self.seed, self.window)).encode(), self.parts.starts.astype("<i8").tobytes()]
         parts += [] if order is None else [order.astype("<i8").tobytes()]
@@ -170,7 +170,7 @@ class Prefetcher:
         self._thread: Thread | None = None
 
     def enter(self, window: int) -> None:
-        """Wait until a window is unpacked, and begin with the next one; there is no way back."""
+        """Wait until a window is unpacked, and begin with the next one; earlier ones are gone."""
         if window <= self._window:
             return
         self._window = window
@@ -184,8 +184,7 @@ class Prefetcher:
             )
             warnings.warn(message, RuntimeWarning, stacklevel=2)
         if 2 * size_bytes <= limit_bytes:  # the next one must not drive this one out
-            # A job that ends in the middle of an epoch does not wait for row groups that nobody asks for any
-            # more.
+            # A job that ends in the middle of an epoch does not wait for row groups that are not needed.
             self._thread = Thread(target=self._unpack, args=(window + 1,), daemon=True)
             self._thread.start()
 

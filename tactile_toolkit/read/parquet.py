@@ -358,7 +358,7 @@ class Shard:
 
     def _require_bounded(self, index: int) -> None:
         """Refuse rows that unpack to more than the limit, by what the footer states of them."""
-        # A large row group is no harm, for blocks of it are unpacked; one of which next to nothing is stored
+        # A large row group is harmless, for blocks of it are unpacked; one of which next to nothing is stored
         # may be a single row.
         group = self.metadata.row_group(index)
         columns = [group.column(number) for number in range(group.num_columns)]

@@ -152,7 +152,7 @@ class Part:
     Raises
     ------
     InputError
-        There is no such part.
+        The part does not exist.
     """
 
     index: int

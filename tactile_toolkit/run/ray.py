@@ -2,7 +2,7 @@
 
 The cluster is another user's: it is joined, never started, and left as it was. What runs on its nodes is the
 toolkit as installed there, so every worker compares versions before it works; the few lines that do so travel
-with the first task, because a node may lack the toolkit altogether.
+with the first task, because a node may not have the toolkit at all.
 """
 
 from __future__ import annotations

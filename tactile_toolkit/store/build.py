@@ -107,7 +107,7 @@ def build(
     on_progress: Callable[[Progress], None] = lambda _: None,
     write_card: WriteCard | None = None,
 ) -> Manifest:
-    """Make what the folder lacks of the plan and return the manifest.
+    """Make what is missing in the folder of the plan and return the manifest.
 
     A run that fails keeps the shards that it finished; one that finished none leaves the folder as it was.
     With ``overwrite``, the former data set stays until all of the new one is there.

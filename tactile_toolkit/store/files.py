@@ -51,7 +51,7 @@ def named_failures(address: str) -> Iterator[None]:
 
 
 def of_the_process(error: Exception) -> str | None:
-    """Return, in words, which lack of this process or machine an error is about; None for any other error."""
+    """Return, in words, of what this process or machine has too little; None for any other error."""
     if isinstance(error, MemoryError):
         error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
     if not isinstance(error, OSError) or error.errno not in _OF_THE_PROCESS:
@@ -68,12 +68,12 @@ def readable(address: str) -> Iterator[None]:
     try:
         yield
     except (OSError, MemoryError) as error:
-        lack = of_the_process(error)
+        reason = of_the_process(error)
         if isinstance(error, PermissionError):
-            lack = "permission denied; next: change its permissions, or ask its owner to"
-        if lack is None:
+            reason = "permission denied; next: change its permissions, or ask its owner to"
+        if reason is None:
             raise
-        raise InputError(f"{address!r} cannot be read: {lack}") from error
+        raise InputError(f"{address!r} cannot be read: {reason}") from error
 
 
 def is_there(path: Path) -> bool:
@@ -248,7 +248,7 @@ def temporary(
             path = folder / f"{prefix}{uuid.uuid4().hex}-{name}"
             stack.callback(_remove, path)
             make(path)
-            # Somebody may have come by before it was held.
+            # Another program may have come by before it was held.
             with contextlib.suppress(FileNotFoundError):
                 stack.enter_context(_held(path))
                 if path.exists():

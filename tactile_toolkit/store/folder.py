@@ -338,7 +338,7 @@ class DataFolder:
     def require_folder(self) -> None:
         """Create the folder, and prove that it can be written to; a bucket must be there.
 
-        Raises InputError when a file stands in its place or there is no such bucket.
+        Raises InputError when a file stands in its place or the bucket does not exist.
         """
         with named_failures(self.root):
             if self.exists() and self._problem():

@@ -235,7 +235,7 @@ class State:
 
 
 def begin(folder: DataFolder, plan: BuildPlan, runner: Runner | int) -> tuple[Job, State]:
-    """Look what a folder lacks for a run, and name there what it is to become, unless that is done.
+    """Find what is missing in a folder for a run, and name there what it is to become, unless that is done.
 
     Raises as :func:`look`.
     """
@@ -255,7 +255,7 @@ def look(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -> State
 
     Raises SpecMismatchError when the folder is made by another specification, or by libraries that write
     other bytes (the message says what differs), InputError when it holds something else, and
-    MissingPartsError where a Finish lacks shards.
+    MissingPartsError where shards are missing for a Finish.
     """
     check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
     tasks = tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks

@@ -61,7 +61,7 @@ class Digest:
 
 @dataclass(frozen=True, slots=True)
 class HubFile:
-    """A file of a repository; ``digest`` is None where only a cached copy is known that does not tell."""
+    """A file of a repository; ``digest`` is None where only a cached copy without one is known."""
 
     path: str
     size_bytes: int

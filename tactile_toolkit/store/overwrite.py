@@ -127,7 +127,7 @@ def promote(folder: DataFolder) -> None:
     leave = require_replaceable(folder)
     arrive = [path for path in DataFolder(folder.address(NEXT_FOLDER)).walk() if not path.startswith(".")]
     promotion = _Promotion(arrive, sorted({*leave} - {*arrive}))
-    folder.write_bytes(_PROMOTION, msgspec.json.encode(promotion))  # from here on there is no way back
+    folder.write_bytes(_PROMOTION, msgspec.json.encode(promotion))  # from here on it can only be completed
     _carry_on(folder)
 
 

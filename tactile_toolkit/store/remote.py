@@ -65,7 +65,7 @@ class Store:
             ) from error
         if scheme == "s3":
             system.retries = 1  # see _LIMITS
-        # What goes wrong is said here; where nobody listens to its log, gcsfs prints it with tracebacks.
+        # Failures are reported here; without a handler of its log, gcsfs prints them with tracebacks.
         logging.getLogger(type(system).__module__.partition(".")[0]).addHandler(logging.NullHandler())
         return system
 

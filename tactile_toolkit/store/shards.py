@@ -118,7 +118,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
 
     ``report_sha256`` is the checksum of its report rows, where there are any. ``statistics`` are counts over
     its rows that add up over shards, see :func:`add_up`. ``unpacked_bytes`` is the size of its rows in
-    memory, for the card; folders of before 0.2 lack it.
+    memory, for the card; folders of before 0.2 have none.
     """
 
     file: str
@@ -227,7 +227,7 @@ def _by_number(path: str) -> list[Any]:
 def files_of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]:
     """Return the files of one split.
 
-    Raises InputError when there is no such split, and IntegrityError when some of its shards are absent:
+    Raises InputError when the split does not exist, and IntegrityError when some of its shards are absent:
     fewer rows than there should be must not pass.
     """
     chosen = [file for file in files if file.split == split]

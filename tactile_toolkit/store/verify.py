@@ -152,7 +152,7 @@ def problem_of_place(folder: DataFolder, path: str) -> str:
 
 
 def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
-    """Find shards that a manifest lacks, and files that it does not list."""
+    """Find shards that are not in a manifest, and files that it does not list."""
     if not manifest.complete:
         return [Finding(MANIFEST_FILE, "the run was interrupted; the same command continues")]
     findings = []
@@ -160,7 +160,7 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
         shards = [record.shard for record in manifest.shards_of(split)]
         missing = set(range(shards[0].count)) - {shard.index for shard in shards}
         if missing:
-            findings.append(Finding(MANIFEST_FILE, f"split {split!r} lacks shards {sorted(missing)}"))
+            findings.append(Finding(MANIFEST_FILE, f"split {split!r} has no shards {sorted(missing)}"))
     # A run may be at work on a split of which nothing is listed.
     others = set(manifest.split_order) - set(manifest.splits)
     return findings + _unlisted(folder, {record.file for record in manifest.shards}, MANIFEST_FILE, others)

@@ -287,7 +287,7 @@ def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels
 def _decoded(stream: Any, chosen: set[int]) -> Iterator[tuple[int, Pixels]]:
     """Yield the chosen frames with their numbers, refusing what FFmpeg would patch up and pass on."""
     stream.codec_context.options = {"err_detect": "explode", "max_pixels": str(MAX_IMAGE_PIXELS)}
-    # FFmpeg conceals damage inside a JPEG; libjpeg tells of it. Each stands alone: others need no decoding.
+    # FFmpeg conceals damage inside a JPEG; libjpeg reports it. Each stands alone: others need no decoding.
     is_jpeg = stream.codec_context.name == "mjpeg"
     coded, shown = -1, 0
     for packet in stream.container.demux(stream):

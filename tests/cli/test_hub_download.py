@@ -167,7 +167,7 @@ def test_copies_of_scenes_and_touches_are_verified_too(server, tmp_path):
     assert call(server, tmp_path, "realtouch", "download", TOUCHES, "--out", touches).code == 0
     verified = call(server, tmp_path, "realtouch", "verify", touches)
     assert verified.code == 0, verified.err
-    # A byte that no decoder minds: only the checksum tells.
+    # A byte that no decoder minds: only the checksum differs.
     shard = touches / "data" / "test-00000-of-00001.parquet"
     content = shard.read_bytes()
     assert content.count(b"JFIF") > 0
@@ -314,9 +314,7 @@ def test_short_names_show_licence_and_citation(server, tmp_path):
 def test_large_downloads_are_not_begun_unasked(server, tmp_path):
     said = call(server, tmp_path, "mnist3d", "download", DIGITS, large=1000)
     assert said.code == 2
-    assert (
-        "would be fetched, and there is no terminal to ask on; next: add --yes, or name a --split" in said.err
-    )
+    assert "would be fetched, and stdin is not a terminal; next: add --yes, or name a --split" in said.err
     assert server.fetched == ["manifest.json"]
     assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--yes", large=1000).code == 0
 

@@ -210,7 +210,7 @@ def test_branches_and_pull_requests_say_where_they_are(server, folder, capsys):
 def test_without_a_terminal_it_does_not_send_unasked(server, folder, capsys):
     assert call("starstruck", "upload", folder, NAME) == 2
     printed = capsys.readouterr().err
-    assert "no terminal to ask on; nothing was sent; next: add --yes, or look first with --dry-run" in printed
+    assert "not a terminal; nothing was sent; next: add --yes, or look first with --dry-run" in printed
     assert server.repositories == {}
 
 

@@ -41,7 +41,7 @@ def in_terminal(columns: int, code: str) -> str:
         while True:
             try:
                 part = os.read(leader, 65536)
-            except OSError:  # Linux says so when nobody has the other side open
+            except OSError:  # Linux reports this when the other side is not open
                 break
             if not part:
                 break

@@ -187,7 +187,7 @@ def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp
         ("realtouch", "load", "s3://lake/set"),
     ]
     for words in commands:
-        assert tried(*words)[0] == 2, words  # there is no such bucket
+        assert tried(*words)[0] == 2, words  # the bucket does not exist
     body = f"AWSAccessKeyId {KEY}"
     for code in ("InvalidAccessKeyId", "SignatureDoesNotMatch", body):
         s3.refuse = lambda _, code=code: ("403 Forbidden", code)

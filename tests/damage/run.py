@@ -214,7 +214,7 @@ def _told(outcome: Outcome) -> str:
 
 
 def main() -> None:
-    """Run trials and tell of bad ends; exit code 1 where there are any."""
+    """Run trials and report bad ends; exit code 1 where there are any."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

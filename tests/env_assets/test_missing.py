@@ -137,7 +137,7 @@ env_assets.AssetProvider(sys.argv[1], generate=True, per_class=2).meshes("starst
 
 
 def test_a_killed_process_lets_the_next_one_go_on(tmp_path, monkeypatch):
-    """Of three shards one is finished; the next process waits for nobody and keeps it."""
+    """Of three shards one is finished; the next process does not wait and keeps it."""
     monkeypatch.setattr("starstruck_gen.make._SMALLEST_SHARD", 2)
     died = start_forked(DIE, tmp_path)
     assert died.end() == -signal.SIGKILL, died.err

@@ -71,7 +71,7 @@ class Asked:
         """Return the repository that is asked for, if the account may see it."""
         found = self.hub.find(self.names.get("kind", "models"), self.names["repo"])
         if found is None or not _may_see(found, self.account):
-            # The Hub does not tell what is private from what is not there. Its 401 carries no error code;
+            # The Hub answers for what is private as for what is not there. Its 401 carries no error code;
             # the clients know it by an https address then, which this server has not.
             raise Refusal(404 if self.account else 401, "Repository not found", "RepoNotFound")
         return found

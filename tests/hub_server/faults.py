@@ -1,4 +1,4 @@
-"""What the server is told to do wrong, and what it was asked."""
+"""What the server is to do wrong, and what it was asked."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class Request:
     query: str
     range: str | None
     user: str | None
-    """Whose token came with it; ``"?"`` for a token that nobody has."""
+    """Whose token came with it; ``"?"`` for an unknown token."""
     received: int = 0
     """Bytes of the body that arrived."""
     status: int = 0

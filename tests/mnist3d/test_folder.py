@@ -24,7 +24,7 @@ PICTURES = SHARED / "digits" / "png"
 
 
 def bar(height: int = 500, width: int = 500) -> NDArray[np.uint8]:
-    """A black bar in the upper left quarter of a white sheet: it tells every turn and every mirror."""
+    """A black bar in the upper left quarter of a white sheet: it shows every turn and every mirror."""
     sheet = np.full((height, width), 255, np.uint8)
     sheet[height // 5 : height // 2, width // 5 : width * 2 // 5] = 0
     return sheet

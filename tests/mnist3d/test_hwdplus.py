@@ -22,7 +22,7 @@ SIDE = 500
 
 
 def stack(count: int = 3, side: int = SIDE) -> NDArray[np.uint8]:
-    """White sheets with a black bar whose place tells the row, and one pixel of every level."""
+    """White sheets with a black bar whose place shows the row, and one pixel of every level."""
     images = np.full((count, side, side), 255, np.uint8)
     for row in range(count):
         images[row, side // 4 : side // 2, side // 5 + row : side // 3 + row] = 0

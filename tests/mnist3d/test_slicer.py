@@ -206,7 +206,7 @@ def test_the_usual_margin_leaves_room_for_a_skirt(spec: PlateSpec, fits: bool, t
 
 
 def test_the_check_sees_a_broken_file(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
-    """What is asserted above fails for a surface that lacks three triangles."""
+    """What is asserted above fails for a surface without three triangles."""
     whole = standing(digits[0])
     write_mesh(tmp_path / "broken.stl", Mesh(whole.vertices_m, whole.faces[3:]))
     (seen,) = seen_in(tmp_path / "broken.stl")

@@ -252,7 +252,7 @@ def test_the_command_names_what_it_leaves_out(home: Path, tmp_path: Path) -> Non
     arguments = ["import", str(home), "--format", "folder", "--workers", "1"]
     done = CliRunner().invoke(app, [*arguments, "--pose-columns", "pose", "--out", str(tmp_path / "out")])
     assert done.exit_code == 0, done.output
-    assert "left out: 'pictures/9.jpg': there is no such file (missing)" in done.output
+    assert "left out: 'pictures/9.jpg': the file does not exist (missing)" in done.output
     assert "left out 1 touch: missing" in done.output.replace("\n", " ")
     shutil.rmtree(home / "pictures")
     done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "none")])

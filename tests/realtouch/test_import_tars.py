@@ -1,4 +1,4 @@
-"""Tars of others: samples that lack parts, headers that cannot be true."""
+"""Tars of others: samples with missing parts, headers that cannot be true."""
 
 from __future__ import annotations
 

@@ -34,7 +34,7 @@ def convert(name: str, source: Path, out: Path, **more: Any) -> None:
 def _die(call: str, source: str, out: str, options: dict[str, Any], moment: int) -> None:
     """Convert, and end as by ``kill -9``, with nothing closed, flushed or tidied up.
 
-    The interpreter tells an audit hook of every file that is opened, renamed or removed, just before it
+    The interpreter informs an audit hook of every file that is opened, renamed or removed, just before it
     happens.
     """
     seen = 0

@@ -99,7 +99,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
         ({"round": [0, 1, 2.5, 0]}, "is 2.5 in row 2; expected an integer"),
         ({"object_id": [0, -1, 0, 0]}, "is -1 in row 1"),
         ({"object_turn_rad": [0.0, np.inf, 0.0, 0.0]}, "expected radians"),
-        ({"object_turn_rad": None}, "lack object_turn_rad"),
+        ({"object_turn_rad": None}, "have no object_turn_rad"),
         ({"x_m": [0.0]}, "columns of lengths x_m 1, y_m 4"),
     ],
 )

@@ -35,7 +35,7 @@ def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size
     assert (make_optics("taxim").render(depths, sensor, size) == np.rint(ours * np.float32(255))).all()
     for depth_m, shades in zip(depths, ours, strict=True):
         height_mm = (depth_m * 1000 - 4.25).astype(np.float32)
-        # Of the package's inner steps only the shape of the gel is taken, to tell flat pixels from others.
+        # Of the package's inner steps only the shape of the gel is taken, to distinguish flat pixels.
         gel_mm, _ = package._TaximJax__compute_gel_pad_deformation(height_mm)
         steep, direction = map(np.asarray, package._TaximJax__generate_normals(-gel_mm / 0.0295))
         # Where the circle of directions closes, single precision alone decides on which side a pixel is.

@@ -38,7 +38,7 @@ def touches(scenes, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def with_an_open_mesh(scenes, tmp_path_factory):
-    """The scenes, one of which lacks a face, so that it bounds no solid."""
+    """The scenes, one of which has a face too few, so that it bounds no solid."""
     folder = tmp_path_factory.mktemp("open") / "scenes"
     (folder / "data").mkdir(parents=True)
     (file,) = (scenes / "data").glob("train-*")

@@ -1,4 +1,4 @@
-"""The environments whose objects nobody makes here, on meshes that a user has."""
+"""The environments whose objects are not made here, on meshes that a user has."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cards tell the truth: what `datasets` reads in them is what it finds, and a lie is named."""
+"""Cards are true: what `datasets` reads in them is what it finds, and a lie is named."""
 
 from __future__ import annotations
 

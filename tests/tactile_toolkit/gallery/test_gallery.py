@@ -334,7 +334,7 @@ def test_nothing_and_too_much_are_refused(tmp_path, monkeypatch):
             toy_gallery(80, bulk_bytes=60_000),
             on_progress=lambda done, _total: made.append(done),
         )
-    assert max(made) <= 32  # told from the first items, not when the disk is full
+    assert max(made) <= 32  # known from the first items, not when the disk is full
     assert entries(tmp_path) == []
 
 

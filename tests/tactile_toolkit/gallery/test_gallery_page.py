@@ -168,7 +168,7 @@ def test_only_what_is_near_the_viewport_exists(chromium, site):
         assert found.page.evaluate(nodes) < 800
         assert 12 <= len(found.loaded_thumbnails()) <= 120
         height = found.page.evaluate("document.documentElement.scrollHeight")
-        assert height > 20_000  # the scroll bar tells of all of them
+        assert height > 20_000  # the scroll bar covers all of them
         settled = "new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
         found.page.evaluate(f"scrollTo(0, {height})")
         found.page.evaluate(settled)

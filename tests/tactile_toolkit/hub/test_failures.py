@@ -278,7 +278,7 @@ except ToolkitError as error:
 
 @pytest.mark.parametrize("more", [{}, {"HF_HUB_OFFLINE": "1"}])
 def test_what_is_not_cached_is_named_when_nobody_can_be_asked(server, tmp_path, more):
-    """It may well be on the Hub: to say that there is no such file would be false."""
+    """It may well be on the Hub: to say that the file does not exist would be false."""
     here, away = "README.md", "data/train-00000-of-00001.parquet"
     online, nowhere = settings(server, tmp_path), settings("http://127.0.0.1:9", tmp_path, **more)
     missing = run_here(OFFLINE.format(paths=["nothing"]), online, tmp_path).stdout

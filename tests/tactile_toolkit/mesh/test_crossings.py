@@ -94,7 +94,7 @@ def test_a_sphere_pushed_through_its_far_side_is_named() -> None:
 
 
 def test_a_ring_that_lies_in_itself_is_named() -> None:
-    """Every sheet lies exactly in another one, so that no edge passes through: winding numbers tell."""
+    """Every sheet lies exactly in another one, so that no edge passes through: winding numbers decide."""
     twice = tube(lambda t: circle(2 * t), 1, 64, 8)
     assert report_of(twice).problem == "self-crossing"
 

@@ -48,7 +48,7 @@ def test_points_lie_on_the_surface_evenly(digits: mnist3d.MeshDataset) -> None:
     larger = mesh.copy().apply_scale(1e3)
     _, distance_mm, _ = trimesh.proximity.closest_point(larger, 1e3 * points[:200].numpy())
     assert distance_mm.max() < 1e-4
-    # The mean of points drawn evenly is the middle of the surface; their spread tells how near it has to be.
+    # The mean of points drawn evenly is the middle of the surface; their spread bounds the difference.
     centres, areas = mesh.triangles_center, mesh.area_faces
     middle = (centres * areas[:, None]).sum(axis=0) / areas.sum()
     error = points.numpy().std(axis=0) / np.sqrt(4000)

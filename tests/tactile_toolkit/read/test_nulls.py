@@ -71,7 +71,7 @@ FIELDS = {
 
 @pytest.fixture
 def digits_without(tmp_path: Path, request: pytest.FixtureRequest) -> Path:
-    """Five tetrahedra, of which the last but one lacks a value."""
+    """Five tetrahedra, of which the last but one has no value."""
     corners = [[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.05]]
     faces = [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]
     values = {"mesh.vertices": corners, "mesh.faces": faces, "volume_m3": 2e-5}

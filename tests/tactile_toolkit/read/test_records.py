@@ -241,7 +241,7 @@ def _count_garbage(folder: Path) -> int:
 
 
 def test_records_are_no_reference_cycles(folder):
-    """Told apart from the garbage of other tests."""
+    """Distinct from the garbage of other tests."""
     assert run_forked(_count_garbage, folder) == "0\n"
 
 

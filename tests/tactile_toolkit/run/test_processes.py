@@ -1,4 +1,4 @@
-"""Workers: the caller's script is left alone, and a task's own exception is nobody else's business."""
+"""Workers: the caller's script is left alone, and a task's own exception is passed on."""
 
 from __future__ import annotations
 

@@ -362,7 +362,7 @@ except InputError as error:
 @all_of(needs_ray)
 @pytest.mark.parametrize("listens", [False, True])
 def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, listens: bool) -> None:
-    """Nobody listens at the address, or something that is not Ray does, and says nothing."""
+    """Nothing listens at the address, or something that is not Ray does, and says nothing."""
     with socket.create_server(("127.0.0.1", 0)) as server:
         address = f"127.0.0.1:{server.getsockname()[1]}"
         if not listens:

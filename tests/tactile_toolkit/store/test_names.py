@@ -214,7 +214,7 @@ ACTIONS = {
 @pytest.mark.parametrize("action", ACTIONS.values(), ids=ACTIONS.keys())
 @pytest.mark.parametrize("remote", [False, True])
 def test_a_folder_does_nothing_outside_of_itself(tmp_path, action, remote):
-    """The last line: even a name that nobody looked at leads nowhere."""
+    """The last line: even a name that was not checked leads nowhere."""
     folder = DataFolder("memory://bucket/set" if remote else str(tmp_path / "set"))
     (tmp_path / "victim").write_text("years of work")
     for path in ("../victim", "data/../../victim", str(tmp_path / "victim"), "data/x\0y"):

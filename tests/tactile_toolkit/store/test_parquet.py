@@ -1,4 +1,4 @@
-"""What the store tells of Parquet files without reading them again."""
+"""What the store knows of Parquet files without reading them again."""
 
 from __future__ import annotations
 

@@ -30,7 +30,7 @@ def names(folder: Path) -> list[str]:
 
 
 def zombie_that_wrote(folder) -> subprocess.Popen[bytes]:
-    """Start a writer that is killed in the middle of a file; nobody asks for its exit status."""
+    """Start a writer that is killed in the middle of a file; its exit status is not read."""
     code = """
 import os, signal, sys
 from pathlib import Path

@@ -55,7 +55,7 @@ def test_shards_that_a_manifest_lacks_are_named(folder):
 
     edited(folder, without_the_third)
     folder.remove("data/train-00002-of-00004.parquet")
-    assert problems(folder) == [("manifest.json", "split 'train' lacks shards [2]")]
+    assert problems(folder) == [("manifest.json", "split 'train' has no shards [2]")]
 
 
 def test_strange_files_are_named_once_the_set_is_complete(folder):
