@@ -27,17 +27,19 @@ app = new_app("env-assets", "Assets of environments: the wrench, and what a fold
 @command(app)
 def wrench(
     *,
-    size: str = text("13", metavar="MM|M8", help="Nut of the first jaw: width across flats, or its thread."),
-    second_size: str | None = text(
-        metavar="MM|M6", help="Nut of the second jaw instead of the next smaller one."
+    size: str = text(
+        "13", metavar="MM|M8", help="Nut of the first jaw: width across flats in mm, or its thread."
     ),
-    single: bool = switch(False, help="Make no second jaw."),
+    second_size: str | None = text(
+        metavar="MM|M6", help="Nut of the second jaw; by default the next smaller one."
+    ),
+    single: bool = switch(False, help="Make only one jaw."),
     lengths: Annotated[dict[str, Any], OptionsOf(WrenchSpec)],
     out: LocalOut = Path("wrench-data"),
     stl: Path | None = text(
         metavar="FILE",
         read=local_place,
-        help="Write the mesh for a printer, too: .stl, .3mf, .ply, .obj, .glb.",
+        help="Also write the mesh for a printer: .stl, .3mf, .ply, .obj, .glb.",
     ),
     overwrite: Overwrite = False,
     dry_run: DryRun = False,

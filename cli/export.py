@@ -34,7 +34,7 @@ class Job:
     workers: Workers = 0
     overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier export that differ.")
     dry_run: bool = switch(
-        False, panel=JOB, help="State which files would be made and how large; write nothing."
+        False, panel=JOB, help="Print which files would be made and their size; write nothing."
     )
 
 
@@ -51,11 +51,11 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
             optional=True,
             name="--format",
             shown="stl, plates 3mf",
-            help="Format of the files, mm (glb, mjcf, urdf, usd: m); plates are 3mf or mjcf. flat: tables, "
-            "Parquet, a row for each object, its mesh as GLB.",
+            help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
+            "Parquet tables with a row for each object, its mesh as GLB.",
         ),
         chosen: Chosen,
-        scale: float = real(1.0, help="Factor on all lengths."),
+        scale: float = real(1.0, help="Factor for all lengths."),
         plate: str | None = text(
             metavar="256x256|prusa-mk4",
             help="Pack the objects on build plates of this size, in mm, or of this printer.",
@@ -67,15 +67,16 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
     ) -> None:
         """Write files for printers and simulators, or tables for other libraries.
 
-        One file per object, or objects packed on build plates; tables have a row for each.
+        Writes a file for each object, or build plates of several objects, or tables with a row for each
+        object.
 
         Examples: export DIR --ids 3,17 --format 3mf;  export DIR --per-class 1 --plate 256x256
 
-        Objects keep the pose that they have, their lowest point at z = 0.
+        Objects keep their pose; their lowest point is at z = 0.
 
-        Every file is read back and has to be the same solid, or it is removed and named.
+        Every file is read back; one that is not the same solid is removed and named.
 
-        A stopped export continues when the same command is given again; what is there already is kept.
+        After an interruption, the same command continues; finished files are kept.
 
         Exit code 1 when an object or plate could not be written as a solid.
         """

@@ -242,8 +242,8 @@ def _add_card(app: typer.Typer, kind: DatasetKind) -> None:
     def card(folder: Folder, sink: Sink) -> None:
         """Write the data card (README.md) of a folder again, with the picture that it shows, and check it.
 
-        All numbers are those of the data; loading lines say FOLDER until the folder is uploaded. The same for
-        machines goes into croissant.json (Croissant 1.1).
+        Numbers are computed from the data; examples name FOLDER until the folder is uploaded. croissant.json
+        (Croissant 1.1) has the same content for machines.
 
         Example: card FOLDER
         """
@@ -272,7 +272,7 @@ def _add_card(app: typer.Typer, kind: DatasetKind) -> None:
 def show(
     *,
     name: AnySet,
-    row: int = integer(0, help="Which row of the split, from 0."),
+    row: int = integer(0, help="Row of the split, counted from 0."),
     split: Split = None,
     sink: Sink,
 ) -> None:
@@ -326,11 +326,12 @@ def _add_list(app: typer.Typer, kind: DatasetKind) -> None:
     @command(app, "list")
     def list_sets(
         folder: Annotated[
-            str | None, typer.Argument(metavar="DIR", help="Folder of data sets; without, published ones.")
+            str | None,
+            typer.Argument(metavar="DIR", help="Folder of data sets; the published ones by default."),
         ] = None,
         as_json: Json = False,
     ) -> None:
-        """List the published data sets and what is here of them, or the data sets in a folder.
+        """List the published data sets and which of them are on this machine, or the data sets in a folder.
 
         Examples: list;  list .
         """
@@ -352,13 +353,15 @@ def _add_list(app: typer.Typer, kind: DatasetKind) -> None:
 
 def cache(
     *,
-    action: Annotated[Literal["ls", "prune"], typer.Argument(help="List what is kept, or remove it.")] = "ls",
-    unused_days: float = real(0.0, 0, metavar="DAYS", help="prune: only what was not used for so long."),
+    action: Annotated[
+        Literal["ls", "prune"], typer.Argument(help="List cached files, or remove them.")
+    ] = "ls",
+    unused_days: float = real(0.0, 0, metavar="DAYS", help="prune: only files not used for so many days."),
     sink: Sink,
 ) -> None:
-    """List or remove what this program keeps to save time; all of it is made again where it is needed.
+    """List or remove cached files; they are made again when they are needed.
 
-    Files of the Hub are in the Hub's own cache: `hf cache` lists and removes these.
+    Files from the Hub are in the Hub's own cache: see `hf cache`.
 
     Examples: cache ls;  cache prune --unused-days 30
     """

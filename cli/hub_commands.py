@@ -34,7 +34,7 @@ Published = Annotated[
     str, typer.Argument(metavar="NAME", help="Short name of a published set, or USER/NAME on the Hub.")
 ]
 Splits = Annotated[
-    list[str] | None, typer.Option("--split", metavar="SPLIT", help="Only this split; may be given again.")
+    list[str] | None, typer.Option("--split", metavar="SPLIT", help="Only this split; may be repeated.")
 ]
 
 
@@ -43,12 +43,14 @@ class Sending:
     """What the user decides of an upload; named as the fields of ``UploadOptions``."""
 
     private: bool = switch(False, help="Create a private repository.")
-    revision: str | None = text(metavar="BRANCH", help="Branch to write to; made if it is not there.")
+    revision: str | None = text(metavar="BRANCH", help="Branch to write to; created if it does not exist.")
     create_pr: bool = switch(False, help="Open a pull request instead of writing to main.")
     message: str | None = text(metavar="TEXT", help="First line of the commit.")
-    tag: str | None = text(metavar="NAME", help="Name of this state, next to the schema's, such as v1.")
+    tag: str | None = text(
+        metavar="NAME", help="Tag of this version, such as v1, in addition to that of the schema."
+    )
     delete: bool = switch(False, help="Remove files from the repository that the folder does not have.")
-    viewer: bool = switch(False, help="Send each mesh as a file that the Hub shows in 3D, too.")
+    viewer: bool = switch(False, help="Also send each mesh as a file that the Hub shows in 3D.")
 
 
 def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
@@ -65,9 +67,9 @@ def add_upload(app: typer.Typer, kind: DatasetKind) -> None:
         workers: Workers = 0,
         sink: Sink,
     ) -> None:
-        """Verify a data set folder and bring it to the Hugging Face Hub; only what is missing there is sent.
+        """Verify a data set folder and upload it to the Hugging Face Hub; only missing files are sent.
 
-        Run again after an interruption, it continues; run again after success, it sends nothing.
+        After an interruption, the same command continues; after success, it sends nothing.
         """
         from tactile_toolkit.catalog.kinds import require_manifest
         from tactile_toolkit.exchange.upload import UploadOptions, check_folder, prepare_upload, run_upload
@@ -109,23 +111,22 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         ],
         split: Annotated[
             list[str] | None,
-            typer.Option("--split", metavar="SPLIT", help="Only this split; may be given again."),
+            typer.Option("--split", metavar="SPLIT", help="Only this split; may be repeated."),
         ] = None,
         revision: Revision = None,
         out: str | None = text(
             name="--out -o",
             metavar="DIR",
             read=place_of_data,
-            help="Folder to fill; default: the Hub's own cache.",
+            help="Folder to write; the Hub's own cache by default.",
         ),
         dry_run: bool = switch(False, help="Print what would be fetched; fetch nothing."),
         yes: bool = switch(False, name="--yes -y", help="Do not ask before a large download."),
         sink: Sink,
     ) -> None:
-        """Fetch a data set of the Hub, or some of its splits, and check every file.
+        """Download a data set from the Hub, or some of its splits, and check every file.
 
-        A download that broke off continues where it stopped when the same command is given again. The command
-        list names the published sets.
+        After an interruption, the same command continues. `list` names the published data sets.
         """
         from tactile_toolkit.catalog.kinds import kind_that_published
         from tactile_toolkit.exchange.download import download as carry_out

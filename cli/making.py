@@ -237,7 +237,7 @@ def add_subsets(app: typer.Typer, kind: DatasetKind) -> None:
         work: Work,
         sink: Sink,
     ) -> None:
-        """Make one data set of several whose ids differ; shards are copied as they are.
+        """Merge data sets whose ids differ into one; shards are copied unchanged.
 
         Example: merge DIR OTHER --out both
         """
@@ -252,16 +252,20 @@ def add_subsets(app: typer.Typer, kind: DatasetKind) -> None:
         name: AnySet,
         out: Out = "parts",
         fractions: tuple[float, ...] = text(
-            (), metavar="0.8,0.2", read=_fractions, help="Shares of the rows of each split, for a part each."
+            (),
+            metavar="0.8,0.2",
+            read=_fractions,
+            help="Fractions of the rows of each split, one for each part.",
         ),
-        seed: int = integer(0, help="Seed by which rows are drawn for --fractions."),
+        seed: int = integer(0, help="Random seed for --fractions."),
         chosen: Chosen,
         work: Work,
         sink: Sink,
     ) -> None:
         """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
 
-        At random by --fractions, or into the objects that --ids, --labels and the like choose and all others.
+        Rows are drawn at random (--fractions), or part-1 gets the objects that --ids, --labels and similar
+        options choose, and part-2 all others.
 
         Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
         """

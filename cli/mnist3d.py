@@ -32,7 +32,7 @@ def generate(
         None,
         (*SPLITS, "all"),
         shown="all",
-        help="Split to make. Without it, pictures of a folder are all in train.",
+        help="Split to make. Without this option, the images of a folder are all in train.",
     ),
     out: Out = "mnist3d-data",
     source: str = choice("synthetic", SOURCES, help="Where the images come from."),
@@ -48,7 +48,7 @@ def generate(
 
     Example: mnist3d generate --split train --per-class 10 --out digits
 
-    A stopped run continues when the same command is given again; finished shards are never made twice.
+    After an interruption, the same command continues; finished shards are kept.
     """
     from mnist3d.generation import GenerateSpec, chosen_source, forecast
     from mnist3d.generation import generate as make

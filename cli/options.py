@@ -82,7 +82,7 @@ Split = Annotated[
     str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")
 ]
 OneSplit = Annotated[
-    str | None, typer.Option("--split", metavar="NAME", help="Split to open; needed where there are several.")
+    str | None, typer.Option("--split", metavar="NAME", help="Split to open; required if there are several.")
 ]
 TouchSet = Annotated[
     str, typer.Argument(metavar="NAME|DIR", help="Short name (real-single-64x64), Hub id, folder or file.")
@@ -98,21 +98,19 @@ Workers = Annotated[
         min=0,
         metavar="N",
         rich_help_panel=JOB,
-        help="Workers at a time; 0 means one per processor core.",
+        help="Number of workers; 0 means one per processor core.",
     ),
 ]
 Overwrite = Annotated[
     bool,
-    typer.Option(
-        "--overwrite", rich_help_panel=JOB, help="Start again in a folder that holds another data set."
-    ),
+    typer.Option("--overwrite", rich_help_panel=JOB, help="Replace another data set in the folder."),
 ]
 DryRun = Annotated[
     bool,
     typer.Option(
         "--dry-run",
         rich_help_panel=JOB,
-        help="State what would be made, how large and how long; write nothing.",
+        help="Print what would be made, its size and the time; write nothing.",
     ),
 ]
 Limit = Annotated[
@@ -120,10 +118,10 @@ Limit = Annotated[
 ]
 PerClass = Annotated[
     int | None,
-    typer.Option("--per-class", min=1, metavar="N", help="Only the first N of each class of a split."),
+    typer.Option("--per-class", min=1, metavar="N", help="Only the first N of each class, in each split."),
 ]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="No progress and no table; errors only.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print neither progress nor tables, only errors.")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,20 +155,18 @@ class Work:
         metavar="processes|ray[=HOST:PORT]",
         read=_runner_name,
         shown="processes",
-        help="Where shards are made: on this machine, or on a Ray cluster (--workers 0: all its cores).",
+        help="Where the work is done: on this machine, or on a Ray cluster (--workers 0: all its cores).",
     )
     part: str | None = text(
         panel=JOB,
         metavar="K/N|auto[/N]",
-        help="Only every N-th shard from number K on, as one job of an array; auto: what Slurm or Kubernetes "
-        "call this job.",
+        help="Make every N-th shard only, from the K-th on, as one job of an array; auto: as Slurm or "
+        "Kubernetes number this job.",
     )
     finish: bool = switch(
-        False, panel=JOB, help="Put together what all parts have made, or name those that are missing."
+        False, panel=JOB, help="Complete the data set that all parts have made, or name the missing shards."
     )
-    check: bool = switch(
-        False, panel=JOB, help="Read all that is finished again, in stores too, and remake what is damaged."
-    )
+    check: bool = switch(False, panel=JOB, help="Read finished shards again, and make damaged ones again.")
     overwrite: Overwrite = False
 
     def chosen_runner(self) -> int | Runner:

@@ -116,9 +116,13 @@ def preview_digits(
     ),
     rows: Rows,
     images: Path | None = text(
-        metavar="PATH", read=Path, help="Images that the data set was made from, as in generate; for steps."
+        metavar="PATH",
+        read=Path,
+        help="Images that the data set was made from, as for `generate`; for --kind steps.",
     ),
-    writer_info: Path | None = text(metavar="FILE", read=Path, help="WriterInfo.npy of HWD+, for the steps."),
+    writer_info: Path | None = text(
+        metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."
+    ),
     pictures: Pictures,
     sink: Sink,
 ) -> None:
@@ -171,14 +175,14 @@ def preview_touches(
         "a clip as a strip.",
     ),
     split: OneSplit = None,
-    row: int = integer(0, name="--round", help="Which round."),
-    touches: int = integer(32, 1, help="How many touches a grid shows."),
-    touch: int = integer(0, help="Which touch a strip shows."),
+    row: int = integer(0, name="--round", help="Round to draw, counted from 0."),
+    touches: int = integer(32, 1, help="Number of touches in a grid."),
+    touch: int = integer(0, help="Touch that a strip shows, counted from 0."),
     revision: Revision = None,
     pictures: Pictures,
     sink: Sink,
 ) -> None:
-    """Write pictures of touches as PNG, without a screen; the grid alone is the file touches.png.
+    """Write pictures of touches as PNG, without a screen; a grid alone goes to touches.png.
 
     Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
     realtouch preview real-seq --kind all --touch 12
@@ -199,10 +203,12 @@ class Page:
         metavar="SITE",
         shown="gallery",
         read=local_place,
-        help="Folder of the page; it appears complete or not at all.",
+        help="Folder to write; it appears only when it is complete.",
     )
     workers: Workers = 0
-    overwrite: bool = switch(False, panel=JOB, help="Replace a gallery that is there; nothing else ever is.")
+    overwrite: bool = switch(
+        False, panel=JOB, help="Replace an existing gallery; other files are never replaced."
+    )
     dry_run: DryRun = False
 
     def make(self, sink: Sink, gallery: Gallery) -> None:
@@ -261,7 +267,7 @@ def gallery_of_touches(
     *,
     name: TouchSet,
     chosen: Chosen,
-    touches: int = integer(64, 1, help="Most touches of a round, evenly spaced."),
+    touches: int = integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
     revision: Revision = None,
     page: Page,
     sink: Sink,

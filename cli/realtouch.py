@@ -32,7 +32,7 @@ def load(
     name: TouchSet,
     split: OneSplit = None,
     revision: Revision = None,
-    check: bool = switch(True, help="Check every round and the headers of its pictures."),
+    check: bool = switch(True, help="Check every round and the headers of its images."),
     sink: Sink,
 ) -> None:
     """Download what is missing, check it, and print what it holds.
@@ -55,7 +55,7 @@ def load(
 
 @command(app)
 def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json: Json = False) -> None:
-    """Show what each split of a data set holds and, for one of ours, how it was made.
+    """Show what each split of a data set holds and, if this toolkit made it, how.
 
     Example: realtouch info touches-64x64
     """
@@ -103,11 +103,11 @@ def verify(
     name: TouchSet,
     split: Split = None,
     revision: Revision = None,
-    quick: bool = switch(False, help="Read headers of pictures; decode none."),
+    quick: bool = switch(False, help="Read only the headers of images; decode none."),
     workers: Workers = 0,
     sink: Sink,
 ) -> None:
-    """Check every file, round, touch and frame, and list all that is wrong.
+    """Check every file, round, touch and frame, and list all errors.
 
     Exit code 3 when something is damaged.
 
@@ -134,9 +134,9 @@ def verify(
 
 @command(app)
 def reproduce(*, name: TouchSet, revision: Revision = None, sink: Sink) -> None:
-    """Measure what the Tactile MNIST paper states of the real touches, number by number.
+    """Measure what the Tactile MNIST paper states about the real touches.
 
-    Exit code 1 when the data say something else.
+    Exit code 1 when something differs.
 
     Example: realtouch reproduce real-single-64x64
     """

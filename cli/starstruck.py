@@ -38,7 +38,7 @@ def generate(
         help="Scenes of each split instead of the published 3,000 and 300.",
     ),
     scene: SceneOptions,
-    seed: int = integer(0, help="Seed of everything that is drawn at random."),
+    seed: int = integer(0, help="Random seed."),
     limit: Limit = None,
     making: Making,
     sink: Sink,
@@ -47,7 +47,7 @@ def generate(
 
     Example: starstruck generate --stars 1-5 --scenes 10000 --out scenes
 
-    A stopped run continues when the same command is given again; finished shards are never made twice.
+    After an interruption, the same command continues; finished shards are kept.
     """
     from starstruck_gen.make import PUBLISHED_SIZES, GenerateSpec, forecast
     from starstruck_gen.make import generate as make
@@ -131,7 +131,7 @@ def _print_checked(sink: Sink, results: Sequence[Checked]) -> None:
 
 _GEOMETRY = Geometry(
     "scenes",
-    """Prove scenes as read back from disk: solids that never overlap, and as many stars as the label states.
+    """Check scenes as read back from disk: solids that do not overlap, and as many stars as the label states.
 
     Example: starstruck validate scenes
 

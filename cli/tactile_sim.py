@@ -49,11 +49,11 @@ def generate(
     making: Making,
     sink: Sink,
 ) -> None:
-    """Make a data set of touches of the objects of a data set.
+    """Press the gel onto the objects of a data set, and write a data set of touches.
 
     Example: tactile-sim generate digits --split test --rounds 1 --touches 32 --out touches
 
-    A stopped run continues when the same command is given again; finished shards are never made twice.
+    After an interruption, the same command continues; finished shards are kept.
     """
     from tactile_sim.generation import GenerateSpec, forecast
     from tactile_sim.generation import generate as make
@@ -124,9 +124,9 @@ def render(
         metavar="X,Y|object",
         shown="0,0",
         read=_place_m,
-        help="Where the gel goes, from the origin of the mesh; or onto the mesh wherever it is.",
+        help="Where the gel goes, relative to the origin of the mesh; object: onto the mesh, wherever it is.",
     ),
-    turn_deg: float = real(0.0, help="Turn of the object about z."),
+    turn_deg: float = real(0.0, help="Rotation of the object about z."),
     picture: PictureOptions,
     out: Path = text(
         Path("touch.png"),
@@ -134,11 +134,11 @@ def render(
         shown="touch.png",
         metavar="FILE",
         read=local_place,
-        help="Picture to write.",
+        help="Image to write.",
     ),
     sink: Sink,
 ) -> None:
-    """Press the gel onto a mesh once and write the picture.
+    """Press the gel onto a mesh once and write the image.
 
     Example: tactile-sim render part.stl --at-mm 10,20 --turn-deg 17 --size 320x240 --out touch.png
 
@@ -174,7 +174,7 @@ def pairs(
     *,
     objects: Annotated[str, typer.Argument(metavar="DIGITS", help="Digits or other meshes.")],
     real: Annotated[str, typer.Option("--real", metavar="TOUCHES", help="Real touches: name or folder.")],
-    split: str = text("train", metavar="NAME", help="Split of both."),
+    split: str = text("train", metavar="NAME", help="Split of both data sets."),
     out: Out = "pairs",
     spec: PairsSpec,
     making: Making,
@@ -220,22 +220,21 @@ def train(
     config: Path | None = text(
         metavar="FILE",
         read=local_place,
-        help="TOML file with values of fields of `TrainConfig`, such as crop = 1.0; options come before it.",
+        help="TOML file with values of fields of `TrainConfig`, such as crop = 1.0; options override it.",
     ),
     options: Annotated[dict[str, Any], OptionsOf(TrainConfig, with_retired=True)],
     device: str = choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
-    deterministic: bool = switch(False, help="The same weights from every run, on the CPU."),
-    resume: bool = switch(False, help="Continue the training in the folder, or fail where there is none."),
+    deterministic: bool = switch(False, help="Make every run give the same weights, on the CPU."),
+    resume: bool = switch(False, help="Continue the training in the folder; an error if there is none."),
     compiled: bool = switch(False, name="--compile", help="Compile the generators first; for GPUs."),
-    tensorboard: bool = switch(False, help="Write losses and sheets for TensorBoard too."),
+    tensorboard: bool = switch(False, help="Also write losses and sheets for TensorBoard."),
     sink: Sink,
 ) -> None:
-    """Train a CycleGAN on a training set: weights of depth to touch, and of touch to depth.
+    """Train a CycleGAN: one generator of touches from depth, one of depth from touches.
 
     Example: tactile-sim train pairs --steps 7000 --config train.toml --out weights
 
-    A run that was stopped, also by a kill, continues from its last checkpoint when the same command is given
-    again.
+    After an interruption, the same command continues from the last checkpoint.
     On several GPUs: torchrun --nproc-per-node 4 -m tactile_sim train pairs --out weights
     """
     import tactile_sim.learned  # noqa: F401  (reports what is missing)
@@ -271,20 +270,20 @@ def evaluate(
         typer.Argument(metavar="WEIGHTS", help="Folder that `tactile-sim train` wrote.", parser=local_place),
     ],
     pairs: Annotated[
-        str, typer.Option("--pairs", metavar="PAIRS", help="A training set that it did not see.")
+        str, typer.Option("--pairs", metavar="PAIRS", help="Pairs that the training did not use.")
     ],
     out: LocalOut = Path("evaluation"),
-    count: int = integer(2000, 1, help="At most so many pictures."),
+    count: int = integer(2000, 1, help="Maximum number of images."),
     taxim: bool = switch(True, help="Compare with Taxim (extra sim)."),
     sensor_noise: str = text(
         "none",
         metavar=SENSOR_NOISE,
-        help="Noise of the sensor over all that is made, as for `generate --sensor-noise`.",
+        help="Sensor noise that is added to all generated images, as for `generate --sensor-noise`.",
     ),
-    seed: int = integer(0, help="Seed of everything that is drawn at random."),
+    seed: int = integer(0, help="Random seed."),
     sink: Sink,
 ) -> None:
-    """Measure trained weights on touches that they did not see: a table, and a sheet of pictures.
+    """Measure trained weights on touches that the training did not use: a table and a sheet of images.
 
     Example: tactile-sim evaluate weights --pairs pairs-test --out evaluation
     """

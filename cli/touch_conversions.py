@@ -37,14 +37,14 @@ def _frame() -> Any:
     return choice(
         "contact_end",
         ("contact_end", "contact_start", "peak", "median", "best"),
-        help="Frame of a clip: last or first of contact, of the deepest press, most unlike the median, or "
-        "that of the best contact score.",
+        help="Frame of a clip: last or first of the contact, of the deepest press, least like the median, "
+        "or with the best contact score.",
     )
 
 
 @dataclass(frozen=True, slots=True)
 class ToSingle:
-    """Make a data set of single images of one of clips: a frame of each, with the pose at that moment.
+    """Make a data set of single images from one of clips: a frame of each clip, with its pose.
 
     Example: realtouch to-single real-seq --frame peak --out touches
     """
@@ -54,13 +54,13 @@ class ToSingle:
 
 @dataclass(frozen=True, slots=True)
 class Resize:
-    """Write the same data set with pictures or clips of another size.
+    """Write the same data set with images or clips of another size.
 
     Example: realtouch resize real-single-320x240 --size 64x64 --out small
     """
 
     size: tuple[int, int] = size_option(MISSING)
-    quality: int = integer(95, 1, 100, help="JPEG quality of what is encoded again, 1 to 100.")
+    quality: int = integer(95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,30 +76,31 @@ class Frames:
         "png",
         ("png", "jpeg"),
         name="--format",
-        help="png, whose pixels are exact, or the stored JPEGs as they are.",
+        help="png: exact pixels; jpeg: the stored JPEGs, unchanged.",
     )
     frame: str = _frame()
     difference: str | None = choice(
         None,
         ("grey", "absolute"),
         optional=True,
-        help="Write what differs from the median of clip or round: grey (128: no change) or absolute.",
+        help="Write the difference from the median of the clip or round: grey (128 means no change) or "
+        "absolute.",
     )
 
 
 @dataclass(frozen=True, slots=True)
 class Select:
-    """Write some rounds and touches of a data set; pictures pass through byte for byte.
+    """Write selected rounds and touches of a data set; images are copied byte for byte.
 
     Example: realtouch select real-single-64x64 --contact --labels 3,5 --out touched
     """
 
-    contact: bool = switch(False, help="Only touches that met an object.")
+    contact: bool = switch(False, help="Only touches in contact with an object.")
     min_height_mm: float | None = contact_height_option()
     recalibrate_z: bool = switch(
         True,
         name="--recalibrate/--as-recorded",
-        help="Take each round's deepest touch as the plate, where its height is not known.",
+        help="Take the deepest touch of each round as the height of the plate, if that is not known.",
     )
     objects: tuple[Any, ...] = text(
         (),
@@ -140,7 +141,7 @@ class Columns:
         "file",
         name="--image-column",
         metavar="NAME",
-        help="Column of the images' paths; of tars, their ending.",
+        help="Column of the paths of the images; for tars, their file extension.",
     )
     label: str | None = text(
         name="--label-column",
@@ -148,22 +149,22 @@ class Columns:
         help="Column of the classes, numbers or names: label_name or label by default.",
     )
     round: str | None = text(
-        name="--round-column", metavar="NAME", help="Column of what touches belong together by."
+        name="--round-column", metavar="NAME", help="Column that names the round of each image."
     )
     object: str | None = text(
-        name="--object-column", metavar="NAME", help="Column of the number of the object."
+        name="--object-column", metavar="NAME", help="Column with the number of the object."
     )
     position: tuple[str, ...] | None = text(
         name="--position-columns",
         metavar="X,Y",
         read=lambda words: tuple(listed(words)),
-        help="Columns of the intended position, m, cell frame.",
+        help="Columns of the intended position, in m, cell frame.",
     )
     pose: tuple[str, ...] | None = text(
         name="--pose-columns",
         metavar="X,Y,Z,QX,QY,QZ,QW",
         read=lambda words: tuple(listed(words)),
-        help="Columns of the gel's pose, m, cell frame; or one.",
+        help="Columns of the pose of the gel, in m, cell frame; or one column of lists.",
     )
     split_in: str | None = text(name="--split-column", metavar="NAME", help="Column of the split.")
 
@@ -257,25 +258,25 @@ def import_touches(
         MISSING,
         ("folder", "webdataset", "replay", "fota", "sparsh", "anytouch"),
         name="--format",
-        help="How the images lie.",
+        help="Layout of the images.",
     ),
     out: str | None = _out(),
     columns: Columns,
-    table: str | None = text(metavar="FILE", help="The table; the only CSV file there by default."),
+    table: str | None = text(metavar="FILE", help="The table; by default the only CSV file in the folder."),
     classes: list[str] | None = text(
-        metavar="A,B", read=listed, help="Names of the classes in order; those found by default."
+        metavar="A,B", read=listed, help="Names of the classes, in order; by default those found."
     ),
     split: str | None = text(
         metavar="NAME",
-        help="Split, where no column states it; else the one of tars called SPLIT-000000.tar, or train.",
+        help="Split, if no column names it; by default that of tars called SPLIT-000000.tar, or train.",
     ),
     work: Work,
     sink: Sink,
 ) -> None:
-    """Make a data set of touches of images and a table of labels and poses; images stay as they are.
+    """Make a data set of touches from images and a table of labels and poses; images are not changed.
 
-    What cannot be used is left out, and named with the reason. Columns that this program writes are found by
-    their names.
+    Images that cannot be used are left out and listed with the reason. Columns that this program writes are
+    found by their names.
 
     Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
     """

@@ -38,7 +38,8 @@ class SolidSpec:
         Side of a pixel. 0.2 is the published scale, five pixels to a millimetre (Tactile MNIST paper,
         appendix on MNIST 3D).
     half_thickness_mm : float
-        Height above the mid-plane of ink that is wide enough. 4.0 gives the heights of the published meshes.
+        Half of the thickness of a digit, where its strokes are wide enough. 4.0 gives the heights of the
+        published meshes.
     profile : {"round", "linear", "flat"}
         How the erosion radius grows with the height: along a quarter circle, along a slope of 45 degrees, or
         not at all.
@@ -77,22 +78,25 @@ class SolidSpec:
 
     pixel_pitch_mm: float = real(0.2, above=0)
     half_thickness_mm: float = real(
-        4.0, above=0, help="Height above the mid-plane of ink that is wide enough."
+        4.0, above=0, help="Half of the thickness of a digit, where its strokes are wide enough."
     )
-    profile: str = choice("round", PROFILES, name="--edge-profile", help="How the rim of a digit rises.")
+    profile: str = choice("round", PROFILES, name="--edge-profile", help="Shape of the edges of a digit.")
     erosion: str = choice(
         "outline",
         EROSIONS,
-        help="Draw the outline in by each radius, or erode with a disc of pixels.",
+        help="Move the outline inwards by each radius, or erode with a disc of pixels.",
     )
     threshold: float | None = real(None, 0, 255, optional=True)
     min_speck_mm2: float = real(4.0, 0)
     min_pinhole_mm2: float = real(2.0, 0)
-    join_bodies: bool = switch(False, help="Bridge separate pieces so that a digit prints in one.")
+    join_bodies: bool = switch(False, help="Connect separate pieces, so that a digit prints as one.")
     bridge_width_mm: float = real(3.0, above=0)
     lattice_pitch_mm: float | None = real(None, above=0, optional=True)
     target_vertices: int = integer(
-        5000, 100, name="--vertices", help="Vertices of a mesh, about; 1.5 times as many at most."
+        5000,
+        100,
+        name="--vertices",
+        help="Approximate number of vertices of a mesh; never more than 1.5 times as many.",
     )
     smoothing_iterations: int = integer(2)
     literal_smoothing_iterations: int = integer(20)
@@ -189,20 +193,21 @@ class SplitSpec:
         proportions where a class has fewer than 1,358 digits.
     """
 
-    seed: int = integer(0, help="Seed of everything that is drawn at random.")
+    seed: int = integer(0, help="Random seed.")
     by: Literal["digit", "writer", "none"] | None = choice(
         None,
         ("digit", "writer", "none"),
         optional=True,
         name="--split-by",
         shown="digit",
-        help="Divide single digits, whole writers, or nothing: then all are in train.",
+        help="What the splits divide: digits, all digits of a writer together, or nothing (all are in "
+        "train).",
     )
     sizes: tuple[tuple[str, int], ...] | None = text(
         name="--split-sizes",
         metavar="train=8,test=2",
         read=_sizes,
-        help="Digits per class in each split instead of the published.",
+        help="Digits per class in each split, instead of the published numbers.",
     )
 
     def __post_init__(self) -> None:
@@ -254,6 +259,6 @@ class SourceOptions:
     writer_info: str | None = text(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
     writer_column: int | None = integer(None, help="Column of WriterInfo.npy that holds the writer.")
     download: bool = switch(False, help="Fetch MNIST into --images first (extra `torch`).")
-    ink: str = choice("auto", ("auto", "dark", "light"), help="Ink of pictures in a folder.")
+    ink: str = choice("auto", ("auto", "dark", "light"), help="Ink of the images in a folder.")
     # As many as MNIST 3D has (Tactile MNIST paper).
-    digits: int = integer(13_580, 1, help="How many digits the synthetic source holds.")
+    digits: int = integer(13_580, 1, help="Number of digits in the synthetic source.")

@@ -136,7 +136,7 @@ class GenerateSpec:
     scenes : tuple of (str, int)
         Number of scenes of each split; a mapping is taken too.
     seed : int
-        Seed of everything that is drawn at random.
+        Random seed.
     limit : int or None
         Make only the first so many rows of a split.
 

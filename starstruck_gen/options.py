@@ -72,17 +72,15 @@ def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
 class SceneOptions:
     """What stands in a scene, and how close; lengths are of metres in :class:`SceneSpec`."""
 
-    stars: str = text(
-        "1-3", metavar="1-3|1,2,5", help="Number of stars of each class; a class for each number."
-    )
+    stars: str = text("1-3", metavar="1-3|1,2,5", help="Numbers of stars in a scene; each number is a class.")
     distractors: str = text(
-        "0-5", metavar="0-5", help="Least and most objects of a scene that are not stars."
+        "0-5", metavar="0-5", help="Minimum and maximum number of distractors: objects that are not stars."
     )
-    star_points: int | None = integer(None, help="Tips of a star.", optional=True, shown="5")
+    star_points: int | None = integer(None, help="Number of tips of a star.", optional=True, shown="5")
     star_inner_mm: float | None = real(
         None,
         optional=True,
-        help="Radius of a star's notches; half of --radius-mm as published, a quarter with 3 points.",
+        help="Inner radius of a star; by default half of --radius-mm as published, a quarter with 3 points.",
     )
     shapes: str = text(
         "box,disc",
@@ -91,14 +89,14 @@ class SceneOptions:
         "of their own such as ring(hole_ratio=0.3).",
     )
     radius_mm: float = real(10.0, help="Radius of the circle around every object.")
-    heights_mm: str = text("5", metavar="5|4,6", help="Heights of objects, each with equal chance.")
+    heights_mm: str = text("5", metavar="5|4,6", help="Heights of objects, drawn with equal probability.")
     cell_mm: str = text("120", metavar="120|120x120", help="Size of the cell along x and y.")
     collision: str = choice(
         "circles",
         ("circles", "exact"),
-        help="What must not meet: circles around objects, or their exact outlines.",
+        help="What must not overlap: circles around objects, or their exact outlines.",
     )
-    clearance_mm: float = real(0.0, help="Least distance kept between those.")
+    clearance_mm: float = real(0.0, help="Minimum distance between them.")
 
     def spec(self) -> SceneSpec:
         """Return the specification of scenes. Raises InputError for what cannot be read or made."""

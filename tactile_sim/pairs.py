@@ -361,7 +361,7 @@ def make_pairs(
     real : str
         Data set of touches, as ``realtouch.load`` takes it; rendered ones do as well.
     split : str
-        Split of both.
+        Split of both data sets.
     spec : PairsSpec
         What to make of them.
     out : str or path-like

@@ -80,7 +80,7 @@ class TouchPlan:
     rounds : int
         Rounds of each object; the object lies again in each.
     touches : int
-        Touches of a round.
+        Number of touches in a round.
     place : str
         Where the gel goes: ``"cell"``, uniform in what it reaches; ``"grid"``, rows from the front left;
         ``"object"``, uniform on the object as seen from above; ``"given"``, as ``given`` says.
@@ -99,14 +99,14 @@ class TouchPlan:
         Seed of everything that is drawn.
     """
 
-    rounds: int = integer(16, 1, help="Rounds of each object.")
-    touches: int = integer(32, 1, _MOST_TOUCHES, help="Touches of a round.")
+    rounds: int = integer(16, 1, help="Number of rounds of each object.")
+    touches: int = integer(32, 1, _MOST_TOUCHES, help="Number of touches in a round.")
     place: str = choice(
         "cell",
         PLACES,
         name="--positions",
-        help="Where the gel goes: uniform in the cell, on a grid, or on the object only; or given by "
-        "--touches-from.",
+        help="Where the gel goes: at random in the cell, on a grid, at random on the object, or as given "
+        "by --touches-from.",
     )
     given: GivenTouches | None = text(
         name="--touches-from",
@@ -123,13 +123,13 @@ class TouchPlan:
         metavar="digits|any|none",
         shown="digits",
         read=_turn_rad,
-        help="Turn of the object: up to 22.5 degrees, any, or none.",
+        help="Random rotation of the object: up to 22.5 degrees, any angle, or none.",
     )
     lie: str = choice("random", ("random", "middle"))
     shift: bool = switch(
         True, name="--perturb", help="Move the object a little after each touch, as the environments do."
     )
-    seed: int = integer(0, help="Seed of everything that is drawn at random.")
+    seed: int = integer(0, help="Random seed.")
 
     def __post_init__(self) -> None:
         given = self.given
@@ -208,12 +208,12 @@ class TrainConfig:
         Steps between checkpoints, and between lines of the log; ours.
     """
 
-    filters: int = integer(64, 1, 1024, help="Filters of the generators.")
-    blocks: int = integer(9, 0, 64, help="Residual blocks.")
+    filters: int = integer(64, 1, 1024, help="Number of filters of the generators.")
+    blocks: int = integer(9, 0, 64, help="Number of residual blocks.")
     judge_filters: int = integer(64, 1, 1024)
-    steps: int = integer(200_000, 1, 10**9, help="Steps in all.")
+    steps: int = integer(200_000, 1, 10**9, help="Total number of steps.")
     start_steps: int = integer(2500, 0, 10**9)
-    batch: int = integer(1, 1, 4096, help="Pictures of each kind in a step.")
+    batch: int = integer(1, 1, 4096, help="Images of each kind in a step.")
     crop: float = real(0.875, 0.1, 1)
     learning_rate: float = real(2e-4, 1e-8, 1, help="Learning rate of Adam.")
     first_moment: float = real(0.5, 0, 0.999)
@@ -226,12 +226,13 @@ class TrainConfig:
         metavar="none|calibrated|FILE",
         shown="none",
         read=_noise,
-        help="Noise of the sensor, which generators need not make: as for `generate --sensor-noise`.",
+        help="Sensor noise that is added to generated images during training: as for `generate "
+        "--sensor-noise`.",
     )
     noise: float = real(0.0, 0, 1)
     judge_noise: float = real(0.0, 0, 1)
     pool: int = integer(50, 0, 10_000)
-    seed: int = integer(0, 0, 2**63, help="Seed of everything that is drawn at random.")
+    seed: int = integer(0, 0, 2**63, help="Random seed.")
     checkpoint_every: int = integer(1000, 1, 10**9)
     log_every: int = integer(50, 1, 10**9)
 
@@ -317,7 +318,7 @@ class PictureOptions:
         ("depth", "taxim", "cyclegan"),
         optional=True,
         shown="taxim; depth without the extra sim",
-        help="How depth becomes a picture.",
+        help="How an image is made from depth.",
     )
     like: str = _window_option(
         "environment",
@@ -325,7 +326,7 @@ class PictureOptions:
         "sets.",
     )
     image_format: Literal["jpeg", "png"] = choice(
-        "jpeg", ("jpeg", "png"), name="--format", help="Format of the pictures."
+        "jpeg", ("jpeg", "png"), name="--format", help="Format of the images."
     )
     quality: int = integer(95, 1, 100, help="Quality of JPEGs, 1 to 100.")
     weights: Path | None = text(
@@ -334,15 +335,15 @@ class PictureOptions:
     surface: str = choice(
         "smooth",
         ("smooth", "printed"),
-        help="Solids as they are modelled, or with the layers that a printer lays.",
+        help="Surface of the objects: as modelled, or with the layers of a 3D print.",
     )
     layer_mm: float | None = real(
-        None, 0.02, 2.0, optional=True, shown="0.2", help="Height of the layers with --surface printed."
+        None, 0.02, 2.0, optional=True, shown="0.2", help="Height of a layer with --surface printed."
     )
     sensor_noise: str = text(
         "none",
         metavar=SENSOR_NOISE,
-        help="Noise of a real sensor on the pictures: none, as calibrated in tactile-mnist, or as in a JSON "
+        help="Noise of a real sensor on the images: none, as calibrated in tactile-mnist, or as in a JSON "
         "file.",
     )
 
@@ -368,7 +369,7 @@ class PairsSpec:
     count : int
         Depth images, and as many real touches.
     without_contact : float
-        Share of touches that meet no object, 0 to 1. The paper reduces it and does not say to how much.
+        Fraction of touches without contact, 0 to 1. The paper reduces it and does not say to how much.
     min_height_m : float or None
         A gel that stops so far above the plate touched an object, metres; None: the rule of the real touches,
         see :meth:`realtouch.dataset.Touches.in_contact`, for both.
@@ -384,9 +385,9 @@ class PairsSpec:
     """
 
     size_px: tuple[int, int] = size_option((256, 256), shown="256x256")
-    count: int = integer(20_000, 1, 10_000_000, help="Depth images, and as many touches.")
+    count: int = integer(20_000, 1, 10_000_000, help="Number of depth images, and of real touches.")
     without_contact: float = real(
-        0.05, 0, 1, metavar="SHARE", help="Share of touches that meet no object, 0 to 1."
+        0.05, 0, 1, metavar="SHARE", help="Fraction of touches without contact, 0 to 1."
     )
     min_height_m: float | None = contact_height_option(
         above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
@@ -399,7 +400,7 @@ class PairsSpec:
         "png", ("png", "jpeg"), name="--format", help="Format of the real touches."
     )
     turn_rad: float = real(math.pi / 8, 0, math.pi)
-    seed: int = integer(0, help="Seed of everything that is drawn at random.")
+    seed: int = integer(0, help="Random seed.")
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", plain(self.size_px))

@@ -1,6 +1,6 @@
 """Fields of specifications that state which values they take, one check of them all, and their options.
 
-A frozen dataclass declares ``steps: int = integer(100, least=1, help="Steps in all.")`` and calls
+A frozen dataclass declares ``steps: int = integer(100, least=1, help="Total number of steps.")`` and calls
 :func:`check_fields` in its ``__post_init__``, which also leaves one spelling of each value: Python's own
 numbers, and tuples. A field with ``help`` is an option of the commands that take the specification.
 """

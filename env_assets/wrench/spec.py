@@ -52,11 +52,11 @@ class WrenchSpec:
     handle_mm : float
         Width of the handle.
     thickness_mm : float
-        Height of the whole wrench.
+        Thickness of the wrench.
     jaw_angle_deg : float
         Between handle and jaws; both jaws are turned the same way round.
     clearance_mm : float
-        What a jaw is wider than its nut.
+        By how much a jaw is wider than its nut.
     fillet_mm : float
         Radius where the handle meets the ends.
     chamfer_mm : float
@@ -78,17 +78,17 @@ class WrenchSpec:
     second_opening_mm: float = real(least=0)
     length_mm: float = real(
         above=0,
-        help="Between the outermost points of the circles of both ends; jaws cut into those, so that the "
-        "solid is a little shorter. By default in the usual proportion, as the next two.",
+        help="Length between the outermost points of the circles of both ends; jaws cut into these, so "
+        "the solid is a little shorter. By default in the usual proportion, as the next two.",
     )
     head_mm: float = real(above=0)
     second_head_mm: float = real(above=0)
     handle_mm: float = real(above=0, help="Width of the handle.")
-    thickness_mm: float = real(above=0, help="Height of the whole wrench.")
-    jaw_angle_deg: float = real(15.0, 0, 90, help="Between the handle and the jaws.")
-    clearance_mm: float = real(0.2, 0, help="What a jaw is wider than its nut.")
+    thickness_mm: float = real(above=0, help="Thickness of the wrench.")
+    jaw_angle_deg: float = real(15.0, 0, 90, help="Angle between the handle and the jaws.")
+    clearance_mm: float = real(0.2, 0, help="By how much a jaw is wider than its nut.")
     fillet_mm: float = real(10.0, 0)
-    chamfer_mm: float = real(0.6, 0, help="Slope around top and bottom.")
+    chamfer_mm: float = real(0.6, 0, help="Size of the chamfer around top and bottom.")
 
     def __post_init__(self) -> None:
         check_fields(self, "the wrench")
@@ -112,7 +112,7 @@ class WrenchSpec:
         second : str or float, optional
             The same of the second jaw; the next smaller size of the table by default.
         single : bool
-            Make no second jaw.
+            Make only one jaw.
         **lengths
             Any other field, in place of its proportion.
 

@@ -133,7 +133,7 @@ def resize(
     width, height : int
         Size wanted, pixels. What has it already passes through byte for byte.
     quality : int
-        JPEG quality of what is encoded again, 1 to 100.
+        JPEG quality of images that are encoded again, 1 to 100.
 
     Returns
     -------

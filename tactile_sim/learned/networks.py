@@ -194,7 +194,7 @@ class GeneratorWeights:
 
     @property
     def blocks(self) -> int:
-        """Residual blocks."""
+        """Number of residual blocks."""
         return sum(name.endswith("conv_block.1.weight") for name in self.arrays)
 
 

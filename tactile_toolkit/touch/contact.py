@@ -93,7 +93,7 @@ def size_option(default: Any, shown: str = "") -> Any:
         metavar="WxH",
         read=_size,
         shown=shown,
-        help="Size of the pictures, pixels.",
+        help="Size of the images, in pixels.",
     )
 
 
