@@ -104,6 +104,43 @@ SHOWN = (
 )  # fmt: skip
 """The table of README.md: what, measured, compared with; figures by their names."""
 
+COMPARED = (
+    ("pipeline.plain_mean", "digit: made, proved a solid, written", "plain implementation"),
+    ("pipeline.workers", "1,200 digits, two workers", "one worker"),
+    ("pipeline.load", "mesh at random", ""),
+    ("pipeline.cold", "the same, first pass (unpacks Parquet)", ""),
+    ("starstruck.scene", "scene, in batches", ""),
+    ("starstruck.single", "scene alone, as trimesh", ""),
+    ("real_touches.random_touch_64x64", "touch at random, 64x64", ""),
+    ("real_touches.random_touch_320x240", "touch at random, 320x240", ""),
+    ("real_touches.full_pass_64x64_per_image", "touch in stored order, 64x64", ""),
+    ("real_touches.full_pass_320x240_per_image", "touch in stored order, 320x240", ""),
+    ("real_touches.random_frame_of_a_random_clip", "frame of a clip at random", ""),
+    ("real_touches.whole_clip_one_thread", "clip, one thread", ""),
+    ("real_touches.contact_frames_of_a_round_default_threads_", "contact frames of a round", ""),
+    ("real_touches.all_poses_of_a_round_as_arrays", "poses of a round", ""),
+    ("training_order.training_datasets", "touch in training order", "`datasets`, streamed"),
+    ("exchange.flat_320", "touch exported, `--format flat`, 320x240", "by hand"),
+    ("exchange.webdataset_320", "touch exported, `--format webdataset`", "by hand"),
+    ("exchange.lerobot_320", "touch exported, `--format lerobot`", "by hand"),
+    ("exchange.import_320", "touch imported from WebDataset", "by hand"),
+    ("touches.depth_64", "synthetic touch, depth, 64x64", ""),
+    ("touches.depth_320", "synthetic touch, depth, 320x240", ""),
+    ("touches.taxim_64", "synthetic touch, Taxim, 64x64", ""),
+    ("touches.taxim_320", "synthetic touch, Taxim, 320x240", ""),
+    ("native_environments.depth_1", "step, depth, 1 environment", ""),
+    ("native_environments.depth_16", "step, depth, 16 environments", ""),
+    ("native_environments.depth_256", "step, depth, 256 environments", ""),
+    ("native_environments.Taxim_1", "step, Taxim, 1 environment", ""),
+    ("native_environments.Taxim_64", "step, Taxim, 64 environments", ""),
+    ("touches.step_16", "step, 16 environments, `renderer=\"fast\"`", ""),
+    ("env_adapter.reset", "reset of 4 environments", ""),
+    ("env_adapter.statistics", "statistics of 300 volumes", ""),
+    ("height_maps.made", "height map of a digit, 0.2 mm", "triangle by triangle"),
+    ("scale.nodes", "600 digits, two Ray nodes", "two local processes"),
+)  # fmt: skip
+"""The table of benchmarks/README.md: figures by their names, what they are of, and what the other one is."""
+
 
 def tell(
     name: str,
@@ -195,30 +232,52 @@ def _processor() -> str:
 
 
 def tables(results: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield the name and text of each table: all figures, and those that README.md shows."""
-    rows = [
-        "| benchmark | what | ours | compared with | times | target |",
-        "| --- | --- | --- | --- | --- | --- |",
-    ]
-    runs = []
-    for name, result in results.items():
-        rows += [f"| `{name}` | {' | '.join(_cells(figure))} |" for figure in result["figures"]]
-        versions = ", ".join(f"{library} {number}" for library, number in result["versions"].items())
-        aged = "" if fingerprint(BENCHMARKS[name].code) == result["code"] else " (code changed since)"
-        runs.append((f"{result['date']}, {result['machine']}, {versions}", f"`{name}`{aged}"))
-    where = [
-        f"- {run}: {', '.join(name for other, name in runs if other == run)}."
-        for run in dict.fromkeys(run for run, _ in runs)
-    ]
-    yield "all", "\n".join([*rows, "", *where])
+    """Yield the name and text of each table: what is compared, and the figures that README.md shows."""
     by_name = {
         f"{name}.{each['name']}": each for name, result in results.items() for each in result["figures"]
     }
+    rows = ["| what | here | other | ratio |", "| --- | --- | --- | --- |"]
+    for name, what, beside in COMPARED:
+        if figure := by_name.get(name):
+            other = in_words(figure["other"], figure["unit"]) + (f", {beside}" if beside else "")
+            here = in_words(figure["value"], figure["unit"])
+            rows.append(f"| {what} | {here} | {other} | **{in_words(figure['ratio'], '')}** |")
+    yield "all", "\n".join([*rows, "", *_runs(results), "", _missed(results)])
     rows = ["| what | measured | compared with |", "| --- | --- | --- |"]
     for cells in SHOWN:
         if all(each.removesuffix(":ratio") in by_name for each in _PLACE.findall("".join(cells))):
             rows.append(f"| {' | '.join(_filled(cell, by_name) for cell in cells)} |")
     yield "shown", "\n".join(rows)
+
+
+def _runs(results: Mapping[str, Any]) -> list[str]:
+    """Return when, where and with which versions the benchmarks ran, and which code has changed since."""
+    runs: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    for name, result in results.items():
+        versions = ", ".join(f"{library} {number}" for library, number in result["versions"].items())
+        runs.setdefault((result["machine"], versions), []).append((result["date"], f"`{name}`"))
+    lines = []
+    for (machine, versions), found in runs.items():
+        dates = " to ".join(sorted({min(found)[0], max(found)[0]}))
+        lines.append(f"- {', '.join(name for _, name in found)}: {dates}, {machine}, {versions}.")
+    aged = [
+        f"`{name}`"
+        for name, result in results.items()
+        if fingerprint(BENCHMARKS[name].code) != result["code"]
+    ]
+    return lines + ([f"- The code was changed after these measurements: {', '.join(aged)}."] if aged else [])
+
+
+def _missed(results: Mapping[str, Any]) -> str:
+    """Return which figures do not reach their targets."""
+    missed = []
+    for name, result in results.items():
+        for figure in filter(lambda figure: not is_met(figure), result["figures"]):
+            value = in_words(
+                figure.get("ratio", figure["value"]), "" if "ratio" in figure else figure["unit"]
+            )
+            missed.append(f"`{name}.{figure['name']}` {value} ({figure['target']})")
+    return f"Targets that are missed: {'; '.join(missed) or 'none'}."
 
 
 def _filled(cell: str, figures: Mapping[str, Any]) -> str:
