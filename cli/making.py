@@ -18,7 +18,8 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import counted, listed
 
 if TYPE_CHECKING:
-    from tactile_toolkit.store.build import Forecast, Progress
+    from tactile_toolkit.making import Forecast
+    from tactile_toolkit.store.build import Progress
     from tactile_toolkit.store.manifest import Manifest
 
 

@@ -17,9 +17,10 @@ from mnist3d.splits import plan_splits
 from tactile_toolkit import making
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.making import Forecast
 from tactile_toolkit.mesh.printability import PrintProfile, inspect
 from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Forecast, Progress
+from tactile_toolkit.store.build import Progress
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
 

@@ -31,8 +31,9 @@ from starstruck_gen.spec import SceneSpec
 from tactile_toolkit import making
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.making import Forecast
 from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Forecast, Progress
+from tactile_toolkit.store.build import Progress
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import Manifest, without_collecting

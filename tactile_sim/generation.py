@@ -28,12 +28,13 @@ from tactile_toolkit.catalog.kinds import place_of
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.making import Forecast
 from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.mesh import MeshLike
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, refuse_source
 from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Forecast, Progress
+from tactile_toolkit.store.build import Progress
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest

@@ -6,23 +6,26 @@ import os
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import Forecast, Progress, Sample, build, forecast_build
+from tactile_toolkit.run.processes import Check, Runner, runner_for
+from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan, ShardContent, require_known_splits
+from tactile_toolkit.store.job import BuildPlan, Job, ShardContent, inspect_job, manifest_so_far
 from tactile_toolkit.store.manifest import Manifest, without_collecting
+from tactile_toolkit.store.overwrite import refuse_overwriting_parts, require_replaceable
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
 from tactile_toolkit.wording import counted
 
 _SHARDS_TRIED = 8
 """Shards in which a forecast looks for an item that gives a row."""
+_START_S = 1.5
+"""What workers need to start and import their libraries."""
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,9 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
     items, layout = making.items(), making.layout()
     known = tuple(items)
     wanted = known if splits is None else splits
-    require_known_splits(wanted, known)
+    for split in wanted:
+        if split not in known:
+            raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
     # However they are asked for, tasks stand in canonical order, and so do shards in the manifest.
     tasks = tuple(
         Task(making, shard, items[split][rows.start : rows.stop])
@@ -207,6 +212,36 @@ def generate(
     )
 
 
+@dataclass(frozen=True, slots=True)
+class SplitForecast:
+    """One split: its rows and shards, and how many rows are finished already."""
+
+    split: str
+    rows: int
+    shards: int
+    finished: int
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What a run would do.
+
+    ``bytes`` of Parquet and ``seconds`` are estimated from ``sampled`` rows that were made. ``replaced`` are
+    the rows of each split of the data set that the run would replace; None where it would replace none.
+    """
+
+    splits: tuple[SplitForecast, ...]
+    rows_to_make: int
+    bytes: int
+    seconds: float
+    sampled: int
+    replaced: dict[str, int] | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return asdict(self)
+
+
 def forecast(
     making: Making,
     out: str | os.PathLike[str],
@@ -216,33 +251,68 @@ def forecast(
     overwrite: bool = False,
     require: Callable[[], None] = lambda: None,
 ) -> Forecast:
-    """Estimate a run of :func:`generate` by making some of its rows; writes nothing."""
+    """Estimate a run of :func:`generate` by making some of its rows; writes nothing.
+
+    Of a :class:`~tactile_toolkit.run.processes.Part`, the shards of that part count. Raises what the run
+    would raise before its first row.
+    """
     plan = plan_build(making, splits)
     require()
+    folder = DataFolder(os.fspath(out))
+    if overwrite:
+        refuse_overwriting_parts(folder, workers.workers if isinstance(workers, Check) else workers)
+        require_replaceable(folder)
+        job = Job(folder, plan, plan.new_manifest(), plan.tasks)
+    else:
+        job = inspect_job(folder, plan, workers)
+    entries = []
+    for split in dict.fromkeys(task.shard.split for task in job.tasks):
+        sizes = [task.size for task in job.tasks if task.shard.split == split]
+        left = sum(task.size for task in job.remaining if task.shard.split == split)
+        entries.append(SplitForecast(split, sum(sizes), len(sizes), sum(sizes) - left))
+    left = sum(task.size for task in job.remaining)
+    sampled, row_bytes, row_s = _sample(making, plan)
+    while not isinstance(workers, int):
+        workers = getattr(workers, "workers", 1)
+    processes = workers or os.cpu_count() or 1  # all cores where a runner leaves that open
+    return Forecast(
+        tuple(entries),
+        left,
+        round(left * row_bytes),
+        round(left * row_s / processes + (_START_S if left else 0), 1),
+        sampled,
+        _existing_rows(folder) if overwrite else None,
+    )
 
-    tasks = [task for task in plan.tasks if isinstance(task, Task)]
 
-    def measure() -> Sample:
-        first = tasks[0]
-        # The first row pays for imports and for what is kept in memory.
-        _made(making, first.shard.split, first.items[:1])
-        skipped: list[Skipped] = []
-        for task in tasks[:_SHARDS_TRIED]:
-            items = task.items[: making.layout().sampled]
-            start_s = time.perf_counter()
-            rows, without = _made(making, task.shard.split, items)
-            skipped += without
-            if rows:
-                size = len(encode_parquet(table_of(rows, making.schema(task.shard.split)), plan.style))
-                elapsed_s = time.perf_counter() - start_s
-                return Sample(len(rows), size / len(rows), elapsed_s / len(items))
-        raise InputError(
-            f"none of {counted(len(skipped), making.kind.nouns)} that were tried could be made; the first: "
-            f"{skipped[0].message}; nothing was written",
-            next="correct the source, or choose another one",
-        )
+def _sample(making: Making, plan: BuildPlan) -> tuple[int, float, float]:
+    """Make a few rows; return how many, and bytes and seconds of one."""
+    tasks, skipped = [task for task in plan.tasks if isinstance(task, Task)], list[Skipped]()
+    # The first row pays for imports and for what is kept in memory.
+    _made(making, tasks[0].shard.split, tasks[0].items[:1])
+    for task in tasks[:_SHARDS_TRIED]:
+        items = task.items[: making.layout().sampled]
+        start_s = time.perf_counter()
+        rows, without = _made(making, task.shard.split, items)
+        skipped += without
+        if rows:
+            size = len(encode_parquet(table_of(rows, making.schema(task.shard.split)), plan.style))
+            elapsed_s = time.perf_counter() - start_s
+            return len(rows), size / len(rows), elapsed_s / len(items)
+    raise InputError(
+        f"none of {counted(len(skipped), making.kind.nouns)} that were tried could be made; the first: "
+        f"{skipped[0].message}; nothing was written",
+        next="correct the source, or choose another one",
+    )
 
-    return forecast_build(out, plan, workers, measure, overwrite=overwrite)
+
+def _existing_rows(folder: DataFolder) -> dict[str, int] | None:
+    """Return the rows of each split of a data set; empty where its manifest is damaged, None without one."""
+    try:
+        manifest = manifest_so_far(folder)
+    except IntegrityError:
+        return {}
+    return None if manifest is None else {name: row["rows"] for name, row in manifest.split_table().items()}
 
 
 @dataclass(frozen=True)

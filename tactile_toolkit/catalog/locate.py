@@ -16,7 +16,7 @@ from tactile_toolkit.store.files import expanded, is_there, readable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, without_collecting
 from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
-from tactile_toolkit.store.overwrite import settle
+from tactile_toolkit.store.overwrite import resume_promotion
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
     ShardFile,
@@ -230,7 +230,7 @@ def available_splits(folder: DataFolder) -> tuple[str, ...]:
 
 
 def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
-    settle(folder)  # files of two sets lie in one that is being replaced
+    resume_promotion(folder)  # files of two sets lie in one that is being replaced
     manifest, root = read_manifest(folder), folder.address()
     if manifest is None:
         found = _folder_files(folder)

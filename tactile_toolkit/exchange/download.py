@@ -12,6 +12,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+import msgspec
+
 from tactile_toolkit.cards.card import CARD_FILE
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
 from tactile_toolkit.cards.facts import card_head, folder_facts, viewer_files, with_head
@@ -37,7 +39,14 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
-from tactile_toolkit.store.origin import DownloadRecord, HubFile, read_record, write_record
+from tactile_toolkit.store.origin import (
+    DownloadRecord,
+    HubFile,
+    digest_like,
+    has_digest,
+    read_record,
+    write_record,
+)
 from tactile_toolkit.store.shards import shard_files
 
 # What is fitted to the splits that a folder gets.
@@ -152,7 +161,7 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
     ours = (
         path for path in _METADATA_FILES if path in snapshot.files and (path != MANIFEST_FILE or manifest)
     )
-    metadata = known.labels if known else tuple(ours)
+    metadata = known.metadata_files if known else tuple(ours)
     origin = (repository.repo_id, snapshot.commit, repository.revision)
     record = DownloadRecord(*origin, files, all_splits, metadata)
     is_done = not missing
@@ -194,12 +203,12 @@ def _is_intact(folder: DataFolder, file: HubFile, earlier: DownloadRecord | None
     if digest is None or not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
         return False
     if folder.is_local:
-        return digest.of(Path(folder.address(path))) == digest
+        return has_digest(Path(folder.address(path)), digest)
     # A store changes no bit by itself: what a finished download wrote there is known by its size.
     if earlier is not None and earlier.finished and earlier.files.get(path) == file:
         return True
     with folder.open(path) as stream:
-        return digest.of_stream(stream, file.size_bytes) == digest
+        return digest_like(stream, digest) == digest
 
 
 def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord | None:
@@ -286,7 +295,8 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
     folder.remove_temporaries()
     # What the folder is to become is written down first, so that a killed download is known for what it is.
     earlier = plan.earlier.files if plan.earlier else {}
-    write_record(folder, replace(record, files={**earlier, **record.files}, finished=False))
+    begun = msgspec.structs.replace(record, files={**earlier, **record.files}, finished=False)
+    write_record(folder, begun)
     if manifest is not None and (plan.missing or leftover):
         write_manifest(folder, replace(manifest, shards=(), complete=False))
     # Before the first new file comes: old and new ones next to each other would pass for one set.
@@ -316,7 +326,7 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
 
 def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
     """Write manifest and cards, fitted to the splits that are there."""
-    names = plan.record.labels
+    names = plan.record.metadata_files
     found = [place.read_bytes() for place in plan.repository.fetch(names)]
     contents = dict(zip(names, found, strict=True))
     shown = {path for paths in viewer_files(manifest).values() for path in paths}

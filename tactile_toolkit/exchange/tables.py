@@ -19,7 +19,7 @@ from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan, ShardContent, look
+from tactile_toolkit.store.job import BuildPlan, ShardContent, inspect_job
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
@@ -111,7 +111,7 @@ def export_tables(
 def forecast_tables(plan: BuildPlan, out: str, *, overwrite: bool = False) -> tuple[int, int]:
     """Return rows and bytes that :func:`export_tables` would write, guessed from a few; raises as it does."""
     if not overwrite:
-        look(DataFolder(out), plan)
+        inspect_job(DataFolder(out), plan)
     tasks = [task for task in plan.tasks if isinstance(task, _WriteTable)]
     sample, rows = tasks[0].rows[:_SAMPLED], sum(task.size for task in tasks)
     return rows, round(rows * len(encode_parquet(flat_table(sample), _STYLE)) / len(sample))

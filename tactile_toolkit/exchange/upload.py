@@ -30,7 +30,7 @@ from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.names import names_inside, problem_of_name
-from tactile_toolkit.store.origin import HubFile
+from tactile_toolkit.store.origin import HubFile, has_digest
 from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding, ShardName
 from tactile_toolkit.store.verify import problem_of_place, verify
 
@@ -95,9 +95,9 @@ class LocalFile:
         """Return whether a file of a repository has its content."""
         if there is None or there.digest is None or there.size_bytes != self.size:
             return False
-        if self.sha256 is not None and there.digest.kind == "sha256":
-            return there.digest.value == self.sha256
-        return there.digest.of(self.place) == there.digest
+        if self.sha256 is not None and len(there.digest) == len(self.sha256):
+            return there.digest == self.sha256
+        return has_digest(self.place, there.digest)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,7 +13,7 @@ import os
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
@@ -24,7 +24,7 @@ from tactile_toolkit.hub.calls import TooLargeError, call_with_retry, is_unanswe
 from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import names_inside, problem_of_name
-from tactile_toolkit.store.origin import Digest, HubFile
+from tactile_toolkit.store.origin import DIGEST, HubFile, has_digest
 
 _PREFIX = "hf://datasets/"
 # Names of branches that hold a slash are written %2F, but for the two kinds that the Hub makes itself.
@@ -35,7 +35,6 @@ _NAME = re.compile(
 )
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 _MAIN = "main"
-_SHA256_DIGITS = 64
 _FILES_AT_ONCE = 8  # as many as the Hub's own client fetches at once
 
 T = TypeVar("T")
@@ -130,25 +129,23 @@ def listing(repo_id: str, revision: str | None = None) -> HubSnapshot:
     files = {}
     for entry in answer.siblings or ():
         # Files that git keeps itself are named by git's own digest.
-        digest = Digest("sha256", entry.lfs.sha256) if entry.lfs else Digest("git-sha1", entry.blob_id)
+        digest = entry.lfs.sha256 if entry.lfs else str(entry.blob_id)
         files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
-    commit = Digest("git-sha1", answer.sha).value
+    if not _COMMIT.fullmatch(answer.sha):
+        raise ValueError(f"{answer.sha[:80]!r} is not a commit")
     licence = getattr(answer.card_data, "license", None)
     licence = licence if isinstance(licence, str) else None
-    return HubSnapshot(commit, files, licence=licence, is_private=bool(answer.private))
+    return HubSnapshot(answer.sha, files, licence=licence, is_private=bool(answer.private))
 
 
 def cached_snapshot(repo_id: str, commit: str) -> HubSnapshot:
     """Return what the cache has of a commit."""
     files, root = {}, snapshot_folder(repo_id, commit)
     for file in sorted(file for file in root.rglob("*") if file.is_file()):
-        path, digest = file.relative_to(root).as_posix(), None
         # A blob is named by the digest of its content; a cache without links has no blobs.
-        if file.is_symlink():
-            name = Path(os.path.realpath(file)).name
-            with contextlib.suppress(ValueError):
-                digest = Digest("sha256" if len(name) == _SHA256_DIGITS else "git-sha1", name)
-        files[path] = HubFile(path, file.stat().st_size, digest)
+        path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
+        is_named = file.is_symlink() and DIGEST.fullmatch(blob)
+        files[path] = HubFile(path, file.stat().st_size, blob if is_named else None)
     return HubSnapshot(commit, files, is_cache=True)
 
 
@@ -294,10 +291,10 @@ class HubRepository:
         if self.manifest is None:
             return {}
         there, records = self.snapshot.files, self.manifest.shards
-        files = [HubFile(r.shard.data_path, r.bytes, Digest("sha256", r.sha256)) for r in records]
+        files = [HubFile(r.file, r.bytes, r.sha256) for r in records]
         for path, sha256 in (self.manifest.files or {}).items():
             if path in there:
-                files.append(replace(there[path], digest=Digest("sha256", sha256)))
+                files.append(HubFile(path, there[path].size_bytes, sha256))
         return {file.path: file for file in files}
 
     def files(self) -> list[str]:
@@ -320,7 +317,7 @@ class HubRepository:
                 f"Hub data set {self.repo_id!r} has no file {path!r}", next="see what it has on its page"
             )
         digests = [each.digest for each in (there, wanted) if each and each.digest]
-        if len(set(digests)) == len({digest.kind for digest in digests}):
+        if len(set(digests)) == len(set(map(len, digests))):  # one of each kind
             return wanted
         raise IntegrityError(
             f"{path!r} of Hub data set {self.repo_id!r} is not the file that its {MANIFEST_FILE} lists: "
@@ -341,7 +338,7 @@ class HubRepository:
         wanted, file = self.file(path), self._place(path)
         is_here = file.is_file() and file.stat().st_size == wanted.size_bytes
         if is_here and check and wanted.digest is not None:
-            is_here = wanted.digest.of(file) == wanted.digest
+            is_here = has_digest(file, wanted.digest)
         return file if is_here else None
 
     def _place(self, path: str) -> Path:
@@ -374,7 +371,7 @@ class HubRepository:
             fetch = functools.partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
             doing = f"fetching {path!r} of"
             file = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
-            if wanted.digest.of(file) == wanted.digest:
+            if has_digest(file, wanted.digest):
                 with file.open("rb") as stream:
                     os.fsync(stream.fileno())  # a power cut must not empty what counts as intact
                 transfers.count(wanted, wanted.size_bytes)

@@ -1,4 +1,4 @@
-"""A job: what is to be made in a folder, and which of its shards are there.
+"""A job: what is to be made in a folder, and which of its shards are finished.
 
 The kinds of data bring a :class:`BuildPlan`: one task for each shard, and the specification that they follow
 from. The record of a shard is the only state: ``.pending/SHARD.json`` until a run is finished, an entry of
@@ -143,13 +143,6 @@ class BuildPlan:
         )
 
 
-def require_known_splits(splits: Sequence[str], known: Sequence[str]) -> None:
-    """Raise InputError where a split is asked for that this kind of data set does not have."""
-    for split in splits:
-        if split not in known:
-            raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
-
-
 class MissingPartsError(IntegrityError):
     """Parts of a data set that cannot be finished yet.
 
@@ -169,13 +162,6 @@ class MissingPartsError(IntegrityError):
         self.args = (where, shards, parts, array)  # by which it crosses process borders
 
 
-def require_parts(folder: DataFolder, plan: BuildPlan, missing: Collection[ShardName]) -> None:
-    """Raise MissingPartsError where any shard of a plan is missing."""
-    numbers = [index for index, task in enumerate(plan.tasks) if task.shard in missing]
-    if numbers:
-        raise MissingPartsError(folder.address(), len(numbers), len(plan.tasks), array_text(numbers))
-
-
 def array_text(numbers: Sequence[int]) -> str:
     """Write numbers as Slurm takes them for ``--array``: ``3,17,40-44``."""
     runs = [
@@ -187,32 +173,104 @@ def array_text(numbers: Sequence[int]) -> str:
 
 @dataclass(frozen=True)
 class Job:
-    """What is being made in a folder; ``of`` is the identity of its manifest.
+    """A run of a plan in a folder, or of the tasks of a Part.
+
+    ``manifest`` is that of the folder, or the one that it is to get; ``finished`` are the records of shards
+    that are intact, ``remaining`` the tasks of all others.
+    """
+
+    folder: DataFolder
+    plan: BuildPlan
+    manifest: Manifest
+    tasks: tuple[ShardTask, ...]
+    finished: tuple[ShardRecord, ...] = ()
+
+    @property
+    def remaining(self) -> tuple[ShardTask, ...]:
+        """The tasks whose shards are to be made."""
+        finished = {record.shard for record in self.finished}
+        return tuple(task for task in self.tasks if task.shard not in finished)
+
+
+def begin_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int) -> Job:
+    """Find out what a run has to do in a folder, and create its manifest where there is none.
+
+    Raises as :func:`inspect_job`.
+    """
+    while True:
+        job = inspect_job(folder, plan, runner)
+        current = read_manifest(folder)
+        if current is None and job.remaining:
+            folder.create_bytes(MANIFEST_FILE, job.manifest.to_json().encode())
+            continue  # read back: another run may have been faster
+        if current is not None and current.identity != job.manifest.identity:
+            write_manifest(folder, job.manifest)  # of other versions, and none of its shards is left
+        return job
+
+
+def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -> Job:
+    """Compare a folder with a plan, or with the tasks of a Part, changing nothing; with Check, read it all.
+
+    Raises SpecMismatchError when the folder is made by another specification, or by libraries that write
+    other bytes (the message states the differences), InputError when it holds something else, and
+    MissingPartsError where a Finish lacks shards.
+    """
+    check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
+    tasks = tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
+    manifest, new = read_manifest(folder), plan.new_manifest()
+    if manifest is None:
+        refuse_unknown_files(folder)
+        job = Job(folder, plan, new, tasks)
+    else:
+        found, wanted = (
+            {"kind": each.kind, "toolkit_version": each.toolkit_version, **each.spec}
+            for each in (manifest, new)
+        )
+        _refuse_difference(folder, found, wanted)
+        _refuse_strays(folder, plan)
+        intact = _intact_records(folder, plan, manifest, {task.shard for task in tasks}, check)
+        job = Job(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
+        if job.remaining and manifest.libraries and manifest.libraries != new.libraries:
+            begun = {record.shard for record in manifest.shards}.union(
+                _pending_shards(folder.names(PENDING_FOLDER))
+            )
+            if begun - {task.shard for task in job.remaining}:
+                _refuse_difference(folder, {"libraries": manifest.libraries}, {"libraries": new.libraries})
+            job = replace(job, manifest=new)
+    if isinstance(runner, Finish):
+        require_parts(job, job.finished)
+    return job
+
+
+def require_parts(job: Job, records: Sequence[ShardRecord]) -> None:
+    """Raise MissingPartsError where a task of a job has no record."""
+    found, shards = {record.shard for record in records}, [task.shard for task in job.plan.tasks]
+    wanted = {task.shard for task in job.tasks}
+    numbers = [index for index, shard in enumerate(shards) if shard in wanted and shard not in found]
+    if numbers:
+        raise MissingPartsError(job.folder.address(), len(numbers), len(shards), array_text(numbers))
+
+
+def require_same_job(folder: DataFolder, identity: str) -> Manifest:
+    """Return the manifest of a folder; InputError where it is gone, or has another identity by now.
 
     Names of shards are the same in every data set of a kind: a slower run would put its rows among those of a
     run that has replaced its set.
     """
-
-    folder: DataFolder
-    of: str
-
-    def require(self) -> Manifest:
-        """Return the manifest; InputError where it is gone, or that of another job by now."""
-        folder = self.folder
-        version = folder.version(MANIFEST_FILE)
-        manifest = None if version is None else _manifest_of_version(folder, version)
-        if (manifest is None or manifest.identity != self.of) and folder.exists():
-            folder.refresh("")  # a network file system may have shown what was there a while ago
-            manifest = read_manifest(folder)
-        if manifest is None or manifest.identity != self.of:
-            raise InputError(
-                f"the data set in {folder.address()!r} was removed or replaced while this run was at work, "
-                f"or node {socket.gethostname()} writes to a folder that this machine does not see; it has "
-                "stopped and changed nothing of what is there now",
-                next="look there with the command `info`, then run the same command again, in a folder that "
-                "all nodes share, or choose another one (--out or OUT)",
-            )
-        return manifest
+    version = folder.version(MANIFEST_FILE)
+    manifest = None if version is None else _manifest_of_version(folder, version)
+    if (manifest is None or manifest.identity != identity) and folder.exists():
+        folder.refresh("")  # a network file system may have shown an earlier state
+        manifest = read_manifest(folder)
+    if manifest is None or manifest.identity != identity:
+        raise InputError(
+            f"the data set in {folder.address()!r} was removed or replaced while this run was at work, or "
+            f"node {socket.gethostname()} writes to a folder that this machine does not see; the run has "
+            "stopped and changed nothing in the folder",
+            next="look there with the command `info`, then run the same command again, in a folder that "
+            "all nodes share, or choose another one (--out or OUT)",
+        )
+    return manifest
 
 
 @lru_cache(maxsize=1)
@@ -221,117 +279,40 @@ def _manifest_of_version(folder: DataFolder, version: object) -> Manifest | None
     return read_manifest(folder)
 
 
-@dataclass(frozen=True)
-class State:
-    """What a folder holds of some tasks of a plan.
-
-    ``kept`` are the records of finished shards that are intact, ``todo`` the tasks left.
-    """
-
-    manifest: Manifest
-    tasks: tuple[ShardTask, ...]
-    kept: tuple[ShardRecord, ...]
-    todo: tuple[ShardTask, ...]
-
-
-def begin(folder: DataFolder, plan: BuildPlan, runner: Runner | int) -> tuple[Job, State]:
-    """Find what is missing in a folder for a run, and name there what it is to become, unless that is done.
-
-    Raises as :func:`look`.
-    """
-    while True:
-        state = look(folder, plan, runner)
-        there = read_manifest(folder)
-        if there is None and state.todo:
-            folder.create_bytes(MANIFEST_FILE, state.manifest.to_json().encode())
-            continue  # read back: another run may have been faster
-        if there is not None and there.identity != state.manifest.identity:
-            write_manifest(folder, state.manifest)  # of other versions, and none of its shards is left
-        return Job(folder, state.manifest.identity), state
-
-
-def look(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -> State:
-    """Compare a folder with a plan, or with the tasks of a Part, changing nothing; with Check, read it all.
-
-    Raises SpecMismatchError when the folder is made by another specification, or by libraries that write
-    other bytes (the message says what differs), InputError when it holds something else, and
-    MissingPartsError where shards are missing for a Finish.
-    """
-    check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
-    tasks = tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
-    manifest, new = read_manifest(folder), plan.new_manifest()
-    if manifest is None:
-        refuse_unknown_files(folder)
-        state = State(new, tasks, (), tasks)
-    else:
-        there, wanted = (
-            {"kind": each.kind, "toolkit_version": each.toolkit_version, **each.spec}
-            for each in (manifest, new)
-        )
-        cure = "choose another folder (--out or OUT)"
-        _refuse_difference(folder, "holds a data set of another specification", there, wanted, cure)
-        _refuse_strays(folder, plan)
-        intact = _intact_records(folder, plan, manifest, {task.shard for task in tasks}, check)
-        todo = tuple(task for task in tasks if task.shard not in intact)
-        if todo and manifest.libraries and manifest.libraries != new.libraries:
-            listed = {record.shard for record in manifest.shards}
-            if {*listed, *_pending_shards(folder.names(PENDING_FOLDER))} - {task.shard for task in todo}:
-                there, wanted = {"libraries": manifest.libraries}, {"libraries": new.libraries}
-                cure = "install those versions, or choose another folder"
-                what = "was begun with other versions of libraries, which write other bytes"
-                _refuse_difference(folder, what, there, wanted, cure)
-            manifest = new
-        state = State(replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()), todo)
-    if isinstance(runner, Finish):
-        require_parts(folder, plan, {task.shard for task in state.todo})
-    return state
-
-
 def _intact_records(
     folder: DataFolder, plan: BuildPlan, manifest: Manifest, shards: Collection[ShardName], check: bool
 ) -> dict[ShardName, ShardRecord]:
-    """Return the record of each shard of which all that it states is there: by size or, to check, by content.
+    """Return the record of each shard whose files are there: by size or, to check, by content.
 
     A pending record counts before that of the manifest.
     """
-    sizes = folder.sizes(DATA_FOLDER)
-    pending = pending_records(folder, manifest.identity, shards)
-    has_report = _is_report_intact(folder, plan, manifest, check)
+    sizes, report = folder.sizes(DATA_FOLDER), plan.report_file
+    has_report = report is not None and folder.exists(report)
+    listed = manifest.files.get(report) if report is not None else None  # none while it is written again
+    if report is not None and has_report and (check or (listed and folder.is_local)):
+        has_report = file_sha256(folder, report) == listed
 
-    def is_intact(record: ShardRecord) -> bool:
-        is_pending = pending.get(record.shard) is record
-        # Sizes first: most damage shows there, and costs no reading.
-        if not record.is_size_of(sizes):
-            return False
-        if record.report_sha256 and record.rows and not (is_pending or has_report):
+    def is_intact(record: ShardRecord, digests: Mapping[str, str | None]) -> bool:
+        if not record.is_size_of(sizes):  # first: most damage shows there, and costs no reading
             return False
         try:
-            if check and file_sha256(folder, record.file) != record.sha256:
-                return False
-            has_pending_report = is_pending and record.report_sha256 is not None
-            report = record.shard.report_path
-            if check and has_pending_report and file_sha256(folder, report) != record.report_sha256:
-                return False
+            for path, sha256 in digests.items() if check else ():
+                if sha256 is not None and file_sha256(folder, path) != sha256:
+                    return False
             return plan.is_current is None or plan.is_current(folder, record, check)
         except (IntegrityError, FileNotFoundError):  # damaged in the same size, or gone at this moment
             return False
 
-    listed = {record.shard: record for record in manifest.shards if record.shard in shards}
     intact = {}
-    for known in (listed, pending):
-        intact.update({shard: record for shard, record in known.items() if is_intact(record)})
+    for record in manifest.shards:
+        needs_report = record.rows and record.report_sha256
+        is_wanted = record.shard in shards and (has_report or not needs_report)
+        if is_wanted and is_intact(record, {record.file: record.sha256}):
+            intact[record.shard] = record
+    for shard, record in pending_records(folder, manifest.identity, shards).items():
+        if is_intact(record, {record.file: record.sha256, shard.report_path: record.report_sha256}):
+            intact[shard] = record
     return intact
-
-
-def _is_report_intact(folder: DataFolder, plan: BuildPlan, manifest: Manifest, check: bool) -> bool:
-    """Return whether the merged report has the rows of all shards of the manifest."""
-    path = plan.report_file
-    if path is None or not manifest.shards or not folder.exists(path):
-        return False
-    known = manifest.files.get(path)
-    if known is None or not (folder.is_local or check):  # it was being written again, or objects appear whole
-        return not check
-    return file_sha256(folder, path) == known
 
 
 class _Pending(msgspec.Struct):
@@ -397,7 +378,7 @@ def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
     ]
 
 
-def tidy(folder: DataFolder, manifest: Manifest) -> None:
+def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
     """Remove what a finished set does not need: records that it holds, temporary files, a set begun inside.
 
     What another split has begun stays its own until that is finished.
@@ -423,13 +404,14 @@ def refuse_unknown_files(folder: DataFolder) -> None:
         )
 
 
-def _refuse_difference(folder: DataFolder, what: str, there: object, wanted: object, cure: str) -> None:
-    differing = "; ".join(_differences(there, wanted))
+def _refuse_difference(folder: DataFolder, found: object, wanted: object) -> None:
+    differing = "; ".join(_differences(found, wanted))
     if differing:
         raise SpecMismatchError(
-            f"{folder.address()!r} {what}: {differing}; nothing was changed",
-            next=f"{cure}, or start again there with --overwrite (without --part and in no object store; "
-            "there, remove it first)",
+            f"{folder.address()!r} holds a data set of another specification, or was begun with other "
+            f"versions of libraries, which write other bytes: {differing}; nothing was changed",
+            next="choose another folder (--out or OUT), or start again there with --overwrite (without "
+            "--part and in no object store; there, remove it first), or install those versions",
         )
 
 

@@ -13,6 +13,7 @@ import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import kinds
+from tactile_toolkit.run.processes import Finish, Part, Runner
 from tactile_toolkit.store.files import TEMPORARY_PREFIX
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import BuildPlan, refuse_unknown_files
@@ -70,6 +71,16 @@ def require_replaceable(folder: DataFolder) -> list[str]:
     return found
 
 
+def refuse_overwriting_parts(folder: DataFolder, runner: Runner | int) -> None:
+    """Raise InputError for what makes or ends parts: one must not remove what the others made."""
+    if isinstance(runner, (Part, Finish)):
+        raise InputError(
+            "--overwrite was given with --part or --finish: each part would remove what the others made; "
+            "nothing was changed",
+            next=f"remove {folder.address()!r} first, or choose another folder (--out or OUT)",
+        )
+
+
 def _manifest(folder: DataFolder) -> Manifest | None:
     try:
         return read_manifest(folder)
@@ -97,7 +108,7 @@ def _is_ours(path: str, further: list[str]) -> bool:
     )
 
 
-def make_room(folder: DataFolder, plan: BuildPlan) -> DataFolder:
+def prepare_next(folder: DataFolder, plan: BuildPlan) -> DataFolder:
     """Return the folder in which the next data set is made; what is there of another one goes.
 
     The run that was making the other one, if it is still at work, is asked to begin again.
@@ -111,12 +122,12 @@ def make_room(folder: DataFolder, plan: BuildPlan) -> DataFolder:
     return after
 
 
-def settle(folder: DataFolder, patience_s: float = _PATIENCE_S) -> None:
+def resume_promotion(folder: DataFolder, patience_s: float = _PATIENCE_S) -> None:
     """Carry on with a replacement that was begun; raises InputError while another run is at it."""
     if folder.is_local and folder.exists(_PROMOTION):
         with folder.locked(patience_s=patience_s):
             if folder.exists(_PROMOTION):
-                _carry_on(folder)
+                _move_files(folder)
 
 
 def promote(folder: DataFolder) -> None:
@@ -128,10 +139,10 @@ def promote(folder: DataFolder) -> None:
     arrive = [path for path in DataFolder(folder.address(NEXT_FOLDER)).walk() if not path.startswith(".")]
     promotion = _Promotion(arrive, sorted({*leave} - {*arrive}))
     folder.write_bytes(_PROMOTION, msgspec.json.encode(promotion))  # from here on it can only be completed
-    _carry_on(folder)
+    _move_files(folder)
 
 
-def _carry_on(folder: DataFolder) -> None:
+def _move_files(folder: DataFolder) -> None:
     promotion = decode(folder.read_bytes(_PROMOTION), _Promotion, folder.address(_PROMOTION))
     after = DataFolder(folder.address(NEXT_FOLDER))
     manifest = read_manifest(after)

@@ -1,4 +1,4 @@
-"""Proving that a data set folder is what its manifest says, or what the Hub said that it was fetched from."""
+"""Checking a data set folder against its manifest, or against the commit that it was downloaded from."""
 
 from __future__ import annotations
 
@@ -6,19 +6,22 @@ import contextlib
 import io
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
-from tactile_toolkit.store.origin import RECORD_FILE, Digest, DownloadRecord, HubFile, read_record
+from tactile_toolkit.store.origin import RECORD_FILE, HubFile, digest_like, read_record
 from tactile_toolkit.store.parquet import named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
+
+T = TypeVar("T")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,33 +78,20 @@ def verify(
     """
     manifest = read_manifest(folder)
     if manifest is None:
-        record = read_record(folder)
-        if record is None:
-            raise InputError(
-                folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
-                next="give the folder of a generated or downloaded data set",
-            )
-        return _verify_copy(folder, record, on_file, workers)
+        return _verify_copy(folder, on_file, workers)
     findings = _incomplete(folder, manifest)
-
-    def announced(record: ShardRecord) -> ShardRecord:
-        on_file(record.file)
-        return record
-
-    shards = map(announced, manifest.shards)
-    checked = list(in_threads(partial(_check_shard, folder, schema), shards, workers))
-    ids = [each for _, each in checked]
-    for (found, _), repeated in zip(checked, _repeated_ids(manifest.shards, ids), strict=True):
-        findings += [*found, *repeated]
+    check = partial(_check_shard, folder, schema)
+    checked = _each(check, {record.file: record for record in manifest.shards}, on_file, workers)
+    findings += [finding for found, _ in checked for finding in found]
+    findings += _repeated_ids(manifest.shards, [ids for _, ids in checked])
     # Files for the Hub's page may be left out, as in the cache of who wanted the rows alone.
     files = {
-        path: each
-        for path, each in manifest.files.items()
+        path: HubFile(path, 0, sha256)
+        for path, sha256 in manifest.files.items()
         if not path.startswith(f"{VIEWER_FOLDER}/") or folder.exists(path)
     }
-    for path, checksum in files.items():
-        on_file(path)
-        findings += _check_file(folder, HubFile(path, 0, Digest("sha256", checksum)))[0]
+    for found, _ in _each(partial(_check_file, folder), files, on_file, workers):
+        findings += found
     if check_card is not None and not findings:  # what is damaged is named, and cannot be compared with
         findings += check_card(folder)
     rows = sum(shard.rows for shard in manifest.shards)
@@ -109,20 +99,33 @@ def verify(
     return Verification(len(manifest.shards) + len(files), rows, size, tuple(findings))
 
 
-def _verify_copy(
-    folder: DataFolder, record: DownloadRecord, on_file: Callable[[str], None], workers: int
-) -> Verification:
-    def announced(file: HubFile) -> HubFile:
-        on_file(file.path)
-        return file
-
-    # Ids are the publisher's own: nothing says that they differ between splits.
-    checked = list(in_threads(partial(_check_file, folder), map(announced, record.files.values()), workers))
+def _verify_copy(folder: DataFolder, on_file: Callable[[str], None], workers: int) -> Verification:
+    record = read_record(folder)
+    if record is None:
+        raise InputError(
+            folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
+            next="give the folder of a generated or downloaded data set",
+        )
+    # Ids are the publisher's own, and may be the same in several splits.
+    checked = _each(partial(_check_file, folder), record.files, on_file, workers)
     findings = [finding for found, _ in checked for finding in found]
     findings += _unlisted(folder, record.files, RECORD_FILE)
     size = sum(file.size_bytes for file in record.files.values())
     reference = f"{record.repo_id} at {record.commit[:12]}"
     return Verification(len(checked), sum(rows for _, rows in checked), size, tuple(findings), reference)
+
+
+def _each(
+    check: Callable[[T], R], files: Mapping[str, T], on_file: Callable[[str], None], workers: int
+) -> list[R]:
+    """Check files by path in threads; each is announced before it is read."""
+
+    def announced() -> Iterator[T]:
+        for path, file in files.items():
+            on_file(path)
+            yield file
+
+    return list(in_threads(check, announced(), workers))
 
 
 def _check_file(folder: DataFolder, file: HubFile) -> tuple[list[Finding], int]:
@@ -181,17 +184,16 @@ def _unlisted(
 
 @contextlib.contextmanager
 def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
-    """Open a file that has this digest or size; IntegrityError says what is wrong with any other."""
+    """Open a file that has this digest or size; IntegrityError states the problem of any other."""
     problem = problem_of_place(folder, file.path)
     if problem:
         raise IntegrityError(problem)
     # One of a store is brought here whole, because it is gone through twice.
     with folder.open(file.path) if folder.is_local else io.BytesIO(folder.read_bytes(file.path)) as stream:
+        found = None if file.digest is None else digest_like(stream, file.digest)
+        if found != file.digest:
+            raise IntegrityError(f"has the digest {found}, expected {file.digest}")
         size = stream.seek(0, io.SEEK_END)
-        stream.seek(0)
-        found = None if file.digest is None else file.digest.of_stream(stream, size)
-        if found is not None and file.digest is not None and found != file.digest:
-            raise IntegrityError(f"{found.kind} is {found.value}, expected {file.digest.value}")
         if file.digest is None and size != file.size_bytes:
             raise IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
         yield stream
@@ -203,7 +205,7 @@ def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[
 
     path, ids, findings = record.file, None, []
     address = folder.address(path)
-    file = HubFile(path, record.bytes, Digest("sha256", record.sha256))
+    file = HubFile(path, record.bytes, record.sha256)
     try:
         with _intact(folder, file) as stream, named_damage(address):
             parquet = open_checked(address if folder.is_local else stream)
@@ -228,33 +230,24 @@ def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[
     return findings, ids
 
 
-def _repeated_ids(records: Sequence[ShardRecord], ids: Sequence[Any]) -> Iterator[list[Finding]]:
-    """Yield for each shard a finding where an id stands in it twice, or in a shard before it."""
-    suspects = _suspects([each for each in ids if each is not None])
-    first_files: dict[object, str] = {}
-    for record, each in zip(records, ids, strict=True):
-        held = (
-            [value for value in each.to_pylist() if value in suspects]
-            if suspects and each is not None
-            else ()
-        )
-        repeated = [value for value, count in Counter(held).items() if count > 1 or value in first_files]
-        found = []
-        if repeated:
-            first = first_files.get(repeated[0], record.file)
-            problem = f"is not unique, it also stands in {first} ({len(repeated)} such ids)"
-            found.append(Finding(record.file, f"id {repeated[0]!r} {problem}"))
-        yield found
-        first_files.update(dict.fromkeys(held, record.file))
-
-
-def _suspects(ids: Sequence[Any]) -> set[object]:
-    """Return the ids that stand in some arrays more than once."""
+def _repeated_ids(records: Sequence[ShardRecord], ids: Sequence[Any]) -> Iterator[Finding]:
+    """Yield a finding for each shard in which an id stands twice, or again after an earlier shard."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
+    readable = [each for each in ids if each is not None]
     suspects: set[object] = set()
-    for kind in {array.type for array in ids}:
-        counted = pa.chunked_array([array for array in ids if array.type == kind]).value_counts()
+    for kind in {array.type for array in readable}:
+        counted = pa.chunked_array([array for array in readable if array.type == kind]).value_counts()
         suspects.update(counted.filter(pc.greater(counted.field("counts"), 1)).field("values").to_pylist())
-    return suspects
+    first_files: dict[object, str] = {}
+    for record, each in zip(records, ids, strict=True):
+        if not suspects or each is None:
+            continue
+        held = [value for value in each.to_pylist() if value in suspects]
+        repeated = [value for value, count in Counter(held).items() if count > 1 or value in first_files]
+        if repeated:
+            first = first_files.get(repeated[0], record.file)
+            problem = f"is not unique, it also stands in {first} ({len(repeated)} such ids)"
+            yield Finding(record.file, f"id {repeated[0]!r} {problem}")
+        first_files.update(dict.fromkeys(held, record.file))

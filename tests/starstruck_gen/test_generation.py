@@ -21,7 +21,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.making import plan_build
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import look, manifest_so_far
+from tactile_toolkit.store.job import inspect_job, manifest_so_far
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
 from tests.command_line import call
@@ -125,8 +125,8 @@ def test_another_seed_or_specification_is_refused_and_named(whole):
 
 
 def test_second_run_makes_nothing(whole):
-    state = look(DataFolder(str(whole)), plan_build(SceneMaking(SMALL), ("train", "test")))
-    assert state.todo == ()
+    state = inspect_job(DataFolder(str(whole)), plan_build(SceneMaking(SMALL), ("train", "test")))
+    assert state.remaining == ()
     calls = []
     generate(SMALL, str(whole), on_progress=calls.append)
     assert [(call.done, call.total) for call in calls] == [(0, 0)]
@@ -147,8 +147,10 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path):
     process = start_held("starstruck", 1, tmp_path / "held", *words)
     process.kill()
     process.communicate()
-    state = look(DataFolder(str(tmp_path / "killed")), plan_build(SceneMaking(spec), ("train", "test")))
-    assert 1 <= len(state.kept) < len(state.kept) + len(state.todo) == 3
+    state = inspect_job(
+        DataFolder(str(tmp_path / "killed")), plan_build(SceneMaking(spec), ("train", "test"))
+    )
+    assert 1 <= len(state.finished) < len(state.finished) + len(state.remaining) == 3
     generate(spec, str(tmp_path / "killed"))
     generate(spec, str(tmp_path / "whole"), workers=1)
     assert folder_hashes(tmp_path / "killed") == folder_hashes(tmp_path / "whole")
@@ -229,7 +231,10 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
     generate(given, tmp_path / "path", ("train",))
     generate(plain, str(tmp_path / "text"), ("train",))
     assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
-    assert look(DataFolder(str(tmp_path / "path")), plan_build(SceneMaking(given), ("train",))).todo == ()
+    assert (
+        inspect_job(DataFolder(str(tmp_path / "path")), plan_build(SceneMaking(given), ("train",))).remaining
+        == ()
+    )
 
 
 @pytest.mark.parametrize("splits", [("holdout",), ("test",)])

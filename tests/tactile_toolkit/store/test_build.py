@@ -22,7 +22,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.run.processes import Check, InlineRunner, Part, ProcessRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import TEMPORARY, DataFolder
-from tactile_toolkit.store.job import look
+from tactile_toolkit.store.job import inspect_job
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
 from tests.processes import children, wait_until_gone
@@ -84,8 +84,8 @@ def test_failure_keeps_finished_shards_and_the_next_run_goes_on(tmp_path):
         make(tmp_path / "set", replace(plan, tasks=(*plan.tasks[:2], broken, *plan.tasks[3:])))
     folder = DataFolder(str(tmp_path / "set"))
     assert not read_manifest(folder).complete
-    state = look(folder, plan)
-    assert [record.shard.index for record in state.kept] == [0, 1]
+    state = inspect_job(folder, plan)
+    assert [record.shard.index for record in state.finished] == [0, 1]
     done = []
     make(tmp_path / "set", on_progress=lambda p: done.append(p.total))
     assert done[0] == 20
@@ -363,9 +363,9 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
         process.wait()
         assert process.returncode == -signal.SIGKILL
         wait_until_gone(workers_left)
-    state = look(DataFolder(str(target)), toy_plan())
-    assert state.kept
-    assert state.todo
+    state = inspect_job(DataFolder(str(target)), toy_plan())
+    assert state.finished
+    assert state.remaining
     make(target)
     assert folder_bytes(target) == folder_bytes(tmp_path / "whole")
 

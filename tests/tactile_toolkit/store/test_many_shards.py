@@ -14,7 +14,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import look
+from tactile_toolkit.store.job import inspect_job
 from tactile_toolkit.store.manifest import write_manifest
 from tactile_toolkit.store.shards import ShardName, ShardRecord, shard_files
 from tests.tactile_toolkit.toy import ToyTask, toy_plan
@@ -63,7 +63,7 @@ def test_more_shards_than_five_digits_count_are_planned_and_read(tmp_path):
     tasks = tuple(ToyTask(ShardName("train", index, COUNT), (10 * index,)) for index in range(COUNT))
     plan = replace(toy_plan(), tasks=tasks, report_file=None)
     folder = DataFolder(str(tmp_path))
-    assert len(look(folder, plan).todo) == COUNT
+    assert len(inspect_job(folder, plan).remaining) == COUNT
     few = replace(plan, tasks=(tasks[0], *tasks[-2:]))
     made = {record.shard.index: record for record in build(folder, few, InlineRunner()).shards}
     records = [

@@ -87,7 +87,7 @@ def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner)
 def test_where_no_part_made_anything_nothing_can_be_finished(tmp_path, place):
     folder = place.format(tmp_path)
     make(folder, Part(SHARDS, SHARDS + 1))  # there are fewer shards than parts
-    with pytest.raises(InputError, match=r"no data set in .*; nothing can be finished; next: make its parts"):
+    with pytest.raises(MissingPartsError, match=f"{SHARDS} of {SHARDS} shards of .* are not finished"):
         make(folder, Finish())
 
 
@@ -165,7 +165,7 @@ def test_of_two_first_parts_at_the_same_moment_the_later_is_held_to_the_other(tm
 
 
 def test_a_folder_that_was_not_made_in_parts_is_finished_too(tmp_path, whole):
-    with pytest.raises(InputError, match=r"does not exist; nothing can be finished"):
+    with pytest.raises(MissingPartsError, match=r"6 of 6 shards of '.*nothing' are not finished"):
         make(tmp_path / "nothing", Finish())
     assert not (tmp_path / "nothing").exists()
     (tmp_path / "thesis").mkdir()

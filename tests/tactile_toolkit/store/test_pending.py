@@ -8,7 +8,7 @@ from tactile_toolkit.errors import StorageError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import look, manifest_so_far
+from tactile_toolkit.store.job import inspect_job, manifest_so_far
 from tactile_toolkit.store.manifest import read_manifest
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
@@ -63,7 +63,7 @@ def test_what_no_whole_receipt_vouches_for_is_not_counted_and_made_again(interru
         file.unlink()
     folder = DataFolder(str(interrupted))
     assert indices(manifest_so_far(folder)) == [0]
-    assert [record.shard.index for record in look(folder, toy_plan(("train",))).kept] == [0]
+    assert [record.shard.index for record in inspect_job(folder, toy_plan(("train",))).finished] == [0]
     make(interrupted, toy_plan())
     make(tmp_path / "whole", toy_plan())
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
@@ -75,7 +75,7 @@ def test_finishing_one_split_costs_nothing_of_another_that_is_under_way(interrup
     assert not manifest_so_far(DataFolder(str(interrupted))).complete
     assert manifest.splits == ("test",)
     assert indices(manifest_so_far(DataFolder(str(interrupted)))) == [0, 1]
-    kept = look(DataFolder(str(interrupted)), toy_plan()).kept
+    kept = inspect_job(DataFolder(str(interrupted)), toy_plan()).finished
     assert {str(record.shard) for record in kept} == {
         *(f"train-0000{index}-of-00004" for index in range(2)),
         *(f"test-0000{index}-of-00002" for index in range(2)),

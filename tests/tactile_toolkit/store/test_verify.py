@@ -13,7 +13,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.origin import Digest, DownloadRecord, HubFile, write_record
+from tactile_toolkit.store.origin import DownloadRecord, HubFile, write_record
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tactile_toolkit.store.verify import verify
 from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
@@ -138,8 +138,8 @@ def copy_of(tmp_path, **files):
 
 
 def test_a_copy_is_compared_with_all_that_the_hub_said(tmp_path):
-    digest = Digest("sha256", hashlib.sha256(b"content").hexdigest())
-    in_git = Digest("git-sha1", hashlib.sha1(b"blob 7\0content").hexdigest())
+    digest = hashlib.sha256(b"content").hexdigest()
+    in_git = hashlib.sha1(b"blob 7\0content").hexdigest()
     folder = copy_of(
         tmp_path,
         whole=(b"content", 7, digest),
@@ -157,7 +157,7 @@ def test_a_copy_is_compared_with_all_that_the_hub_said(tmp_path):
     flipped = hashlib.sha256(b"c0ntent").hexdigest()
     assert {finding.file: finding.problem for finding in found.findings} == {
         "images/cut": "has 4 bytes, expected 7",
-        "images/flipped": f"sha256 is {flipped}, expected {digest.value}",
+        "images/flipped": f"has the digest {flipped}, expected {digest}",
         "images/gone": "is missing",
         "data/strange.bin": "is not listed in .download.json; next: remove it",
     }
