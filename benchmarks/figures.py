@@ -105,38 +105,31 @@ SHOWN = (
 """The table of README.md: what, measured, compared with; figures by their names."""
 
 COMPARED = (
-    ("pipeline.plain_mean", "digit: made, proved a solid, written", "plain implementation"),
+    ("pipeline.plain_mean", "digit, written, mean", "plain"),
     ("pipeline.workers", "1,200 digits, two workers", "one worker"),
     ("pipeline.load", "mesh at random", ""),
-    ("pipeline.cold", "the same, first pass (unpacks Parquet)", ""),
-    ("starstruck.scene", "scene, in batches", ""),
-    ("starstruck.single", "scene alone, as trimesh", ""),
+    ("pipeline.cold", "mesh, first pass", ""),
+    ("starstruck.scene", "scene", ""),
     ("real_touches.random_touch_64x64", "touch at random, 64x64", ""),
     ("real_touches.random_touch_320x240", "touch at random, 320x240", ""),
-    ("real_touches.full_pass_64x64_per_image", "touch in stored order, 64x64", ""),
     ("real_touches.full_pass_320x240_per_image", "touch in stored order, 320x240", ""),
     ("real_touches.random_frame_of_a_random_clip", "frame of a clip at random", ""),
     ("real_touches.whole_clip_one_thread", "clip, one thread", ""),
     ("real_touches.contact_frames_of_a_round_default_threads_", "contact frames of a round", ""),
     ("real_touches.all_poses_of_a_round_as_arrays", "poses of a round", ""),
-    ("training_order.training_datasets", "touch in training order", "`datasets`, streamed"),
-    ("exchange.flat_320", "touch exported, `--format flat`, 320x240", "by hand"),
-    ("exchange.webdataset_320", "touch exported, `--format webdataset`", "by hand"),
-    ("exchange.lerobot_320", "touch exported, `--format lerobot`", "by hand"),
-    ("exchange.import_320", "touch imported from WebDataset", "by hand"),
-    ("touches.depth_64", "synthetic touch, depth, 64x64", ""),
-    ("touches.depth_320", "synthetic touch, depth, 320x240", ""),
-    ("touches.taxim_64", "synthetic touch, Taxim, 64x64", ""),
-    ("touches.taxim_320", "synthetic touch, Taxim, 320x240", ""),
+    ("training_order.training_datasets", "touch in training order", "`datasets`"),
+    ("exchange.flat_320", "touch exported, `flat`", "by hand"),
+    ("exchange.lerobot_320", "touch exported, `lerobot`", "by hand"),
+    ("exchange.import_320", "touch imported, `webdataset`", "by hand"),
+    ("touches.depth_64", "synthetic touch, depth", ""),
+    ("touches.taxim_64", "synthetic touch, Taxim", ""),
     ("native_environments.depth_1", "step, depth, 1 environment", ""),
     ("native_environments.depth_16", "step, depth, 16 environments", ""),
-    ("native_environments.depth_256", "step, depth, 256 environments", ""),
     ("native_environments.Taxim_1", "step, Taxim, 1 environment", ""),
     ("native_environments.Taxim_64", "step, Taxim, 64 environments", ""),
-    ("touches.step_16", "step, 16 environments, `renderer=\"fast\"`", ""),
     ("env_adapter.reset", "reset of 4 environments", ""),
     ("env_adapter.statistics", "statistics of 300 volumes", ""),
-    ("height_maps.made", "height map of a digit, 0.2 mm", "triangle by triangle"),
+    ("height_maps.made", "height map, 0.2 mm", "by triangle"),
     ("scale.nodes", "600 digits, two Ray nodes", "two local processes"),
 )  # fmt: skip
 """The table of benchmarks/README.md: figures by their names, what they are of, and what the other one is."""
@@ -252,20 +245,19 @@ def tables(results: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def _runs(results: Mapping[str, Any]) -> list[str]:
     """Return when, where and with which versions the benchmarks ran, and which code has changed since."""
-    runs: dict[tuple[str, str], list[tuple[str, str]]] = {}
+    runs: dict[str, list[tuple[str, str]]] = {}
+    versions: dict[str, None] = {}
     for name, result in results.items():
-        versions = ", ".join(f"{library} {number}" for library, number in result["versions"].items())
-        runs.setdefault((result["machine"], versions), []).append((result["date"], f"`{name}`"))
+        runs.setdefault(result["machine"], []).append((result["date"], f"`{name}`"))
+        versions |= {f"{library} {number}": None for library, number in result["versions"].items()}
     lines = []
-    for (machine, versions), found in runs.items():
+    for machine, found in runs.items():
         dates = " to ".join(sorted({min(found)[0], max(found)[0]}))
-        lines.append(f"- {', '.join(name for _, name in found)}: {dates}, {machine}, {versions}.")
-    aged = [
-        f"`{name}`"
-        for name, result in results.items()
-        if fingerprint(BENCHMARKS[name].code) != result["code"]
-    ]
-    return lines + ([f"- The code was changed after these measurements: {', '.join(aged)}."] if aged else [])
+        lines.append(f"- {machine}, {dates}: {', '.join(name for _, name in found)}.")
+    lines.append(f"- Versions: {', '.join(versions)}.")
+    is_aged = {name: fingerprint(BENCHMARKS[name].code) != result["code"] for name, result in results.items()}
+    aged = "all" if all(is_aged.values()) else ", ".join(f"`{name}`" for name in is_aged if is_aged[name])
+    return lines + ([f"- Code changed after the measurement: {aged}."] if aged else [])
 
 
 def _missed(results: Mapping[str, Any]) -> str:

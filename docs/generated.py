@@ -170,13 +170,13 @@ def _api_pages() -> dict[str, str]:
     for module in API:
         pages[f"api/{module}.rst"] = _module_page(module)
     shared = [name for name in public_names() if name.path in SHARED]
-    about = "What data sets of all kinds have in common, and the rules and words that public names refer to."
-    pages["api/shared.rst"] = "\n".join([*_title("What they share"), about, "", *_listed(shared)])
+    about = "What data sets of all kinds share, and the rules and constants that public names refer to."
+    pages["api/shared.rst"] = "\n".join([*_title("Shared names"), about, "", *_listed(shared)])
     lines = [f"   {module}" for module in (*API, "shared")]
     pages["api/index.rst"] = "\n".join(
         [
             *_title("Python"),
-            "Every name that may be relied on. All else may change with any release.",
+            "Every public name. Other names may change with any release.",
             "",
             ".. toctree::",
             "   :maxdepth: 1",
@@ -279,9 +279,8 @@ def _command_pages() -> dict[str, str]:
     listed = "\n".join(sorted(names))
     pages["cli/index.md"] = (
         "# Command lines\n\n"
-        "Every option of every command, as `--help` shows it. Exit codes: 0 done, 1 something that was "
-        "checked is not as it should be, 2 mend what you gave, 3 stored data is damaged or not all there, 4 "
-        "the Hub, a store or the network, 130 interrupted.\n\n"
+        "Every option of every command, as `--help` shows it. Exit codes: 0 success, 1 validation failed, "
+        "2 wrong input, 3 damaged or missing data, 4 the Hub, a store or the network, 130 interrupted.\n\n"
         f"```{{toctree}}\n:maxdepth: 2\n\n{listed}\n```\n"
     )
     return pages
@@ -335,9 +334,8 @@ def _formats_page() -> str:
     ]
     parts = [
         "# Columns\n\nThe columns of every kind of data set, from the schemas that the toolkit uses. Names "
-        "with a dot are flat columns, as in the published sets. How a folder is laid out: "
-        "[the data set folder](../concepts/folder.md); what frames mean: [frames and units]"
-        "(../concepts/frames.md).",
+        "with a dot are flat columns, as in the published sets. See also [the data set folder]"
+        "(../concepts/folder.md) and [frames and units](../concepts/frames.md).",
         "## Digits (`mnist3d`)\n\n" + table(digit_schema(), DigitRow),
         "## Scenes (`starstruck`)\n\n" + table(scene_schema(), SceneRow),
         "## Real touches (`realtouch`)\n\nA row is a round: T touches of one object; N is the number of "
