@@ -69,14 +69,14 @@ def build_site(
     """Make the site of a gallery in a folder that appears whole or not at all; equal galleries, equal bytes.
 
     ``overwrite`` replaces a gallery that is there; anything else is never touched. A folder that is there
-    stays, and whoever is in it stays in it.
+    stays, and whoever is in it stays in it. A finished gallery with equal files is left as it is.
     InputError: the folder holds something, there is nothing to show, or the site would be too large.
     StorageError: it cannot be written, or the disk is full.
     """
-    path = _require_free(out, overwrite=overwrite)
+    path, finished = _require_free(gallery, out, overwrite=overwrite)
     _require_size(gallery)
     with named_failures(str(path)), _staging(path) as staging:
-        site = _Files(gallery, staging)
+        site = _Files(gallery, staging, equal_to=finished)
         on_progress(0, gallery.size)
         tasks = list(zip(_first_numbers(gallery.tasks), gallery.tasks, strict=True))
         made = cast("Generator[tuple[int, list[Item]]]", runner_for(runner).run(_make, tasks))
@@ -95,7 +95,8 @@ def build_site(
                     )
                 on_progress(len(site.shown), gallery.size)
         site.finish()
-        _put_in_place(staging, path, site, overwrite=overwrite)
+        if finished is None:
+            _put_in_place(staging, path, site, overwrite=overwrite)
     return Site(str(path), len(site.shown), len(site.names), site.size, dict(gallery.splits))
 
 
@@ -110,10 +111,13 @@ def _make(numbered: tuple[int, ItemTask]) -> tuple[int, list[Item]]:
 
 
 class _Files:
-    """The files of a site as they are made, in whatever order; without a folder they are only counted."""
+    """The files of a site as they are made, in whatever order; without a folder they are only counted.
 
-    def __init__(self, gallery: Gallery, folder: Path | None = None) -> None:
-        self.gallery, self.folder = gallery, folder
+    With ``equal_to``, a finished gallery, the first file that is not the same there raises InputError.
+    """
+
+    def __init__(self, gallery: Gallery, folder: Path | None = None, *, equal_to: Path | None = None) -> None:
+        self.gallery, self.folder, self.equal_to = gallery, folder, equal_to
         self.names: list[str] = []
         self.size = 0
         self.shown: dict[int, Item] = {}  # what the page filters and sorts by, by number
@@ -153,6 +157,10 @@ class _Files:
 
     def _write(self, name: str, content: str | bytes) -> None:
         encoded = content.encode() if isinstance(content, str) else content
+        if self.equal_to is not None:
+            there = self.equal_to / name
+            if not there.is_file() or there.read_bytes() != encoded:
+                raise _holds_gallery(self.equal_to)
         if self.folder is not None:
             path = self.folder / name
             path.parent.mkdir(exist_ok=True)
@@ -197,7 +205,10 @@ def _put_in_place(staging: Path, path: Path, site: _Files, *, overwrite: bool) -
         else:
             return
     with locked(path):
-        _replace(staging, path, site, _require_replaceable(path, overwrite=overwrite))
+        former, finished = _require_gallery(path)
+        if finished is not None and not overwrite:
+            raise _holds_gallery(path)
+        _replace(staging, path, site, former)
 
 
 def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
@@ -221,8 +232,11 @@ def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
     mark(site.marker())
 
 
-def _require_free(out: str, *, overwrite: bool) -> Path:
-    """Return where a site may be made; InputError where something stands that may not be replaced."""
+def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> tuple[Path, Path | None]:
+    """Return where a site may be made, and again where a finished one is there that may be the same.
+
+    InputError where anything else is there.
+    """
     if "://" in out:
         raise InputError(
             f"--out is {out!r}; a gallery is made in a local folder", next="make it there, then copy it"
@@ -230,18 +244,23 @@ def _require_free(out: str, *, overwrite: bool) -> Path:
     # Where a symbolic link leads: the link itself is not ours to replace.
     path = Path(os.path.realpath(expanded(out)))
     if path.is_dir():
-        _require_replaceable(path, overwrite=overwrite)
-    elif path.exists():
+        _, finished = _require_gallery(path)
+        if finished is None or overwrite:
+            return path, None
+        if (finished.get("kind"), finished.get("items")) != (gallery.kind, gallery.size):
+            raise _holds_gallery(path)
+        return path, path
+    if path.exists():
         raise InputError(
             f"{str(path)!r} is a file; a gallery is a folder; nothing was changed", next="another --out"
         )
-    return path
+    return path, None
 
 
-def _require_replaceable(path: Path, *, overwrite: bool) -> set[str]:
-    """Return the files of the gallery that a folder holds; InputError where it holds anything else.
+def _require_gallery(path: Path) -> tuple[set[str], dict[str, Any] | None]:
+    """Return the files of the gallery that a folder holds, and its marker where all of them are there.
 
-    So too where it holds a gallery that may not be replaced.
+    InputError where it holds anything else.
     """
     marker, found = _marker_in(path), list(_entries(path))
     listed = set(map(str, marker["files"])) if marker else set()
@@ -255,12 +274,14 @@ def _require_replaceable(path: Path, *, overwrite: bool) -> set[str]:
                 next="choose an empty or new folder with --out",
             )
     # Of one whose run was killed while it appeared, some files are missing.
-    if marker and listed.issubset(found) and not overwrite:
-        raise InputError(
-            f"{str(path)!r} holds a gallery already; nothing was changed",
-            next="replace it with --overwrite, or choose another folder with --out",
-        )
-    return listed.intersection(found)
+    return listed.intersection(found), marker if listed.issubset(found) else None
+
+
+def _holds_gallery(path: Path) -> InputError:
+    return InputError(
+        f"{str(path)!r} holds a gallery already; nothing was changed",
+        next="replace it with --overwrite, or choose another folder with --out",
+    )
 
 
 def _marker_in(folder: Path) -> dict[str, Any] | None:
@@ -319,7 +340,7 @@ class SiteForecast:
 
 def forecast_site(gallery: Gallery, out: str, workers: int, *, overwrite: bool = False) -> SiteForecast:
     """Make a few items, write nothing, and return what all would take; InputError as :func:`build_site`."""
-    _require_free(out, overwrite=overwrite)
+    _require_free(gallery, out, overwrite=overwrite)
     _require_size(gallery)
     site, tasks = _Files(gallery), gallery.tasks
     if len(tasks) > _SAMPLED_TASKS:  # some, evenly from first to last

@@ -133,6 +133,14 @@ def test_a_gallery_is_replaced_only_when_asked_and_only_when_it_holds_nothing_el
     with pytest.raises(InputError, match=r"holds a gallery already; nothing was changed.*--overwrite"):
         build(out, toy_gallery(4))
     assert folder_bytes(out) == before
+    written_ns = {file: file.stat().st_mtime_ns for file in out.rglob("*") if file.is_file()}
+    build(out)  # the same once more: it is done
+    assert {file: file.stat().st_mtime_ns for file in out.rglob("*") if file.is_file()} == written_ns
+    other = next((out / "thumbs").iterdir())
+    other.write_bytes(b"another picture")
+    with pytest.raises(InputError, match=r"holds a gallery already; nothing was changed.*--overwrite"):
+        build(out)
+    assert other.read_bytes() == b"another picture"
     build(out, toy_gallery(4), overwrite=True)
     assert len(index_of(out)["ids"]) == 4
     assert len(entries(out / "items")) == 4
@@ -208,7 +216,7 @@ def test_a_run_that_is_killed_while_its_site_appears_can_be_given_again(tmp_path
         assert killed.end() == -signal.SIGKILL, killed.err
     build(tmp_path / "same")
     for place in (*places, *former):
-        build(place, overwrite=place in former or place.name == "new.1")  # which is complete
+        build(place, overwrite=place in former)
         assert folder_bytes(place) == folder_bytes(tmp_path / "same"), place
 
 
