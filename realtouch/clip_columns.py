@@ -6,7 +6,7 @@ T is the number of touches of the round, N_i the number of frames of touch i: th
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,11 +20,6 @@ from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHe
 from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
 from tactile_toolkit.touch.video import MAX_CLIP_FRAMES
 
-if TYPE_CHECKING:
-    pass
-
-
-_UNORDERED = "times that are missing or run backwards"
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _SECOND = np.timedelta64(1, "s")
 _TOUCH_TIMES = ("touch_start_time_rel", "touch_end_time_rel")
@@ -75,43 +70,19 @@ def frame_times(row: Row) -> tuple[NDArray[np.timedelta64], ...]:
     return tuple(_as_timedelta(times) for times in cut(row, "time_stamp_rel_seq", 0))
 
 
-def clip_times(row: Row, touch: int) -> NDArray[np.float64] | None:
-    """Return the time stamps of one touch, shape (N_i,), float64, seconds; None in data sets without.
+def stamps_s(row: Row, touch: int | None = None) -> list[NDArray[np.float64]] | None:
+    """Return the time stamps of each touch, or of one alone: shapes (N_i,), float64, seconds.
 
-    Raises IntegrityError for stamps that are missing or run backwards.
+    None in data sets without. Raises IntegrityError for stamps that are missing or run backwards.
     """
     if not row.has("time_stamp_rel_seq"):
         return None
-    times = _as_seconds(cut_touch(row, "time_stamp_rel_seq", touch, 0))
-    # A comparison with NaN is false, so this finds missing times too.
-    if not (times[1:] >= times[:-1]).all() or not math.isfinite(times[:1].sum()):
-        raise damaged(row, "time_stamp_rel_seq", _UNORDERED, touch)
-    return times
-
-
-def padded_times(row: Row) -> tuple[NDArray[np.float64], NDArray[np.int64]] | None:
-    """Return the time stamps of all touches at once, where they are stored padded to one length N.
-
-    That is an array of shape (T, N), float64, seconds, and the lengths N_i, shape (T,), int64: of touch i
-    the first N_i count. None in data sets without stamps, and where clips are not padded to one length.
-    Raises IntegrityError as :func:`clip_times`.
-    """
-    if not row.has("time_stamp_rel_seq"):
-        return None
-    lengths = clip_lengths(row)
-    padded = _padded(*entries_of(row, "time_stamp_rel_seq"), 0)
-    if padded is None or padded.shape[1] < lengths.max(initial=0):
-        return None
-    times = _as_seconds(padded)
-    rising = np.ones(times.shape, bool)
-    # A comparison with NaN is false, so this finds missing times too.
-    rising[:, 1:] = times[:, 1:] >= times[:, :-1]
-    rising[:, :1] = np.isfinite(times[:, :1])
-    rising |= np.arange(times.shape[1]) >= lengths[:, None]
-    whole = rising.all(axis=1)
-    if not whole.all():
-        raise damaged(row, "time_stamp_rel_seq", _UNORDERED, int(np.argmin(whole)))
-    return times, lengths
+    found = [_as_seconds(times) for times in cut(row, "time_stamp_rel_seq", 0, touch)]
+    for number, times in enumerate(found, touch or 0):
+        # A comparison with NaN is false, so this finds missing times too.
+        if not (times[1:] >= times[:-1]).all() or not math.isfinite(times[:1].sum()):
+            raise damaged(row, "time_stamp_rel_seq", "times that are missing or run backwards", number)
+    return found
 
 
 def touch_durations(row: Row, name: str) -> NDArray[np.timedelta64]:
@@ -138,27 +109,24 @@ def times_of_touches(row: Row, touch: int | None = None) -> tuple[NDArray[np.flo
     return start_s, end_s
 
 
-def cut(row: Row, name: str, width: int) -> tuple[NDArray[Any], ...]:
-    """Return a sequence per touch, cut to the length of its clip: T arrays of shape (N_i, width).
+def cut(row: Row, name: str, width: int, touch: int | None = None) -> tuple[NDArray[Any], ...]:
+    """Return a sequence per touch, or that of one alone, cut to the length of its clip: shapes (N_i, width).
 
-    A width of 0 means scalars, and shapes (N_i,). Raises IntegrityError when there are not T sequences, or
-    one is too short.
+    A width of 0 means scalars, and shapes (N_i,). Raises IntegrityError when there are not T sequences, one
+    is too short, or entries are not ``width`` values each.
     """
+    if touch is not None:
+        return (_cut_touch(row, name, touch, width),)
     lengths = clip_lengths(row)
     column, first, last = entries_of(row, name)
     padded = _padded(column, first, last, width)
     # Published clips are padded to the longest of their round: one view, cut T times.
     if padded is not None and padded.shape[1] >= lengths.max(initial=0):
         return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
-    return tuple(cut_touch(row, name, touch, width) for touch in range(last - first))
+    return tuple(_cut_touch(row, name, each, width) for each in range(last - first))
 
 
-def cut_touch(row: Row, name: str, touch: int, width: int) -> NDArray[Any]:
-    """Return the sequence of one touch, as many entries as its clip has frames; see :func:`cut`.
-
-    Raises IntegrityError when there are not T sequences, this one is shorter, or entries are not ``width``
-    values each.
-    """
+def _cut_touch(row: Row, name: str, touch: int, width: int) -> NDArray[Any]:
     # Counted for a single touch, too: else it would be given the next round's for what is lacking.
     column, first, _ = entries_of(row, name)
     start, stop = column.inside(1, first + touch, first + touch + 1)
@@ -211,33 +179,20 @@ def poses(row: Row, touch: int | None = None) -> Poses:
     return Poses(positions, quaternions)
 
 
-def pose_sequences(row: Row) -> PoseSequences:
-    """Return the pose of the gel in each frame of each touch of a ``seq`` round, padding cut off.
+def pose_sequences(row: Row, touch: int | None = None) -> PoseSequences:
+    """Return the pose of the gel in each frame of each touch of a ``seq`` round, or of one, padding cut off.
 
     Raises IntegrityError as :func:`poses`, and where a touch has fewer poses than frames.
     """
-    positions = cut(row, f"{_POSE_SEQUENCE}.position", 3)
-    quaternions = cut(row, f"{_POSE_SEQUENCE}.quaternion", 4)
+    positions = cut(row, f"{_POSE_SEQUENCE}.position", 3, touch)
+    quaternions = cut(row, f"{_POSE_SEQUENCE}.quaternion", 4, touch)
     # Checked in one go; touch by touch only to find which one is wrong.
     if positions and bad_pose(np.concatenate(positions), np.concatenate(quaternions)) is not None:
-        for touch, (position, quaternion) in enumerate(zip(positions, quaternions, strict=True)):
-            _require_frames(row, touch, position, quaternion)
+        for number, each in enumerate(zip(positions, quaternions, strict=True), touch or 0):
+            wrong = bad_pose(*each)
+            if wrong is not None:
+                raise damaged(row, _POSE_SEQUENCE, f"frame {wrong[0]}: {wrong[1]}", number)
     return PoseSequences(positions, quaternions)
-
-
-def clip_poses(row: Row, touch: int) -> Poses:
-    """Return the poses of one touch of a ``seq`` round, N_i poses; see :func:`pose_sequences`."""
-    position = cut_touch(row, f"{_POSE_SEQUENCE}.position", touch, 3)
-    quaternion = cut_touch(row, f"{_POSE_SEQUENCE}.quaternion", touch, 4)
-    _require_frames(row, touch, position, quaternion)
-    return Poses(position, quaternion)
-
-
-def _require_frames(row: Row, touch: int, position: NDArray[Any], quaternion: NDArray[Any]) -> None:
-    wrong = bad_pose(position, quaternion)
-    if wrong is not None:
-        frame, problem = wrong
-        raise damaged(row, _POSE_SEQUENCE, f"frame {frame}: {problem}", touch)
 
 
 def contact_z_m(row: Row, kind: Kind, touch: int | None = None) -> NDArray[np.float64]:
@@ -250,9 +205,8 @@ def contact_z_m(row: Row, kind: Kind, touch: int | None = None) -> NDArray[np.fl
     if kind == "single":
         heights = vectors(row, name, 3, touch)[:, 2].astype(np.float64)
     else:
-        frames = cut(row, name, 3) if touch is None else (cut_touch(row, name, touch, 3),)
         # A clip without frames has no height: infinity is refused below.
-        heights = np.array([each[:, 2].min(initial=np.inf) for each in frames])
+        heights = np.array([each[:, 2].min(initial=np.inf) for each in cut(row, name, 3, touch)])
     finite = np.isfinite(heights)
     if not finite.all():
         wrong = int(np.argmin(finite))

@@ -17,15 +17,13 @@ from numpy.typing import DTypeLike, NDArray
 
 from realtouch.clip_columns import (
     clip_length,
-    clip_poses,
-    clip_times,
-    padded_times,
     pose_sequences,
+    stamps_s,
     stored_clip,
     times_of_touches,
 )
 from realtouch.columns import entries_of
-from realtouch.contact import ContactMethod, best_of, contact_window, contact_windows, require_method
+from realtouch.contact import ContactMethod, best_of, contact_window, require_method
 from realtouch.damage import damaged, naming
 from realtouch.images import in_parallel
 from realtouch.poses import Poses
@@ -35,7 +33,6 @@ from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
 from tactile_toolkit.touch.video import (
     Avi,
-    AviIndex,
     NoIndexError,
     ffmpeg_facts,
     ffmpeg_frames,
@@ -79,30 +76,18 @@ class TouchClip(Sequence[Pixels]):
         The clip is not an AVI of JPEGs, and PyAV is not installed.
     """
 
-    __slots__ = ("_avi", "_count", "_index", "_row", "data", "touch")
+    __slots__ = ("_avi", "_count", "_row", "data", "touch")
 
     def __init__(self, row: Row, touch: int) -> None:
         self._row, self.touch = row, touch
         self.data = stored_clip(row, touch)
-        # The index is read only where the stated length does not find a frame without it: one frame of a clip
-        # is the common wish.
+        self._count = clip_length(row, touch)
         self._avi: Avi | None = None
-        self._index: AviIndex | None = None
-        stated = clip_length(row, touch)
-        with self._naming():
-            try:
-                avi = Avi(self.data)
-                # As many entries as frames: each entry is a frame, so one is found without reading them all.
-                if avi.entry_count != stated or avi.frame(0) is None:
-                    self._index = avi.index()
-                self._avi = avi
-            except NoIndexError:
-                self._count = stated
-                return
-        self._count = avi.entry_count
-        if self._index is not None:
-            self._count = len(self._index)
-            self._require_length(self._count)
+        with self._naming(), suppress(NoIndexError):
+            self._avi = Avi(self.data)
+        if self._avi is not None and len(self._avi) != self._count:
+            problem = f"a clip of {len(self._avi)} frames; expected {self._count} by 'video_length_frames'"
+            raise damaged(row, "sensor_video", problem, touch)
 
     def __len__(self) -> int:
         return self._count
@@ -147,7 +132,6 @@ class TouchClip(Sequence[Pixels]):
         with self._naming():
             if self._avi is None:
                 return ffmpeg_frames(self.data, wanted, self._count)
-            self._whole_index()  # refuses frames that overlap: few bytes that decode to any amount of pixels
             pixels = room_for(len(wanted), self.size)
         in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
         return pixels
@@ -190,9 +174,8 @@ class TouchClip(Sequence[Pixels]):
     @property
     def media_times_s(self) -> NDArray[np.float64]:
         """Time of each frame on the file's own clock, shape (N,), seconds from its first frame."""
-        # A repeated frame takes a slot of time; with as many entries as frames, there is none.
-        slots = self._index.slots if self._index is not None else None
-        return (np.arange(self._count) if slots is None else slots) / self.fps
+        # A repeated frame takes a slot of time.
+        return (np.arange(self._count) if self._avi is None else self._avi.slots) / self.fps
 
     def encoded(self, frame: int) -> memoryview:
         """Return the JPEG of one frame as it is stored.
@@ -218,8 +201,8 @@ class TouchClip(Sequence[Pixels]):
                 f"touch {self.touch}: the clip is not an indexed AVI of JPEGs", next="decode its frames"
             )
         number = checked_index(frame, self._count, "frame", "frames")
-        found = self._avi.frame(number) if self._index is None else None
-        return self._whole_index().frame(self.data, number) if found is None else found
+        with self._naming():
+            return self._avi.frame(number)
 
     def contact_into(self, out: Pixels, method: str = "contact_end") -> None:
         """Decode the frame that shows the contact into an array of its size; see :meth:`contact_index`.
@@ -254,8 +237,8 @@ class TouchClip(Sequence[Pixels]):
 
         Those stored with the round; the file's own clock in data sets without them.
         """
-        times = clip_times(self._row, self.touch)
-        return self.media_times_s if times is None else times
+        times = stamps_s(self._row, self.touch)
+        return self.media_times_s if times is None else times[0]
 
     def at(self, time_s: float) -> Pixels:
         """Decode the frame shown at a time: the last one stamped at or before it, (H, W, 3) uint8.
@@ -274,7 +257,7 @@ class TouchClip(Sequence[Pixels]):
     @property
     def poses(self) -> Poses:
         """Pose of the gel in each frame, N poses, metres, cell frame."""
-        return clip_poses(self._row, self.touch)
+        return pose_sequences(self._row, self.touch)[0]
 
     @property
     def contact_window(self) -> slice:
@@ -330,21 +313,6 @@ class TouchClip(Sequence[Pixels]):
         with needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
             from torchcodec.decoders import VideoDecoder
         return VideoDecoder(bytes(self.data))
-
-    def _whole_index(self) -> AviIndex:
-        if self._index is None:
-            assert self._avi is not None
-            with self._naming():
-                index = self._avi.index()
-            self._require_length(len(index))
-            self._index = index
-        return self._index
-
-    def _require_length(self, found: int) -> None:
-        stated = clip_length(self._row, self.touch)
-        if stated != found:
-            problem = f"a clip of {found} frames; expected {stated} by 'video_length_frames'"
-            raise damaged(self._row, "sensor_video", problem, self.touch)
 
     def _decode(self, frame: int, out: Pixels | None = None) -> Pixels:
         with naming(self._row, "sensor_video", self.touch, f"frame {frame}: "):
@@ -408,17 +376,16 @@ class SensorClips(Sequence[TouchClip]):
         return f"SensorClips({self._count} touches)"
 
 
-def contact_windows_of(clips: SensorClips) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return first frame of contact, and one more than the last, of every clip of a round, shapes (T,).
+def contact_windows_of(clips: SensorClips) -> list[slice]:
+    """Return the frames of contact of every clip of a round, see :func:`realtouch.contact.contact_window`.
 
-    See :func:`realtouch.contact.contact_window`. Raises IntegrityError when times are missing or impossible.
+    Raises IntegrityError when times are missing or impossible.
     """
-    times = padded_times(clips.row)
-    if times is not None:
-        return contact_windows(*times, *times_of_touches(clips.row))
-    windows = [clip.contact_window for clip in clips]
-    starts, stops = np.reshape([(each.start, each.stop) for each in windows], (-1, 2)).astype(np.int64).T
-    return starts, stops
+    times = stamps_s(clips.row)
+    if times is None:
+        times = [clip.media_times_s for clip in clips]
+    ends = (each.tolist() for each in times_of_touches(clips.row))
+    return [contact_window(*each) for each in zip(times, *ends, strict=True)]
 
 
 def contact_frames_of(clips: SensorClips, method: ContactMethod) -> list[int]:
@@ -427,15 +394,12 @@ def contact_frames_of(clips: SensorClips, method: ContactMethod) -> list[int]:
     See :meth:`TouchClip.contact_index`. Raises IntegrityError when times or poses are missing or impossible.
     """
     windows = contact_windows_of(clips)
-    starts: list[int] = windows[0].tolist()
-    stops: list[int] = windows[1].tolist()
     if method == "contact_start":
-        return starts
+        return [window.start for window in windows]
     if method == "contact_end":
-        return [stop - 1 for stop in stops]
-    heights = (touch.position_m[:, 2] for touch in pose_sequences(clips.row))
-    pressed = zip(heights, starts, stops, strict=True)
-    return [start + int(np.argmin(z_m[start:stop])) for z_m, start, stop in pressed]
+        return [window.stop - 1 for window in windows]
+    pressed = zip(pose_sequences(clips.row), windows, strict=True)
+    return [window.start + int(np.argmin(each.position_m[window, 2])) for each, window in pressed]
 
 
 def decode_frames(

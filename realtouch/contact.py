@@ -65,26 +65,6 @@ def contact_window(time_s: NDArray[np.float64], start_s: float, end_s: float) ->
     return slice(nearest, min(nearest + 1, len(time_s)))
 
 
-def contact_windows(
-    time_s: NDArray[np.float64],
-    lengths: NDArray[np.int64],
-    start_s: NDArray[np.float64],
-    end_s: NDArray[np.float64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return start and stop of :func:`contact_window` of T clips at once, shapes (T,).
-
-    ``time_s`` has the shape (T, N); what lies behind the length of a clip, at most N, is not looked at.
-    """
-    # Times rise, so that counting those before a bound finds it: a `searchsorted` for all clips at once.
-    stored = np.arange(time_s.shape[1]) < lengths[:, None]
-    starts = (stored & (time_s < start_s[:, None] - CLOCK_TOLERANCE_S)).sum(axis=1)
-    stops = (stored & (time_s <= end_s[:, None] + CLOCK_TOLERANCE_S)).sum(axis=1)
-    for touch in np.flatnonzero(starts >= stops).tolist():
-        window = contact_window(time_s[touch, : lengths[touch]], start_s[touch], end_s[touch])
-        starts[touch], stops[touch] = window.start, window.stop
-    return starts, stops
-
-
 def contact_heights_m(
     z_m: NDArray[np.floating], recalibrate_z: bool = True, plate_z_m: float = math.nan
 ) -> NDArray[np.float64]:

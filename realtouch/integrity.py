@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.clip_columns import clip_poses, poses
+from realtouch.clip_columns import pose_sequences, poses
 from realtouch.clips import TouchClip
 from realtouch.columns import (
     column_of,
@@ -175,7 +175,7 @@ def check_round(
                 intended_positions(row, touch)
         if has_poses:
             with noted():
-                _ = clip_poses(row, touch) if kind == "seq" else poses(row, touch)
+                _ = pose_sequences(row, touch) if kind == "seq" else poses(row, touch)
         if touch < stop - start:  # where there are too few images or clips, those that are there are checked
             with noted():
                 sizes[touch] = _picture_size(row, kind, touch, decode, noted)

@@ -274,14 +274,17 @@ class TouchSeqRound(TouchRound):
         """
         clips = self.sensor_video
         wanted = positions(touches, len(clips))
-        starts, stops = (ends[wanted] for ends in contact_windows_of(clips))
+        windows = contact_windows_of(clips)
+        starts, stops = (
+            np.array([(each.start, each.stop) for each in windows], np.int64).reshape(-1, 2)[wanted].T
+        )
         counts = stops - starts
-        ends = np.cumsum(counts)
+        last = np.cumsum(counts)
         pixels = clips.room(int(counts.sum()))
-        frames = np.arange(len(pixels)) + np.repeat(starts - (ends - counts), counts)
+        frames = np.arange(len(pixels)) + np.repeat(starts - (last - counts), counts)
         owners = np.repeat(wanted, counts)
         decode_frames(clips, owners.tolist(), frames.tolist(), pixels, _cores(threads))
-        return tuple(np.split(pixels, ends[:-1])) if len(wanted) else ()
+        return tuple(np.split(pixels, last[:-1])) if len(wanted) else ()
 
 
 def _cores(threads: int | None) -> int:

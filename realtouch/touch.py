@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.clip_columns import clip_poses, clip_times, poses, times_of_touches
+from realtouch.clip_columns import pose_sequences, poses, stamps_s, times_of_touches
 from realtouch.clips import TouchClip
 from realtouch.columns import intended_positions
 from realtouch.contact import contact_window
@@ -90,12 +90,12 @@ class Touch:
         row, touch = self.round._row, self._index_in_row
         if isinstance(self.round, TouchSingleRound):
             return poses(row, touch)[0]
-        if not row.has("time_stamp_rel_seq"):
+        times = stamps_s(row, touch)
+        if times is None:
             return self.clip.poses[self.clip.contact_index("contact_end")]
-        times = clip_times(row, touch)
         start_s, end_s = times_of_touches(row, touch)
-        window = contact_window(np.empty(0) if times is None else times, float(start_s[0]), float(end_s[0]))
-        return clip_poses(row, touch)[int(window.stop) - 1]
+        window = contact_window(times[0], float(start_s[0]), float(end_s[0]))
+        return pose_sequences(row, touch)[0][int(window.stop) - 1]
 
     @property
     def image(self) -> Pixels:

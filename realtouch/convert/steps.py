@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.clip_columns import clip_poses, contact_z_m, plate_z_m, poses
+from realtouch.clip_columns import contact_z_m, plate_z_m, pose_sequences, poses
 from realtouch.clips import SensorClips, TouchClip
 from realtouch.columns import entries_of, int_value, intended_positions, plain_value, touch_total, vectors
 from realtouch.contact import ContactMethod, difference
@@ -83,7 +83,7 @@ def shown_touches(row: Row, method: ContactMethod) -> Iterator[Shown]:
         frame = clip.contact_index(method)
         pose = None
         if has_pose:
-            at = clip_poses(row, touch)
+            (at,) = pose_sequences(row, touch)
             pose = np.hstack([at.position_m[frame], at.quaternion[frame]])
         data = clip.encoded(frame) if clip.has_index else None
         yield Shown(touch, frame, data, partial(clip.__getitem__, frame), pose, clip)

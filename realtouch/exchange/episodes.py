@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.clip_columns import clip_poses, clip_times, poses
+from realtouch.clip_columns import pose_sequences, poses, stamps_s
 from realtouch.clips import TouchClip
 from realtouch.columns import (
     entries_of,
@@ -166,10 +166,10 @@ class Episodes:
         for touch in range(touch_total(row)):
             clip, columns = TouchClip(row, touch), dict[str, Any]()
             if row.has(_POSES["seq"]):
-                columns[STATE] = _states(clip_poses(row, touch))
-            times_s = clip_times(row, touch)
+                columns[STATE] = _states(pose_sequences(row, touch)[0])
+            times_s = stamps_s(row, touch)
             if times_s is not None:
-                columns[TIME] = times_s.astype(np.float32)
+                columns[TIME] = times_s[0].astype(np.float32)
             if clip.has_index:
                 yield touch, [clip.encoded(frame) for frame in range(len(clip))], columns
             else:

@@ -11,13 +11,11 @@ import io
 import struct
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.errors import needs_extra
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS, Pixels, decode_image, room_for
@@ -29,38 +27,19 @@ _RIFF = struct.Struct("<4sI4s")
 _CHUNK = struct.Struct("<4sI")
 # Kind, codec, scale and rate, whose quotient are the frames per second.
 _STREAM_HEADER = struct.Struct("<4s4s12xII")
-_ENTRY = struct.Struct("<4s4xII")  # name of the chunk, flags, offset, size
+_ENTRY_BYTES = 16  # name of the chunk, flags, offset, size
 
 
 class NoIndexError(ValueError):
     """The file is not an AVI with indexed MJPEG frames; it may be readable by other means."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class AviIndex:
-    """Where all frames of a clip lie: first byte and number of bytes of each, shape (N,)."""
-
-    fps: float  # frames per second that the file states
-    starts: NDArray[np.int64]
-    sizes: NDArray[np.int64]
-    slots: NDArray[np.int64] | None
-    """Number of each frame in the file's own count, in which a repeated frame takes a slot without bytes;
-    None when there are no repeated frames."""
-
-    def __len__(self) -> int:
-        return len(self.starts)
-
-    def frame(self, data: memoryview, index: int) -> memoryview:
-        """Return the bytes of one frame."""
-        start = int(self.starts[index])
-        return data[start : start + int(self.sizes[index])]
-
-
 class Avi:
-    """An AVI of MJPEG frames, opened by its headers; ``frame`` reads one entry of its index, ``index`` all.
+    """An AVI of MJPEG frames, opened by its index, which leads to each frame alone.
 
-    Opening raises NoIndexError for another container or codec, or when there is no index; ValueError when the
-    file is cut short.
+    Opening raises NoIndexError for another container or codec, or where no index leads to frames; ValueError
+    where the file is cut short, exceeds :data:`MAX_CLIP_FRAMES`, or has an index that leads out of it or does
+    not follow the stream.
     """
 
     def __init__(self, data: memoryview) -> None:
@@ -80,82 +59,41 @@ class Avi:
             raise NoIndexError(f"an AVI without {missing[0].decode()!r}; expected an index of MJPEG frames")
         self.data = data
         stream, self.fps = _mjpeg_stream(data, *parts[b"hdrl"])
-        self._names = (b"%02ddc" % stream, b"%02ddb" % stream)  # compressed and plain frames of the stream
-        self._frames_start, size = parts[b"movi"]
-        self._frames_end = self._frames_start + size
-        self._entries_start, size = parts[b"idx1"]
-        self.entry_count = size // _ENTRY.size
-        self._in_order: bool | None = None
+        # Compressed and plain frames of the stream.
+        self._names = (b"%02ddc" % stream, b"%02ddb" % stream)
+        self._read_index(parts[b"idx1"], parts[b"movi"])
 
-    def frame(self, entry: int) -> memoryview | None:
-        """Return the JPEG that one entry of the index names; None unless the file has a frame right there.
+    def __len__(self) -> int:
+        return len(self.sizes)
 
-        None too where the index does not follow the stream, whose order is that of the frames.
-
-        Entries are the frames of a clip where there are as many entries as frames: no other stream, no
-        repeated frame.
-        """
-        if self._in_order is None:
-            offsets = np.frombuffer(self.data, "<u4", self.entry_count * 4, self._entries_start)[2::4]
-            offsets = offsets[offsets < len(self.data)]  # others are named when their frames are asked for
-            # Looked at once for each clip: entries could otherwise name the frames in any order.
-            self._in_order = bool((offsets[1:] > offsets[:-1]).all())
-        if not self._in_order or not 0 <= entry < self.entry_count:
-            return None
-        name, offset, size = _ENTRY.unpack_from(self.data, self._entries_start + _ENTRY.size * entry)
-        start = self._start(name, offset) if name in self._names and size else None
-        if start is None or start + size > self._frames_end:
-            return None
-        found = _CHUNK.unpack_from(self.data, start - _CHUNK.size) == (name, size)
-        return self.data[start : start + size] if found else None
-
-    def _start(self, name: bytes, offset: int) -> int | None:
-        """Return where the bytes of a frame of the index begin; None where no frame of that name does."""
-        # Writers differ in where offsets count from: the list of frames, or the file.
-        for base in (self._frames_start - 4, 0):
-            start = base + offset + _CHUNK.size
-            if start >= self._frames_start and self.data[base + offset :][:4] == name:
-                return start
-        return None
-
-    def index(self) -> AviIndex:
-        """Read the whole index.
-
-        NoIndexError: it does not point at frames. ValueError: it points outside of the file, does not follow
-        the stream frame by frame, has frames overlap, or exceeds :data:`MAX_CLIP_FRAMES`.
-        """
-        entries = np.frombuffer(self.data, "<u4", 4 * self.entry_count, self._entries_start).reshape(-1, 4)
-        names = [int.from_bytes(name, "little") for name in self._names]
-        entries = entries[np.isin(entries[:, 0], names)].astype(np.int64)
+    def _read_index(self, index: tuple[int, int], movie: tuple[int, int]) -> None:
+        entries = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0]).reshape(-1, 4)
+        plain, packed = (int.from_bytes(name, "little") for name in self._names)
+        entries = entries[(entries[:, 0] == plain) | (entries[:, 0] == packed)]
         if len(entries) > MAX_CLIP_FRAMES:
             raise ValueError(f"a clip of {len(entries):,} frames; the limit is {MAX_CLIP_FRAMES:,}")
-        slots = np.flatnonzero(entries[:, 3])
-        is_repeating = len(slots) < len(entries)
-        entries = entries[slots]
+        self.slots = np.flatnonzero(entries[:, 3])
+        """Number of each frame in the count of the file, in which a repeated frame has a slot too."""
+        entries = entries[self.slots].astype(np.int64)
+        # Writers differ in where offsets count from: the list of frames, or the file.
         first = int(entries[0, 2]) if len(entries) else 0
-        start = self._start(int(entries[0, 0]).to_bytes(4, "little"), first) if len(entries) else None
-        if start is None:
-            raise NoIndexError("an AVI whose index does not point at frames")
-        starts, sizes = entries[:, 2] + (start - first), entries[:, 3]
-        ends = starts + sizes
+        bases = [base for base in (movie[0] - 4, 0) if self.data[base + first :][:4] in self._names]
+        if not len(entries) or not bases:
+            raise NoIndexError("an AVI whose index does not lead to frames")
+        self.starts, self.sizes = entries[:, 2] + (bases[0] + _CHUNK.size), entries[:, 3]
+        ends = self.starts + self.sizes
         # A small file whose frames overlap would decode to any amount of pixels.
-        least = np.append(self._frames_start, ends[:-1])
-        self._require(
-            (starts >= least) & (ends <= self._frames_end),
-            "index has frame {number} of {count} outside of it or over another; expected that of the stream",
-        )
-        heads = np.frombuffer(self.data, np.uint8)[(starts - _CHUNK.size)[:, None] + np.arange(_CHUNK.size)]
-        self._require(
-            (heads.view("<u4") == entries[:, [0, 3]]).all(axis=1),
-            "index names frame {number} of {count} where the stream has no frame of that size",
-        )
-        return AviIndex(self.fps, starts, sizes, slots if is_repeating else None)
+        apart = (self.starts[1:] >= ends[:-1]).all()
+        if self.starts[0] < movie[0] or not apart or ends[-1] > sum(movie):
+            raise ValueError("an AVI whose index has frames outside of the stream or over one another")
 
-    @staticmethod
-    def _require(holds: NDArray[np.bool_], problem: str) -> None:
-        if not holds.all():
-            found = problem.format(number=int(holds.argmin()), count=len(holds))
-            raise ValueError(f"an AVI whose {found}")
+    def frame(self, number: int) -> memoryview:
+        """Return the JPEG of one frame; ValueError where the stream has no frame of that size there."""
+        start, size = int(self.starts[number]), int(self.sizes[number])
+        name, stated = _CHUNK.unpack_from(self.data, start - _CHUNK.size)
+        if name not in self._names or stated != size:
+            raise ValueError("an AVI whose index names a frame where the stream has none of that size")
+        return self.data[start : start + size]
 
 
 def _chunks(data: memoryview, position: int, end: int) -> Iterator[tuple[bytes, int, int]]:

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.clip_columns import clip_poses, contact_z_m, pose_sequences
+from realtouch.clip_columns import contact_z_m, pose_sequences
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import Row
@@ -43,7 +43,7 @@ def test_lengths_that_are_not_stated_are_named(seq_folder: Path) -> None:
     row = Row(RowGroup(group.table.drop_columns(["video_length_frames"])), 0)
     for ask in (
         pose_sequences,
-        lambda row: clip_poses(row, 0),
+        lambda row: pose_sequences(row, 0),
         lambda row: contact_z_m(row, "seq"),
         lambda row: realtouch.TouchClip(row, 0),
     ):
