@@ -21,7 +21,7 @@ import torch
 from numpy.typing import NDArray
 
 import realtouch
-from tactile_sim import as_environment
+from tactile_sim import center_view
 from tactile_sim.learned.evaluation import add_noise_per_object, two_sample_test
 from tactile_sim.learned.networks import (
     Generator,
@@ -48,18 +48,18 @@ RELIEF_LEVELS = 4
 SMALL = {
     "filters": 12,
     "blocks": 3,
-    "judge_filters": 32,
+    "discriminator_filters": 32,
     "batch": 2,
     "crop": 1.0,
     # Pairs by simulation first: pictures that are not paired do not say where in them relief belongs.
-    "start_steps": 2500,
+    "pretrain_steps": 2500,
     # Without these three, depth hides in faint dots, and real touches are said to be empty.
     "depth_cycle_weight": 10.0,
     "touch_cycle_weight": 40.0,
     "noise": 0.06,
     # Real touches differ by noise from all that is made without it; at first fine detail does, too.
     "sensor_noise": SensorNoise.calibrated(),
-    "judge_noise": 0.06,
+    "discriminator_noise": 0.06,
     "identity_weight": 0.0,
     "learning_rate": 3e-4,
 }
@@ -122,7 +122,7 @@ def moved(depth: NDArray[np.float32], down: int, right: int) -> NDArray[np.float
 
 def depth_errors(known: Known, work: Path) -> tuple[int, int]:
     """Print how far depth that is read from real touches is from the truth; return the best move of it."""
-    sensor = as_environment(*SIZE)
+    sensor = center_view(*SIZE)
     few = slice(None, None, 7)  # the published network takes a third of a second for each
     trained = CycleganDepth(work / "weights" / DEPTH_WEIGHTS).images(known.real, SIZE)
     # Nothing in pictures that are not paired says that depth and relief lie at the same place.
@@ -154,7 +154,7 @@ def depth_errors(known: Known, work: Path) -> tuple[int, int]:
 
 def picture_errors(known: Known, work: Path, move: tuple[int, int]) -> None:
     """Print how far pictures of true depth are from those of the published network."""
-    sensor = as_environment(*SIZE)
+    sensor = center_view(*SIZE)
     back = moved(known.depth, -move[0], -move[1])
     depth_m, back_m = (
         sensor.press_m + depth.astype(np.float64) * (sensor.gel_m - sensor.press_m)

@@ -65,8 +65,8 @@ def depth_and_taxim(digits: Any) -> None:
     package, ours = backend.TaximRendererJAX(device), make_optics("taxim")
     solids, objects, targets = touches_of(digits, TOUCHES)
     for size in ((64, 64), (320, 240)):
-        sensor = tactile_sim.as_environment(*size)
-        depth_ms = best_ms(lambda s=sensor: tactile_sim.press(solids, objects, targets, s), TOUCHES)
+        sensor = tactile_sim.center_view(*size)
+        depth_ms = best_ms(lambda s=sensor: tactile_sim.render_touch(solids, objects, targets, s), TOUCHES)
         oracle = Oracle(*size)
         meshes = [digits[k].mesh for k in range(4)]
 
@@ -75,7 +75,7 @@ def depth_and_taxim(digits: Any) -> None:
                 oracle.depth_m(mesh, objects[0], target)
 
         bare_ms = best_ms(bare, TOUCHES)
-        depth_m = tactile_sim.press(solids[:16], objects[:16], targets[:16], sensor).depth_m
+        depth_m = tactile_sim.render_touch(solids[:16], objects[:16], targets[:16], sensor).depth_m
         taxim_ms = best_ms(lambda s=sensor, d=depth_m: ours.render(d, s, s.size_px), 16)
         package_ms = best_ms(lambda s=size, d=depth_m: package.render(d, s), 16, 2)
         name, small = f"{size[0]}x{size[1]}", size[0] == 64

@@ -60,8 +60,8 @@ def generate(
     from tactile_toolkit.run.threads import prepare_batch_process
 
     # "cell" is the default, and who gives a table means it; any other place with a table is refused.
-    if "given" in plan and plan.get("place", "cell") == "cell":
-        plan["place"] = "given"
+    if "given" in plan and plan.get("positions", "cell") == "cell":
+        plan["positions"] = "given"
     given = chosen.given()
     split = given.pop("split")
     splits = None if split is None else (split,)

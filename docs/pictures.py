@@ -59,10 +59,10 @@ def _drawn(
 
 
 def _touch(mesh: Mesh) -> np.ndarray:
-    sensor = tactile_sim.as_sensor(320, 240)
+    sensor = tactile_sim.full_view(320, 240)
     solid = tactile_sim.Pressable.of(mesh)
     lay = tactile_sim.pose(z_m=-solid.foot_m)
-    pressed = tactile_sim.press(solid, lay, tactile_sim.pose(0.004, -0.002), sensor)
+    pressed = tactile_sim.render_touch(solid, lay, tactile_sim.pose(0.004, -0.002), sensor)
     return tactile_sim.make_optics("taxim").render(pressed.depth_m[None], sensor, (320, 240))[0]
 
 

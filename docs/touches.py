@@ -3,7 +3,7 @@
 Usage: python docs/touches.py [FOLDER]      (extras sim, env and torch; FOLDER is docs by default)
 
 ``touches.png``: a digit, the gel on it, depth, Taxim and CycleGAN side by side. ``sensor_windows.png``: what
-the presets ``as-sensor`` and ``as-environment`` see of the same touch.
+``full_view`` and ``center_view`` see of the same touch.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LAYER_M = 0.0002
 def seen_from_above(solid: tactile_sim.Pressable) -> np.ndarray:
     """Return heights over the plate, mm, as a sensor sees them that is as large as the cell."""
     sensor = tactile_sim.Sensor((480, 480), (0.12, 0.12))
-    pressed = tactile_sim.press(solid, object_pose(solid), tactile_sim.pose(), sensor)
+    pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(), sensor)
     return 1e3 * (pressed.sensor_z_m - pressed.depth_m)
 
 
@@ -72,7 +72,7 @@ def touches(solids: list[tactile_sim.Pressable]) -> Figure:
     ):
         cell = figure.add_subplot(2, 4, 4 * row + 1)
         show_cell(cell, seen_from_above(solid), f"a digit, and the gel on it\n{surface}")
-        frame(cell, tactile_sim.as_sensor().window_m, "crimson", "gel")
+        frame(cell, tactile_sim.full_view().window_m, "crimson", "gel")
         for column, (name, title) in enumerate(looks):
             axes = figure.add_subplot(2, 4, 4 * row + 2 + column)
             try:
@@ -80,8 +80,8 @@ def touches(solids: list[tactile_sim.Pressable]) -> Figure:
             except MissingExtraError as error:
                 axes.text(0.5, 0.5, str(error), wrap=True, ha="center", fontsize=6)
                 continue
-            sensor = tactile_sim.as_sensor(*optics.depth_size(320, 240))
-            pressed = tactile_sim.press(solid, object_pose(solid), tactile_sim.pose(*AT_M), sensor)
+            sensor = tactile_sim.full_view(*optics.depth_size(320, 240))
+            pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(*AT_M), sensor)
             show(axes, optics.render(pressed.depth_m[None], sensor, (320, 240))[0], title)
     return figure
 
@@ -93,21 +93,21 @@ def windows(solid: tactile_sim.Pressable) -> Figure:
     show_cell(axes[0], seen_from_above(solid), "where the gel is pressed")
     optics = make_optics("taxim")
     presets = (
-        ("as-sensor", tactile_sim.as_sensor, "crimson", "18.88 x 14.16 mm, squashed"),
-        ("as-environment", tactile_sim.as_environment, "royalblue", "14.16 x 14.16 mm"),
+        ("full view", tactile_sim.full_view, "crimson", "18.88 x 14.16 mm, squashed"),
+        ("center view", tactile_sim.center_view, "royalblue", "14.16 x 14.16 mm"),
     )
     for place, (name, preset, colour, window) in zip((1, 2), presets, strict=True):
         sensor = preset(64, 64)
         frame(axes[0], sensor.window_m, colour, name)
-        pressed = tactile_sim.press(solid, object_pose(solid), tactile_sim.pose(*AT_M), sensor)
+        pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(*AT_M), sensor)
         show(
             axes[place],
             optics.render(pressed.depth_m[None], sensor, (64, 64))[0],
             f"{name}, 64 x 64:\n{window}",
         )
     axes[0].legend(fontsize=7, loc="upper left", frameon=False)
-    sensor = tactile_sim.as_sensor(320, 240)
-    pressed = tactile_sim.press(solid, object_pose(solid), tactile_sim.pose(*AT_M), sensor)
+    sensor = tactile_sim.full_view(320, 240)
+    pressed = tactile_sim.render_touch(solid, object_pose(solid), tactile_sim.pose(*AT_M), sensor)
     picture = optics.render(pressed.depth_m[None], sensor, (320, 240))[0]
     show(axes[3], picture, "both presets, 320 x 240:\n18.88 x 14.16 mm")
     return figure

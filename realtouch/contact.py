@@ -12,7 +12,6 @@ Grey is what OpenCV and JPEG call luma (ITU-R BT.601), in integers: (4899 R + 96
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.checked_fields import check_fields, integer, real
+from tactile_toolkit.deprecation import former_arguments, former_attributes, warn_former
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
 
@@ -31,8 +31,8 @@ CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
 CLOCK_TOLERANCE_S = 1e-4
 """Times so close count as one, seconds: what single precision rounds off in a clock's first half hour."""
 
-DifferenceForm = Literal["signed", "grey", "absolute"]
-DIFFERENCE_FORMS: tuple[DifferenceForm, ...] = get_args(DifferenceForm)
+Representation = Literal["signed", "grey", "absolute"]
+REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
 
 _PIXELS_AT_ONCE = 1 << 13
 """Values of a picture that are compared at a time: with 90 frames of a clip, what a core keeps at hand."""
@@ -41,7 +41,7 @@ _PIXELS_AT_ONCE = 1 << 13
 def require_method(method: str) -> ContactMethod:
     """Return the method of that name; InputError when there is none."""
     if method == "median":
-        warnings.warn("'median' is deprecated, and chooses as 'best' does", DeprecationWarning, stacklevel=3)
+        warn_former("median", "best", 4)
         return "best"
     for known in CONTACT_METHODS:
         if known == method:
@@ -161,7 +161,10 @@ def _with_background(pictures: Any, background: Any) -> tuple[Pixels, Pixels]:
     return found, base
 
 
-def difference(pictures: Pixels, background: Pixels, form: DifferenceForm = "signed") -> NDArray[Any]:
+@former_arguments(form="representation")
+def difference(
+    pictures: Pixels, background: Pixels, representation: Representation = "signed"
+) -> NDArray[Any]:
     """Return what changed against a background.
 
     Parameters
@@ -170,7 +173,7 @@ def difference(pictures: Pixels, background: Pixels, form: DifferenceForm = "sig
         One picture, or several.
     background : ndarray, shape (H, W, 3), uint8
         Such as :func:`background` gives.
-    form : str
+    representation : str
         ``"signed"``: picture - background; ``"grey"``: (picture - background + 256) // 2, where 128 is equal
         and half of each difference is kept; ``"absolute"``: its absolute value.
 
@@ -181,15 +184,15 @@ def difference(pictures: Pixels, background: Pixels, form: DifferenceForm = "sig
     Raises
     ------
     InputError
-        Arrays of other shapes or types, or another form.
+        Arrays of other shapes or types, or another representation.
     """
-    if form not in DIFFERENCE_FORMS:
-        raise InputError(f"no difference {form!r}; expected one of {', '.join(DIFFERENCE_FORMS)}")
+    if representation not in REPRESENTATIONS:
+        raise InputError(f"no difference {representation!r}; expected one of {', '.join(REPRESENTATIONS)}")
     found, base = _with_background(pictures, background)
     signed = found.astype(np.int16) - base
-    if form == "signed":
+    if representation == "signed":
         return signed
-    return (np.abs(signed) if form == "absolute" else (signed + 256) // 2).astype(np.uint8)
+    return (np.abs(signed) if representation == "absolute" else (signed + 256) // 2).astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -232,6 +235,7 @@ class ContactRule:
         return slice(margins[0], height - margins[0]), slice(margins[1], width - margins[1])
 
 
+@former_attributes(weight="total_change")
 @dataclass(frozen=True, eq=False)
 class ContactScore:
     """How much of a picture changed, and by how much; numbers, or arrays of shape (N,) for N pictures.
@@ -251,12 +255,6 @@ class ContactScore:
     def total_change(self) -> Any:
         """Grey levels of all changed pixels together: the picture of the greatest shows the contact best."""
         return np.rint(self.area_px * self.intensity)
-
-    @property
-    def weight(self) -> Any:
-        """The former name of :attr:`total_change`."""
-        warnings.warn("'weight' is deprecated; use 'total_change'", DeprecationWarning, stacklevel=2)
-        return self.total_change
 
 
 def contact_score(pictures: Pixels, background: Pixels, rule: ContactRule | None = None) -> ContactScore:

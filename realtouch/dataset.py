@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import groupby
@@ -22,6 +21,7 @@ from realtouch.integrity import check_round, readable_rows, stated_class_names, 
 from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
 from tactile_toolkit.checked_fields import checked_integer
+from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
 from tactile_toolkit.read.order import StoredParts
@@ -476,6 +476,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
 
+    @former_arguments(empties="no_contact_fraction")
     def sample(
         self,
         n: int | None = None,
@@ -483,7 +484,6 @@ class Touches(LazySequence[Touch], Generic[R]):
         *,
         no_contact_fraction: float | None = None,
         contact: NDArray[np.bool_] | None = None,
-        empties: float | None = None,
     ) -> Self:
         """Return touches drawn at random without repetition, or those with contact and a share of the rest.
 
@@ -500,19 +500,16 @@ class Touches(LazySequence[Touch], Generic[R]):
         contact : ndarray of bool, shape (len,), optional
             Which touches have contact; by default those that :meth:`with_contact` keeps. See also
             :func:`realtouch.find_contacts`.
-        empties : float, optional
-            The former name of ``no_contact_fraction``.
 
         Raises
         ------
         InputError
             There are fewer touches, or a number, share or mask is none.
         """
-        fraction = renamed_fraction(no_contact_fraction, empties)
-        if fraction is None:
+        if no_contact_fraction is None:
             return super().sample(len(self) if n is None else n, seed)
         mask = self.in_contact() if contact is None else contact
-        chosen = self._select(with_no_contact(self, mask, fraction, seed))
+        chosen = self._select(with_no_contact(self, mask, no_contact_fraction, seed))
         return chosen if n is None else super(Touches, chosen).sample(n, seed)
 
     def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
@@ -607,13 +604,6 @@ class Touches(LazySequence[Touch], Generic[R]):
     def _description(self) -> list[str]:
         of_rounds, *further = self.dataset._description()
         return [f"{counted(len(self), self.things)} of {of_rounds}", *further]
-
-
-def renamed_fraction(fraction: float | None, empties: float | None) -> float | None:
-    """Return a fraction of touches without contact, which may be given by its former name."""
-    if empties is not None:
-        warnings.warn("'empties' is deprecated; use 'no_contact_fraction'", DeprecationWarning, stacklevel=3)
-    return fraction if empties is None else empties
 
 
 def with_no_contact(

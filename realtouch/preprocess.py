@@ -20,9 +20,10 @@ from realtouch.contact import (
     median_in_memory,
     median_of,
 )
-from realtouch.dataset import Touches, renamed_fraction, with_no_contact
+from realtouch.dataset import Touches, with_no_contact
 from realtouch.images import in_parallel
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
+from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
 
@@ -147,9 +148,8 @@ class Contacts:
     def __len__(self) -> int:
         return len(self.touches)
 
-    def select(
-        self, no_contact_fraction: float = 0.0, seed: int = 0, *, empties: float | None = None
-    ) -> Contacts:
+    @former_arguments(empties="no_contact_fraction")
+    def select(self, no_contact_fraction: float = 0.0, seed: int = 0) -> Contacts:
         """Return the touches with contact, and some without; see :meth:`Touches.sample`.
 
         Parameters
@@ -158,16 +158,13 @@ class Contacts:
             Share of touches without contact in what is returned, 0 to below 1, as far as there are any.
         seed : int
             Decides which.
-        empties : float, optional
-            The former name of ``no_contact_fraction``.
 
         Raises
         ------
         InputError
             A share or seed that is none.
         """
-        fraction = renamed_fraction(no_contact_fraction, empties) or 0.0
-        chosen = with_no_contact(self.touches, self.contact, fraction, seed)
+        chosen = with_no_contact(self.touches, self.contact, no_contact_fraction, seed)
         return Contacts(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
     def picture(self, index: int) -> Pixels:

@@ -21,7 +21,7 @@ from tactile_envs.kernels import PADDING, aim, place, touch
 from tactile_envs.meshes import MeshPool
 from tactile_envs.sensors import make_camera
 from tactile_envs.tasks import Score, make_task
-from tactile_sim.sensor import as_environment
+from tactile_sim.sensor import center_view
 from tactile_toolkit.errors import InputError
 
 _TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of
@@ -98,7 +98,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._start_threads(min(threads, len(self._parts)))
         width, height = self._camera.depth_size
         self._rooms = [np.empty((height, width + PADDING), np.float32) for _ in range(threads)]
-        self._view = view = as_environment(width, height)
+        self._view = view = center_view(width, height)
         per_m = width / view.window_m[0]
         middle = [size / 2 - 0.5 - at for size, at in zip((width, height), view.sample_px, strict=True)]
         self._window = np.array([per_m, *middle, view.press_m])

@@ -8,7 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.sensor import as_environment
+from tactile_sim.sensor import center_view
 
 Size = tuple[int, int]
 
@@ -66,7 +66,7 @@ class _Optics:
             optics = CycleganOptics()
             self._shades = partial(optics.shades, size_px=size)
         self.depth_size = optics.depth_size(*size)
-        self._sensor = as_environment(*self.depth_size)
+        self._sensor = center_view(*self.depth_size)
         width, height = self.depth_size
         # The plate alone is pressed in evenly.
         plate = np.full((1, height, width), self._sensor.press_m)

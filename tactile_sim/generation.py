@@ -19,14 +19,15 @@ from tactile_sim.kind import KIND
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
 from tactile_sim.plan import SolidSplit, generator, on_object, plan_round
-from tactile_sim.pressing import Pressable, checked_layer_m, press
-from tactile_sim.sensor import Matrix, Sensor, as_environment, as_sensor, pose
+from tactile_sim.pressing import Pressable, checked_layer_m, render_touch
+from tactile_sim.sensor import Matrix, Sensor, center_view, full_view, pose
 from tactile_sim.spec import PictureOptions, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.choose import IdChoice, choose_rows
 from tactile_toolkit.catalog.kinds import place_of
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.checked_fields import check_fields, choice, integer
+from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.making import Forecast
 from tactile_toolkit.mesh.files import FORMATS
@@ -60,6 +61,7 @@ def require_pictures(optics: str) -> None:
         )
 
 
+@former_attributes(like="window")
 @dataclass(frozen=True)
 class GenerateSpec:
     """Everything that decides the touches of a set of solids.
@@ -70,7 +72,7 @@ class GenerateSpec:
         Width and height of the pictures, pixels.
     optics : str
         How depth becomes a picture: ``"depth"``, ``"taxim"`` or ``"cyclegan"``.
-    like : str
+    window : str
         ``"environment"``: rendered in this size, with the window that the environments show in it;
         ``"published"``: rendered as 320 x 240 pixels of the whole sensor and scaled to the size.
     plan : TouchPlan
@@ -95,7 +97,7 @@ class GenerateSpec:
 
     size_px: tuple[int, int] = (64, 64)
     optics: str = choice("taxim", OPTICS)
-    like: str = choice("environment", ("environment", "published"))
+    window: str = choice("environment", ("environment", "published"))
     plan: TouchPlan = field(default_factory=TouchPlan)
     image_format: Literal["jpeg", "png"] = choice("jpeg", ("jpeg", "png"))
     quality: int = integer(95, 1, 100)
@@ -109,7 +111,7 @@ class GenerateSpec:
 
     def __post_init__(self) -> None:
         # A sensor checks its size: one rule for both.
-        object.__setattr__(self, "size_px", as_sensor(*self.size_px).size_px)
+        object.__setattr__(self, "size_px", full_view(*self.size_px).size_px)
         check_fields(self, "the touches")
         object.__setattr__(self, "layer_m", checked_layer_m(self.layer_m))
         noise: Any = self.noise
@@ -130,7 +132,7 @@ class GenerateSpec:
         return cls(
             picture.size,
             picture.optics or usual,
-            picture.like,
+            picture.window,
             TouchPlan() if plan is None else plan,
             picture.image_format,
             picture.quality,
@@ -142,9 +144,9 @@ class GenerateSpec:
 
     def sensor(self, optics: Optics) -> Sensor:
         """Return the sensor whose depth maps the optics get."""
-        width, height = self.size_px if self.like == "environment" else _PUBLISHED_PX
+        width, height = self.size_px if self.window == "environment" else _PUBLISHED_PX
         # Environments show the window of the pixels that they render, whatever becomes of these.
-        seen = as_environment if self.like == "environment" else as_sensor
+        seen = center_view if self.window == "environment" else full_view
         return seen(*optics.depth_size(width, height))
 
     def to_dict(self) -> dict[str, Any]:
@@ -162,7 +164,7 @@ class GenerateSpec:
         return {
             "size_px": list(self.size_px),
             "optics": self.optics,
-            "like": self.like,
+            "like": self.window,
             "plan": self.plan.to_dict(),
             "image_format": self.image_format,
             "quality": self.quality if self.image_format == "jpeg" else None,
@@ -197,7 +199,7 @@ class TouchMaking(making.Making):
         if Path(name).suffix.lower() in FORMATS:
             raise InputError(
                 f"{name!r} is a single mesh; expected a data set of solids",
-                next="`tactile-sim render` for a look at one mesh, or `tactile_sim.press` in Python",
+                next="`tactile-sim render` for a look at one mesh, or `tactile_sim.render_touch` in Python",
             )
         make_optics(spec.optics, spec.weights)  # what is missing is reported before anything is written
         place = place_of(name)
@@ -296,7 +298,7 @@ def _make_row(
     targets = np.tile(np.eye(4), (touches, 1, 1))
     targets[:, :2, 3] = plan.positions_m
     # The last pose is where the object lies after the last touch: nothing is felt there.
-    pressed = press(solid, plan.object_poses[:-1], targets, sensor)
+    pressed = render_touch(solid, plan.object_poses[:-1], targets, sensor)
     pictures = optics.render(pressed.depth_m, sensor, spec.size_px)
     pictures = noisy(spec, pictures, split, object_id, number)
     images = [encode_image(each, spec.image_format, spec.quality) for each in pictures]
@@ -449,7 +451,7 @@ class Look:
 
 
 def look(mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, turn_rad: float = 0.0) -> Look:
-    """Press the gel onto a solid on the plate, turned about z; errors as of ``press``.
+    """Press the gel onto a solid on the plate, turned about z; errors as of ``render_touch``.
 
     ``at_m`` is where the gel goes, x and y from the solid's own origin, metres. None puts the solid under the
     gel, wherever its origin is: by a point of it that is nearest to its middle as seen from above.
@@ -460,7 +462,7 @@ def look(mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, t
     stands = pose(z_m=-solid.foot_m, turn_rad=turn_rad)
     if at_m is None:
         stands[:2, 3] = -_middle_m(solid, stands)
-    pressed = press(solid, stands, pose(*(at_m or (0.0, 0.0))), sensor)
+    pressed = render_touch(solid, stands, pose(*(at_m or (0.0, 0.0))), sensor)
     # Noise is drawn as for round 0 of an object 0, so that a look is the same each time.
     pictures = optics.render(pressed.depth_m[None], sensor, spec.size_px)
     picture = noisy(spec, pictures, "look", 0, 0)[0]

@@ -21,8 +21,8 @@ from numpy.typing import NDArray
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
 from tactile_sim.plan import SolidSplit, key_of, plan_round
-from tactile_sim.pressing import Pressable, press
-from tactile_sim.sensor import Sensor, as_environment, as_sensor
+from tactile_sim.pressing import Pressable, render_touch
+from tactile_sim.sensor import Sensor, center_view, full_view
 from tactile_sim.spec import PairsSpec, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.kinds import place_of, require_manifest
@@ -155,7 +155,7 @@ class Pairs:
         Depth images and touches, which do not belong together.
     size_px : tuple of int
         Width and height of all pictures, pixels.
-    like : str
+    window : str
         Window of the depth images, ``"published"`` or ``"environment"``.
     identity : str
         Names the rows: equal for equal data sets.
@@ -164,7 +164,7 @@ class Pairs:
     depth: Domain
     real: Domain
     size_px: tuple[int, int]
-    like: str
+    window: str
     identity: str
 
     @classmethod
@@ -177,7 +177,7 @@ class Pairs:
             )
         try:
             options = manifest.spec["options"]
-            (width, height), like = options["size_px"], options["like"]
+            (width, height), window = options["size_px"], options["like"]
         except (KeyError, TypeError, ValueError) as error:
             raise IntegrityError(
                 f"the specification in {folder!r} does not state size and window of the pictures",
@@ -189,16 +189,16 @@ class Pairs:
         )
         # Content and order of the rows: what a training may continue with.
         checksums = "/".join(record.sha256 for split in SPLITS for record in manifest.shards_of(split))
-        return cls(depth, real, (width, height), like, checksums)
+        return cls(depth, real, (width, height), window, checksums)
 
     @property
     def sensor(self) -> Sensor:
         """What the depth images are of."""
-        return _sensor(self.like, self.size_px)
+        return _sensor(self.window, self.size_px)
 
 
-def _sensor(like: str, size_px: tuple[int, int]) -> Sensor:
-    return (as_sensor if like == "published" else as_environment)(*size_px)
+def _sensor(window: str, size_px: tuple[int, int]) -> Sensor:
+    return (full_view if window == "published" else center_view)(*size_px)
 
 
 @dataclass(frozen=True)
@@ -299,18 +299,18 @@ class PairsMaking(making.Making):
 
 def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> NDArray[np.float32]:
     """Return the depth image of one touch: the first of some places in the cell that meets the object."""
-    sensor, least_m = _sensor(spec.like, spec.size_px), spec.min_height_m
+    sensor, least_m = _sensor(spec.window, spec.size_px), spec.min_height_m
     assert least_m is not None, "a plan has the rule of the real touches"
     if spec.is_empty(number):
         # Nothing is rendered for it: a bare plate is the same wherever it is touched.
         return np.ones(spec.size_px[::-1], np.float32)
-    for place in ("cell", "object"):  # small things are seldom met by chance
-        plan = TouchPlan(1, _TRIES, place, turn_rad=spec.turn_rad, shift=False, seed=spec.seed)
+    for positions in ("cell", "object"):  # small things are seldom met by chance
+        plan = TouchPlan(1, _TRIES, positions, turn_rad=spec.turn_rad, perturb=False, seed=spec.seed)
         drawn = plan_round(plan, solid, "depth", object_id, number)
         for position in drawn.positions_m:
             target = np.eye(4)
             target[:2, 3] = position
-            pressed = press(solid, drawn.object_poses[0], target, sensor)
+            pressed = render_touch(solid, drawn.object_poses[0], target, sensor)
             if float(pressed.sensor_z_m) - sensor.press_m >= least_m:
                 return np.asarray(pressed.image)
     raise InputError(

@@ -85,7 +85,7 @@ def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, nu
         positions, lies = plan.given.of(object_id, number)
     if lies is None:
         drawn = rng.normal(size=(plan.touches_of(object_id, number), 3))
-        lies = _shifted(drawn, x_m, y_m, angle_rad, shift=plan.shift)
+        lies = _shifted(drawn, x_m, y_m, angle_rad, perturb=plan.perturb)
     else:
         lies = np.concatenate([lies, lies[-1:]])  # where the object is after the last touch is not known
     z_m = 0.0 - solid.foot_m  # not -foot_m, which of a foot of 0 would be -0.0: other bytes
@@ -110,11 +110,11 @@ def generator(*words: str | int) -> np.random.Generator:
 
 
 def _shifted(
-    drawn: NDArray[np.float64], x_m: float, y_m: float, angle_rad: float, *, shift: bool
+    drawn: NDArray[np.float64], x_m: float, y_m: float, angle_rad: float, *, perturb: bool
 ) -> NDArray[np.float64]:
     """Return x, y and turn of the object at each touch and after the last, shape (T + 1, 3)."""
     lies = [(x_m, y_m, angle_rad)]
-    for dx_m, dy_m, turned_rad in (drawn * ([_SHIFT_M, _SHIFT_M, _SHIFT_RAD] if shift else 0.0)).tolist():
+    for dx_m, dy_m, turned_rad in (drawn * ([_SHIFT_M, _SHIFT_M, _SHIFT_RAD] if perturb else 0.0)).tolist():
         cosine, sine = cosine_sine(angle_rad)
         x_m, y_m = x_m + (cosine * dx_m - sine * dy_m), y_m + (sine * dx_m + cosine * dy_m)
         angle_rad += turned_rad
@@ -125,7 +125,7 @@ def _shifted(
 def _lying_place(
     plan: TouchPlan, solid: Pressable, angle_rad: float, drawn: NDArray[np.float64]
 ) -> tuple[float, float]:
-    if plan.lie == "middle":
+    if plan.object_placement == "middle":
         return 0.0, 0.0
     cosine, sine = cosine_sine(angle_rad)
     x, y, _ = solid.vertices_m.T
@@ -142,9 +142,9 @@ def _positions(
     plan: TouchPlan, solid: Pressable, poses: NDArray[np.float64], rng: np.random.Generator
 ) -> NDArray[np.float64]:
     reach: NDArray[np.float64] = np.array(REACH_M)
-    if plan.place == "cell":
+    if plan.positions == "cell":
         return (2.0 * rng.random((plan.touches, 2)) - 1.0) * reach
-    if plan.place == "grid":
+    if plan.positions == "grid":
         # The smallest square that holds them; its last row may be short.
         columns = math.isqrt(plan.touches - 1) + 1
         rows = -(-plan.touches // columns)

@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.sensor import CELL_M, Sensor, as_matrices, as_sensor, inverse_times
+from tactile_sim.sensor import CELL_M, Sensor, as_matrices, full_view, inverse_times
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import merge_equal_vertices
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike, as_mesh
@@ -219,7 +219,7 @@ class Pressed:
     sensor_z_m: Any
 
 
-def press(
+def render_touch(
     solid: MeshLike | Pressable | Sequence[MeshLike | Pressable],
     object_pose: Any,
     sensor_pose: Any,
@@ -257,7 +257,7 @@ def press(
     """
     from tactile_sim.kernels import rasterise, to_depth
 
-    sensor = as_sensor() if sensor is None else sensor
+    sensor = full_view() if sensor is None else sensor
     objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
     solids: list[Any] = list(solid) if isinstance(solid, (list, tuple)) else [solid]
     is_single = not isinstance(solid, (list, tuple)) and objects.ndim == targets.ndim == 2

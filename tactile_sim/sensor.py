@@ -84,7 +84,7 @@ class Sensor:
         }
 
 
-def as_sensor(width_px: int = 320, height_px: int = 240) -> Sensor:
+def full_view(width_px: int = 320, height_px: int = 240) -> Sensor:
     """Return a GelSight Mini that shows its whole surface, whatever the shape of the image.
 
     Parameters
@@ -102,7 +102,7 @@ def as_sensor(width_px: int = 320, height_px: int = 240) -> Sensor:
     return Sensor((width_px, height_px))
 
 
-def as_environment(width_px: int = 64, height_px: int = 64) -> Sensor:
+def center_view(width_px: int = 64, height_px: int = 64) -> Sensor:
     """Return the sensor as the published environments show it.
 
     Their orthographic camera (pyrender 0.1.50) takes the width of its window from the aspect of its pixels:
@@ -122,10 +122,6 @@ def as_environment(width_px: int = 64, height_px: int = 64) -> Sensor:
     checked = Sensor((width_px, height_px))
     width, height = checked.size_px
     return Sensor(checked.size_px, (_SURFACE_M[1] * width / height, _SURFACE_M[1]), sample_px=MESA_SAMPLE_PX)
-
-
-PRESETS = {"as-sensor": as_sensor, "as-environment": as_environment}
-"""Functions that give a sensor for a width and a height in pixels, by the names of the command line."""
 
 
 Matrix = NDArray[np.float64]

@@ -10,16 +10,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
+from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.contact import contact_height_option, size_option
 from tactile_toolkit.wording import plain
 
 if TYPE_CHECKING:
-    from tactile_sim.given import GivenTouches
     from tactile_sim.noise import SensorNoise
+    from tactile_sim.touch_table import TouchTable
 
 
-PLACES = ("cell", "grid", "object", "given")
+POSITIONS = ("cell", "grid", "object", "given")
 
 TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
 """Greatest turn of an object, radians: of the environments that classify, of all others, and none."""
@@ -28,18 +29,18 @@ TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
 _MOST_TOUCHES = 4096
 
 
-def _read_given(path: str) -> GivenTouches:
-    from tactile_sim.given import GivenTouches
+def _read_given(path: str) -> TouchTable:
+    from tactile_sim.touch_table import TouchTable
 
-    return GivenTouches.read(path)
+    return TouchTable.read(path)
 
 
 def _is_table(given: Any) -> bool:
     if given is None:
         return False
-    from tactile_sim.given import GivenTouches
+    from tactile_sim.touch_table import TouchTable
 
-    return isinstance(given, GivenTouches)
+    return isinstance(given, TouchTable)
 
 
 _WINDOWS = {"center": "environment", "full": "published"}
@@ -71,6 +72,7 @@ def _noise(words: str) -> SensorNoise | None:
     return SensorNoise.named(words)
 
 
+@former_attributes(place="positions", lie="object_placement", shift="perturb")
 @dataclass(frozen=True)
 class TouchPlan:
     """How often and where each object is touched.
@@ -81,18 +83,18 @@ class TouchPlan:
         Rounds of each object; the object lies again in each.
     touches : int
         Number of touches in a round.
-    place : str
+    positions : str
         Where the gel goes: ``"cell"``, uniform in what it reaches; ``"grid"``, rows from the front left;
         ``"object"``, uniform on the object as seen from above; ``"given"``, as ``given`` says.
-    given : GivenTouches, optional
-        Where the gel goes with ``place="given"``, and how the object lies, if it says so. Then ``touches`` is
-        the most that a round of it has, and ``rounds`` is what it holds, if it numbers them.
+    given : TouchTable, optional
+        Where the gel goes with ``positions="given"``, and how the object lies, if it says so. Then
+        ``touches`` is the most that a round of it has, and ``rounds`` is what it holds, if it numbers them.
     turn_rad : float
         Objects are turned about z by up to this much either way, radians; 0 leaves them as they are.
-    lie : str
+    object_placement : str
         ``"random"``: anywhere in the cell, a centimetre from its edge, as in the environments; ``"middle"``:
         the origin of the mesh in the middle of the cell.
-    shift : bool
+    perturb : bool
         Move the object after each touch as the environments do: N(0, 1 mm) along x and y of its own frame,
         and N(0, 0.05 rad) about z.
     seed : int
@@ -101,14 +103,13 @@ class TouchPlan:
 
     rounds: int = integer(16, 1, help="Number of rounds of each object.")
     touches: int = integer(32, 1, _MOST_TOUCHES, help="Number of touches in a round.")
-    place: str = choice(
+    positions: str = choice(
         "cell",
-        PLACES,
-        name="--positions",
+        POSITIONS,
         help="Where the gel goes: at random in the cell, on a grid, at random on the object, or as given "
         "by --touches-from.",
     )
-    given: GivenTouches | None = text(
+    given: TouchTable | None = text(
         name="--touches-from",
         metavar="FILE",
         read=_read_given,
@@ -125,19 +126,19 @@ class TouchPlan:
         read=_turn_rad,
         help="Random rotation of the object: up to 22.5 degrees, any angle, or none.",
     )
-    lie: str = choice("random", ("random", "middle"))
-    shift: bool = switch(
-        True, name="--perturb", help="Move the object a little after each touch, as the environments do."
+    object_placement: str = choice("random", ("random", "middle"))
+    perturb: bool = switch(
+        True, help="Move the object a little after each touch, as the environments do."
     )
     seed: int = integer(0, help="Random seed.")
 
     def __post_init__(self) -> None:
         given = self.given
-        if (self.place == "given") != _is_table(given):
+        if (self.positions == "given") != _is_table(given):
             held = "none" if given is None else type(given).__name__
             raise InputError(
-                f"the plan of touches has place {self.place!r}, and its given touches are {held}; expected "
-                "place 'given' and a GivenTouches, or neither",
+                f"the plan of touches has positions {self.positions!r}, and its given touches are {held}; "
+                "expected positions 'given' and a TouchTable, or neither",
                 next="--positions given --touches-from FILE",
             )
         if given is not None:
@@ -151,7 +152,12 @@ class TouchPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values that decide every pose."""
-        found = {each.name: getattr(self, each.name) for each in fields(self)}
+        stored = {
+            "positions": "place",
+            "object_placement": "lie",
+            "perturb": "shift",
+        }  # as manifests name them
+        found = {stored.get(each.name, each.name): getattr(self, each.name) for each in fields(self)}
         return {**found, "given": None if self.given is None else self.given.to_dict()}
 
 
@@ -159,6 +165,20 @@ class TouchPlan:
 _LEAST_CROP_PX = 32
 
 
+_FORMER_SETTINGS = {
+    "judge_filters": "discriminator_filters",
+    "judge_noise": "discriminator_noise",
+    "start_steps": "pretrain_steps",
+    "level_weight": "background_weight",
+}
+
+
+def renamed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
+    """Return settings of a training by the names of today, as earlier versions stored others."""
+    return {_FORMER_SETTINGS.get(name, name): value for name, value in config.items()}
+
+
+@former_attributes(**_FORMER_SETTINGS)
 @dataclass(frozen=True)
 class TrainConfig:
     """Settings of a training. The paper gives crops and nothing else; Zhu et al. 2017 means CycleGAN's paper.
@@ -167,11 +187,11 @@ class TrainConfig:
     ----------
     filters, blocks : int
         Of the generators: those of the published weights.
-    judge_filters : int
+    discriminator_filters : int
         Of the discriminators (Zhu et al. 2017).
     steps : int
         Optimiser steps; ours: ten passes over 20,000 pictures.
-    start_steps : int
+    pretrain_steps : int
         First steps, in which both directions also learn from pairs that simulation knows: depth, and the
         relief that Taxim shows of it, on what the real touches show of nothing (needs the extra ``sim``; 0
         does not). It has the weight of the cycles, which falls to 0; ours. Pictures that are not paired do
@@ -187,7 +207,7 @@ class TrainConfig:
     depth_cycle_weight, touch_cycle_weight, identity_weight : float
         Weights of the losses next to the adversarial one (Zhu et al. 2017: 10, 10 and 5). Most of a touch is
         background: where no relief is learned, weigh the cycle of touches more.
-    level_weight : float
+    background_weight : float
         Weight of what is known without pairs, if there are touches without contact: they have no depth, and
         where depth has no contact a touch looks as they do; ours. It keeps depth and relief in one place.
     sensor_noise : SensorNoise, optional
@@ -197,7 +217,7 @@ class TrainConfig:
     noise : float
         White noise over all touches that the way back is shown, of values from -1 to 1: up to this standard
         deviation; ours. It keeps generators from hiding depth in invisible marks.
-    judge_noise : float
+    discriminator_noise : float
         The same over all touches that discriminators are shown at first; it falls linearly to 0 until the
         learning rate begins to fall. Ours: they see coarse things first, and fine ones in the end.
     pool : int
@@ -210,9 +230,9 @@ class TrainConfig:
 
     filters: int = integer(64, 1, 1024, help="Number of filters of the generators.")
     blocks: int = integer(9, 0, 64, help="Number of residual blocks.")
-    judge_filters: int = integer(64, 1, 1024)
+    discriminator_filters: int = integer(64, 1, 1024, name="--judge-filters")
     steps: int = integer(200_000, 1, 10**9, help="Total number of steps.")
-    start_steps: int = integer(2500, 0, 10**9)
+    pretrain_steps: int = integer(2500, 0, 10**9, name="--start-steps")
     batch: int = integer(1, 1, 4096, help="Images of each kind in a step.")
     crop: float = real(0.875, 0.1, 1)
     learning_rate: float = real(2e-4, 1e-8, 1, help="Learning rate of Adam.")
@@ -221,7 +241,7 @@ class TrainConfig:
     depth_cycle_weight: float = real(10.0, 0, 1e4)
     touch_cycle_weight: float = real(10.0, 0, 1e4)
     identity_weight: float = real(5.0, 0, 1e4)
-    level_weight: float = real(10.0, 0, 1e4)
+    background_weight: float = real(10.0, 0, 1e4, name="--level-weight")
     sensor_noise: SensorNoise | None = text(
         metavar="none|calibrated|FILE",
         shown="none",
@@ -230,7 +250,7 @@ class TrainConfig:
         "--sensor-noise`.",
     )
     noise: float = real(0.0, 0, 1)
-    judge_noise: float = real(0.0, 0, 1)
+    discriminator_noise: float = real(0.0, 0, 1, name="--judge-noise")
     pool: int = integer(50, 0, 10_000)
     seed: int = integer(0, 0, 2**63, help="Random seed.")
     checkpoint_every: int = integer(1000, 1, 10**9)
@@ -263,7 +283,7 @@ class TrainConfig:
                 f"--config {str(path)!r} cannot be read ({error}); expected a TOML file"
             ) from error
         known = [each.name for each in fields(cls)]
-        unknown = [name for name in held if name not in known]
+        unknown = [name for name in held if name not in {*known, *_FORMER_SETTINGS}]
         if unknown:
             raise InputError(
                 f"--config {str(path)!r} has {unknown[0]!r}; expected some of {', '.join(known)}"
@@ -289,9 +309,9 @@ class TrainConfig:
         left = 1.0 if step < start else (self.steps - step) / max(self.steps - start, 1.0)
         return self.learning_rate * left
 
-    def judge_noise_at(self, step: int) -> float:
+    def discriminator_noise_at(self, step: int) -> float:
         """Return the noise that discriminators are shown at a step, counted from 0."""
-        return self.judge_noise * max(0.0, 1 - step / max(self.decay_from * self.steps, 1.0))
+        return self.discriminator_noise * max(0.0, 1 - step / max(self.decay_from * self.steps, 1.0))
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -320,7 +340,7 @@ class PictureOptions:
         shown="taxim; depth without the extra sim",
         help="How an image is made from depth.",
     )
-    like: str = _window_option(
+    window: str = _window_option(
         "environment",
         "center: what the environments show in this size; full: the full view of the sensor, as in published "
         "sets.",
@@ -358,6 +378,7 @@ def _metres(words: str) -> float:
 _SIDES_PX = range(16, 2049, 4)
 
 
+@former_attributes(like="window")
 @dataclass(frozen=True)
 class PairsSpec:
     """Everything that decides a training set of learned rendering.
@@ -373,7 +394,7 @@ class PairsSpec:
     min_height_m : float or None
         A gel that stops so far above the plate touched an object, metres; None: the rule of the real touches,
         see :meth:`realtouch.dataset.Touches.in_contact`, for both.
-    like : str
+    window : str
         ``"published"``: depth of the whole sensor, squashed into the size as the real touches are;
         ``"environment"``: the window that the environments show.
     image_format : str
@@ -392,7 +413,7 @@ class PairsSpec:
     min_height_m: float | None = contact_height_option(
         above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
     )
-    like: Literal["published", "environment"] = _window_option(
+    window: Literal["published", "environment"] = _window_option(
         "published",
         "full: depth of the full view of the sensor, as real touches show it; center: as environments do.",
     )
@@ -416,4 +437,5 @@ class PairsSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values that decide every row."""
-        return asdict(self)
+        # Manifests name the window so.
+        return {"like" if name == "window" else name: value for name, value in asdict(self).items()}

@@ -15,11 +15,13 @@ from mnist3d.sources.synthetic import SyntheticSource
 
 mesh = mnist3d.solidify(SyntheticSource(seed=0).image(1234).pixels)
 solid = tactile_sim.Pressable.of(mesh)
-sensor = tactile_sim.as_sensor(320, 240)
+sensor = tactile_sim.full_view(320, 240)
 places_m = [(0.0, 0.012), (0.012, 0.0), (0.0, -0.008), (-0.012, -0.016)]
 
 on_the_plate = tactile_sim.pose(z_m=-solid.foot_m)
-pressed = [tactile_sim.press(solid, on_the_plate, tactile_sim.pose(*place), sensor) for place in places_m]
+pressed = [
+    tactile_sim.render_touch(solid, on_the_plate, tactile_sim.pose(*place), sensor) for place in places_m
+]
 depth_m = np.stack([each.depth_m for each in pressed])
 
 figure, axes = plt.subplots(2, 4, figsize=(8, 3.6), layout="constrained")

@@ -77,9 +77,10 @@ def make(
         Settings that differ from those of the registration, by the names of ``TactilePerceptionConfig`` or
         ``TactileRealSnapConfig``, such as ``{"perturb_object_pose": False}``.
     renderer : "opengl" or "fast"
-        ``"fast"`` renders the touches of depth environments without OpenGL, by :func:`tactile_sim.press`: the
-        same pictures, to a micrometre of depth, as with Mesa's driver; in ``info["depth"]``, single pixels
-        beyond the reach of the gel may differ by millimetres. Not for Taxim, CycleGAN or recorded touches;
+        ``"fast"`` renders the touches of depth environments without OpenGL, by
+        :func:`tactile_sim.render_touch`: the same pictures, to a micrometre of depth, as with Mesa's driver;
+        in ``info["depth"]``, single pixels beyond the reach of the gel may differ by millimetres. Not for
+        Taxim, CycleGAN or recorded touches;
         ``render()`` still draws the scene with OpenGL. The extra ``sim`` makes it fast.
     weights : str or path, optional
         Weights for the sensor of CycleGAN environments: ``depth_to_touch.npz`` of ``tactile-sim train``, of

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from env_assets.published.ids import PublishedEnvironment
 from env_assets.published.packages import published_package
-from tactile_sim.pressing import Pressable, press
-from tactile_sim.sensor import as_environment
+from tactile_sim.pressing import Pressable, render_touch
+from tactile_sim.sensor import center_view
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.files import expanded
 
@@ -46,7 +46,7 @@ def render_fast(env: Any) -> None:
     inner._renderer.__class__ = _fast_renderer()
     width, height = inner.single_observation_space["sensor_img"].shape[1::-1]
     across_m, up_m = map(float, inner.config.cell_size)
-    inner._renderer.press_instead(inner.num_envs, as_environment(width, height), (across_m, up_m))
+    inner._renderer.press_instead(inner.num_envs, center_view(width, height), (across_m, up_m))
 
 
 @cache
@@ -93,7 +93,7 @@ def _fast_renderer() -> Any:
             """Return the distance of the surface from the target of each sensor, (n, H, W), metres."""
             targets = (self.sensor_poses if virtual_sensor_poses is None else virtual_sensor_poses).matrix
             solids = [self._solids[id(point.mesh)][1] for point in self._points]
-            pressed = press(solids, self._poses, targets, self._sensor, cell_m=self._cell_m)
+            pressed = render_touch(solids, self._poses, targets, self._sensor, cell_m=self._cell_m)
             # `press` measures from where the sensor stopped, the package from where it was to go.
             travel_m = (pressed.sensor_z_m - targets[:, 2, 3]) / targets[:, 2, 2]
             return np.asarray(pressed.depth_m - travel_m[:, None, None])
@@ -161,7 +161,7 @@ def _learned_renderer() -> Any:
             from tactile_sim.learned.networks import depth_channels
             from tactile_sim.pressing import depth_image
 
-            shown = depth_image(depth.cpu().numpy(), as_environment(*self._size_px))
+            shown = depth_image(depth.cpu().numpy(), center_view(*self._size_px))
             with torch.inference_mode():
                 # Generators end in tanh, -1 to 1; the package wants 0 to 1.
                 return (self._generator(depth_channels(shown).to(self.torch_device)) + 1) / 2

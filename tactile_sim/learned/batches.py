@@ -65,7 +65,7 @@ class Batches:
         self._config = config
         self._rank = rank
         self._crop = config.crop_px(pairs.size_px)
-        self._taxim = by_taxim(pairs) if config.start_steps else None
+        self._taxim = by_taxim(pairs) if config.pretrain_steps else None
         # One batch ahead is enough, as decoding is much faster than a step; a thread, as decoders and torch
         # leave the interpreter's lock.
         self._pool = ThreadPoolExecutor(1)
@@ -103,7 +103,7 @@ class Batches:
         parts = [depth_channels(images)]
         if self._level is not None:
             parts.append(self._level.expand(len(images), -1, -1, -1))
-        taxim = self._taxim if step < self._config.start_steps else None
+        taxim = self._taxim if step < self._config.pretrain_steps else None
         if taxim is not None:
             parts.append(self._simulated(images, taxim))
         cropped = self._cropped(torch.cat(parts, dim=1), rng)

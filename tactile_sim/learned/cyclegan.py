@@ -14,7 +14,7 @@ from tactile_sim.spec import TrainConfig
 
 LOSSES = tuple(
     f"{name}_{loss}"
-    for loss in ("adversarial", "cycle", "identity", "level", "start", "judge")
+    for loss in ("adversarial", "cycle", "identity", "background", "pretrain", "discriminator")
     for name in ("touch", "depth")
 )
 """What a step reports; those that compare pictures are mean absolute errors of values from -1 to 1."""
@@ -66,15 +66,18 @@ class CycleGan:
         self.networks = {
             "touch": Generator(config.filters, config.blocks),
             "depth": Generator(config.filters, config.blocks),
-            "touch_judge": discriminator(config.judge_filters),
-            "depth_judge": discriminator(config.judge_filters),
+            "touch_discriminator": discriminator(config.discriminator_filters),
+            "depth_discriminator": discriminator(config.discriminator_filters),
         }
         for number, network in enumerate(self.networks.values()):
             # Four networks, four seeds, none shared by two trainings of neighbouring seeds.
             initialise(network, config.seed * 4 + number)
             # The layout that convolutions of few filters are fastest in, on CPUs and GPUs.
             network.to(device, memory_format=torch.channels_last).train()
-        names = {"generators": ("touch", "depth"), "judges": ("touch_judge", "depth_judge")}
+        names = {
+            "generators": ("touch", "depth"),
+            "discriminators": ("touch_discriminator", "depth_discriminator"),
+        }
         self.parameters = {
             key: [each for name in group for each in self.networks[name].parameters()]
             for key, group in names.items()
@@ -87,13 +90,13 @@ class CycleGan:
         self.pools = {name: _Pool(config.pool) for name in ("touch", "depth")}
         of_pixels = {"touch": config.touch_cycle_weight, "depth": config.depth_cycle_weight}
         self._weights = {
-            f"{name}_{loss}": of_pixels[name] for name in of_pixels for loss in ("cycle", "start")
+            f"{name}_{loss}": of_pixels[name] for name in of_pixels for loss in ("cycle", "pretrain")
         }
         self._weights |= {f"{name}_identity": config.identity_weight for name in of_pixels}
-        self._weights |= {f"{name}_level": config.level_weight for name in of_pixels}
+        self._weights |= {f"{name}_background": config.background_weight for name in of_pixels}
         self._noise = torch.Generator(device)
         self._run = {
-            name: torch.compile(network) if compiled and not name.endswith("judge") else network
+            name: torch.compile(network) if compiled and not name.endswith("discriminator") else network
             for name, network in self.networks.items()
         }
 
@@ -106,33 +109,33 @@ class CycleGan:
             for group in optimiser.param_groups:
                 group["lr"] = self.config.rate(number)
         self._noise.manual_seed(int(rng.integers(2**62)))
-        judged = self.config.judge_noise_at(number)
+        deviation = self.config.discriminator_noise_at(number)
         real = {"touch": self._to_device(batch.touch), "depth": self._to_device(batch.depth)}
         places = {"touch": self._to_device(batch.where), "depth": real["depth"][:, :2]}
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             # bfloat16 keeps the range of float32, so that no loss has to be scaled.
-            made, losses = self._generator_losses(real, places, judged, rng)
-            if self.config.level_weight and batch.level is not None:
+            made, losses = self._generator_losses(real, places, deviation, rng)
+            if self.config.background_weight and batch.level is not None:
                 losses |= self.background_losses(made, real["depth"][:, 2:], batch)
             if batch.simulated is not None:
-                losses |= self._start_losses(made["touch"], batch.simulated, real["depth"], rng)
+                losses |= self._pretrain_losses(made["touch"], batch.simulated, real["depth"], rng)
             total = sum(self._weight(name, number) * loss for name, loss in losses.items())
         self._descend("generators", total)
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             for name in ("touch", "depth"):
                 shown = self._add_sensor_noise(name, self.pools[name].exchange(made[name], rng), rng)
                 # Each picture is normalised alone, so that both kinds can be shown at once.
-                both = self._add_white_noise(name, torch.cat([real[name], shown]), judged)
-                verdicts = self._run[f"{name}_judge"](both)
+                both = self._add_white_noise(name, torch.cat([real[name], shown]), deviation)
+                verdicts = self._run[f"{name}_discriminator"](both)
                 # Least squares (Mao et al. 2017), here and above.
                 mistaken = ((verdicts[: len(shown)] - 1) ** 2).mean() + (verdicts[len(shown) :] ** 2).mean()
-                losses[f"{name}_judge"] = 0.5 * mistaken
-            judging = losses["touch_judge"] + losses["depth_judge"]
-        self._descend("judges", judging)
+                losses[f"{name}_discriminator"] = 0.5 * mistaken
+            mistakes = losses["touch_discriminator"] + losses["depth_discriminator"]
+        self._descend("discriminators", mistakes)
         return {name: float(losses[name].detach()) if name in losses else 0.0 for name in LOSSES}
 
     def _weight(self, name: str, number: int) -> float:
-        fading = 1 - number / self.config.start_steps if name.endswith("start") else 1.0
+        fading = 1 - number / self.config.pretrain_steps if name.endswith("pretrain") else 1.0
         return fading * self._weights.get(name, 1.0)
 
     def _to_device(self, pictures: Any) -> Any:
@@ -159,27 +162,27 @@ class CycleGan:
         return self._add_white_noise(name, pictures, self.config.noise * rng.random())
 
     def _generator_losses(
-        self, real: dict[str, Any], places: dict[str, Any], judged: float, rng: np.random.Generator
+        self, real: dict[str, Any], places: dict[str, Any], deviation: float, rng: np.random.Generator
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        for parameter in self.parameters["judges"]:
+        for parameter in self.parameters["discriminators"]:
             parameter.requires_grad_(False)
-        # Without gradients for the judges: they learn from the same pictures below, in a step of their own.
+        # Discriminators learn from the same pictures below, in a step of their own.
         made, losses = {}, {}
         for name, other in (("touch", "depth"), ("depth", "touch")):
             made[name] = self._make(name, self._add_cycle_noise(other, real[other], rng), places[other])
             seen = self._add_sensor_noise(name, made[name], rng)
-            verdicts = self._run[f"{name}_judge"](self._add_white_noise(name, seen, judged))
+            verdicts = self._run[f"{name}_discriminator"](self._add_white_noise(name, seen, deviation))
             losses[f"{name}_adversarial"] = ((verdicts - 1) ** 2).mean()
             again = self._make(other, self._add_cycle_noise(name, seen, rng), places[other])
             losses[f"{other}_cycle"] = _mean_error(other, again, real[other])
             if self.config.identity_weight:
                 same = self._make(name, real[name], places[name])
                 losses[f"{name}_identity"] = _mean_error(name, same, real[name])
-        for parameter in self.parameters["judges"]:
+        for parameter in self.parameters["discriminators"]:
             parameter.requires_grad_(True)
         return made, losses
 
-    def _start_losses(
+    def _pretrain_losses(
         self, made: Any, simulated: Any, depth: Any, rng: np.random.Generator
     ) -> dict[str, Any]:
         """Compare what both directions make with pairs that simulation knows."""
@@ -187,8 +190,8 @@ class CycleGan:
         sensed = self._add_cycle_noise("touch", self._add_sensor_noise("touch", shown, rng), rng)
         again = self._make("depth", sensed, depth[:, :2])
         return {
-            "touch_start": _mean_error("touch", made, shown),
-            "depth_start": _mean_error("depth", again, depth),
+            "touch_pretrain": _mean_error("touch", made, shown),
+            "depth_pretrain": _mean_error("depth", again, depth),
         }
 
     def background_losses(self, made: dict[str, Any], depth: Any, batch: Batch) -> dict[str, Any]:
@@ -202,9 +205,9 @@ class CycleGan:
         level = self._to_device(batch.level)
         nothing = 1.0 - batch.contact.to(self.device, torch.float32)
         return {
-            "touch_level": ((made["touch"] - level).abs() * (1 - pressed)).mean(),
+            "touch_background": ((made["touch"] - level).abs() * (1 - pressed)).mean(),
             # Not quite 1: where the last layer is saturated, nothing is learned any more.
-            "depth_level": ((_LEVEL - made["depth"][:, 2:]).relu() * nothing).mean(),
+            "depth_background": ((_LEVEL - made["depth"][:, 2:]).relu() * nothing).mean(),
         }
 
     def _descend(self, key: str, loss: Any) -> None:
@@ -226,10 +229,11 @@ class CycleGan:
 
     def load_state(self, state: dict[str, Any], pools: dict[str, list[Any]]) -> None:
         """Take what :meth:`state` and :meth:`pool_state` returned."""
-        for name, network in self.networks.items():
-            network.load_state_dict(state["networks"][name])
-        for name, optimiser in self.optimisers.items():
-            optimiser.load_state_dict(state["optimisers"][name])
+        # Earlier versions called discriminators judges.
+        for name, stored in state["networks"].items():
+            self.networks[name.replace("judge", "discriminator")].load_state_dict(stored)
+        for name, stored in state["optimisers"].items():
+            self.optimisers[name.replace("judge", "discriminator")].load_state_dict(stored)
         for name, pool in self.pools.items():
             pool.held = [picture.to(self.device) for picture in pools[name]]
 

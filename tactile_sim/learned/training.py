@@ -43,7 +43,7 @@ from tactile_sim.learned.networks import (
 )
 from tactile_sim.pairs import SPLITS, Pairs
 from tactile_sim.plan import generator
-from tactile_sim.spec import TrainConfig
+from tactile_sim.spec import TrainConfig, renamed_settings
 from tactile_toolkit.errors import (
     InputError,
     IntegrityError,
@@ -160,12 +160,12 @@ def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
                 "of it",
                 next="a larger --count or a smaller --without-contact of `tactile-sim pairs`",
             )
-    if config.start_steps:
+    if config.pretrain_steps:
         try:
             by_taxim(data)
         except MissingExtraError as error:
             raise InputError(
-                f"{error}, or leave out the pairs of the first steps: --start-steps 0"
+                f"{error}, or leave out the pairs of the first steps: pretrain_steps = 0"
             ) from error
 
 
@@ -214,7 +214,7 @@ def _claim(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> 
         there = decode(folder.read_bytes(_SETTINGS), _Settings, folder.address(_SETTINGS))
         # As they would be read back: tuples become lists.
         wanted = json.loads(json.dumps(settings))
-        found = {**there.config, "pairs": there.pairs}
+        found = {**renamed_settings(there.config), "pairs": there.pairs}
         for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
             if found.get(name) != value:
                 raise SpecMismatchError(

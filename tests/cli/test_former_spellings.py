@@ -129,8 +129,6 @@ def test_settings_of_a_training_that_are_in_its_file_now(tmp_path, capsys):
     pytest.importorskip("torch", reason="needs torch, of the extra torch")
     assert call("tactile-sim", "train", tmp_path / "nowhere", "--judge-filters", 4, "--steps", 1) == 2
     said = capsys.readouterr().err
-    expected = (
-        "warning: --judge-filters is deprecated; next: write judge_filters = 4 into the file of --config"
-    )
+    expected = "warning: --judge-filters is deprecated; next: write discriminator_filters = 4 into the file"
     assert expected in said
     assert said.count("warning") == 1

@@ -143,5 +143,5 @@ def test_specifications_give_commands_their_options():
     group = typer.main.get_command(import_module("cli.tactile_sim").app)
     options = {text for each in group.commands["generate"].params for text in each.opts}
     assert {"--rounds", "--turn", "--touches-from"} <= options
-    assert "--lie" not in options
-    assert "lie" in TouchPlan.__dataclass_fields__
+    assert "--object-placement" not in options
+    assert "object_placement" in TouchPlan.__dataclass_fields__

@@ -10,8 +10,8 @@ import env_assets
 import mnist3d
 from tactile_envs.kernels import LANES, PADDING, raise_object, raise_pixels
 from tactile_envs.meshes import MeshPool
-from tactile_sim.pressing import Pressable, press
-from tactile_sim.sensor import as_environment, pose
+from tactile_sim.pressing import Pressable, render_touch
+from tactile_sim.sensor import center_view, pose
 
 
 @numba.njit(error_model="numpy")
@@ -49,7 +49,7 @@ def test_what_is_drawn_is_what_pressing_gives(name, assets):
     """To a hundredth of a micrometre at pixels that show, but for those on the edge of an upright wall."""
     meshes = env_assets.AssetProvider(assets).meshes(name)
     pool = MeshPool.of(meshes)
-    sensor, random = as_environment(64, 64), np.random.default_rng(0)
+    sensor, random = center_view(64, 64), np.random.default_rng(0)
     per_m = 64 / sensor.window_m[0]
     heights = np.zeros((64, 64 + PADDING), np.float32)
     off = pixels = 0
@@ -69,7 +69,7 @@ def test_what_is_drawn_is_what_pressing_gives(name, assets):
         raise_object(heights, *pool.arrays[:3], pool.grids[number], *turned, x_px, y_px, per_m, 64)
         found = heights[::-1, :64]
         depth_m = np.minimum(sensor.press_m + found.max() - found, sensor.gel_m)
-        truth = press(Pressable.of(meshes[number], check=False), lies, gel, sensor).depth_m
+        truth = render_touch(Pressable.of(meshes[number], check=False), lies, gel, sensor).depth_m
         off += int((np.abs(depth_m - np.minimum(truth, sensor.gel_m)) > 1e-8).sum())
         pixels += depth_m.size
     assert off <= 1e-5 * pixels

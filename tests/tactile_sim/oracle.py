@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from env_assets.published.packages import published_package
-from tactile_sim.sensor import Sensor, as_environment
+from tactile_sim.sensor import Sensor, center_view
 from tactile_toolkit.errors import MissingExtraError
 
 PRESS_M, GEL_M = 0.002125, 0.00425
@@ -69,7 +69,7 @@ class Oracle:
             glGetMultisamplefv(GL_SAMPLE_POSITION, 0, place)
             egl._shared.release()
         x, y = (float(each) - 0.5 for each in place)
-        return dataclasses.replace(as_environment(*self._size), sample_px=(x, y))
+        return dataclasses.replace(center_view(*self._size), sample_px=(x, y))
 
 
 def require_package() -> None:

@@ -25,10 +25,10 @@ from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 
 
 def _depths(size):
-    sensor = tactile_sim.as_environment(*size)
+    sensor = tactile_sim.center_view(*size)
     targets = np.stack([tactile_sim.pose(*place) for place in ((0, 0), (0.004, 0.001), (0.04, 0))])
     solids = [ball(0.006), block(), block()]
-    return sensor, tactile_sim.press(solids, tactile_sim.pose(turn_rad=0.3), targets, sensor).depth_m
+    return sensor, tactile_sim.render_touch(solids, tactile_sim.pose(turn_rad=0.3), targets, sensor).depth_m
 
 
 @pytest.fixture(scope="module")

@@ -88,7 +88,7 @@ def test_a_set_is_what_its_poses_say(scenes, touches):
         solid = solids[[s.id for s in solids].index(record.object_id)]
         touched = record.info["touched_object_pose"]
         targets = np.stack([tactile_sim.pose(*place) for place in record.pos_in_cell])
-        pressed = tactile_sim.press(solid, touched.matrix, targets, tactile_sim.as_environment(64, 48))
+        pressed = tactile_sim.render_touch(solid, touched.matrix, targets, tactile_sim.center_view(64, 48))
         assert np.abs(pressed.sensor_z_m - record.gel_pose_cell_frame.position_m[:, 2]).max() < 1e-9
         stored = record.sensor_image[0][..., 0]
         assert np.abs(stored - pressed.image[0] * 255).max() <= 0.51
@@ -108,7 +108,7 @@ def test_published_is_the_whole_sensor_rendered_large_and_scaled(scenes, tmp_pat
     for record in realtouch.load(tmp_path / "made", "train"):
         solid = solids[[s.id for s in solids].index(record.object_id)]
         targets = np.stack([tactile_sim.pose(*place) for place in record.pos_in_cell])
-        pressed = tactile_sim.press(solid, record.info["touched_object_pose"].matrix, targets, whole)
+        pressed = tactile_sim.render_touch(solid, record.info["touched_object_pose"].matrix, targets, whole)
         grey = np.rint(pressed.image * np.float32(255)).reshape(-1, 48, 5, 64, 5).mean(axis=(2, 4))
         stored = record.sensor_image[:]
         assert stored.shape == (5, 48, 64, 3)
@@ -138,7 +138,7 @@ def test_touches_of_the_published_renderer_are_made_again_from_a_table(tmp_path)
             images.append((np.clip(depth_m, PRESS_M, GEL_M) - PRESS_M) / (GEL_M - PRESS_M))
             for name, value in zip(TABLE_COLUMNS, (*gel, solid.id, *lies), strict=True):
                 table[name].append(value)
-    plan = tactile_sim.TouchPlan(1, place="given", given=tactile_sim.GivenTouches(**table))
+    plan = tactile_sim.TouchPlan(1, positions="given", given=tactile_sim.TouchTable(**table))
     tactile_sim.generate(
         scenes,
         tactile_sim.GenerateSpec(optics="depth", plan=plan, image_format="png"),
@@ -194,15 +194,17 @@ def test_rounds_follow_from_seed_split_object_and_number():
 
 def test_places_of_touches():
     solid, draw = tactile_sim.Pressable.of(block((0.05, 0.004, 0.003))), tactile_sim.plan_round
-    grid = draw(tactile_sim.TouchPlan(1, 9, place="grid"), solid, "train", 0, 0).positions_m
+    grid = draw(tactile_sim.TouchPlan(1, 9, positions="grid"), solid, "train", 0, 0).positions_m
     assert np.ptp(grid, axis=0) == pytest.approx(2 * np.array(REACH_M) * 2 / 3)
-    plan = tactile_sim.TouchPlan(1, 200, place="object", turn_rad=np.pi, lie="middle", shift=False)
+    plan = tactile_sim.TouchPlan(
+        1, 200, positions="object", turn_rad=np.pi, object_placement="middle", perturb=False
+    )
     made = draw(plan, solid, "train", 0, 0)
     targets = np.stack([tactile_sim.pose(*place) for place in made.positions_m])
     point = tactile_sim.Sensor((1, 1), (1e-6, 1e-6))
-    pressed = tactile_sim.press(solid, made.object_poses[:-1], targets, point)
+    pressed = tactile_sim.render_touch(solid, made.object_poses[:-1], targets, point)
     assert (pressed.sensor_z_m > 0.0029 + point.press_m).all()
-    still = draw(tactile_sim.TouchPlan(1, 2, shift=False, turn_rad=0.0), solid, "train", 0, 0)
+    still = draw(tactile_sim.TouchPlan(1, 2, perturb=False, turn_rad=0.0), solid, "train", 0, 0)
     assert (still.object_poses[0] == still.object_poses[-1]).all()
 
 
@@ -220,11 +222,11 @@ def test_shifts_are_as_large_as_those_of_the_environments():
     [
         {"rounds": 0},
         {"touches": 1.5},
-        {"place": "moon"},
+        {"positions": "moon"},
         {"turn_rad": 4.0},
         {"turn_rad": "far"},
-        {"lie": "there"},
-        {"shift": 3},
+        {"object_placement": "there"},
+        {"perturb": 3},
         {"seed": -1},
     ],
 )

@@ -43,7 +43,7 @@ def test_layers_are_where_a_walk_along_the_line_of_sight_meets_them(slope, lean)
     solid = tactile_sim.Pressable.of(ramp, layer_m=LAYER_M)
     sensor = tactile_sim.Sensor((41, 1), (0.004, 0.0001))
     target = tilted(abs(lean), 0.0 if lean >= 0 else np.pi, -0.002 if slope < 1 else -0.01)
-    felt = tactile_sim.press(solid, tactile_sim.pose(), target, sensor)
+    felt = tactile_sim.render_touch(solid, tactile_sim.pose(), target, sensor)
     heights = felt.sensor_z_m / target[2, 2] - felt.depth_m[0]
     along = target[:3, 2]
     places = (np.arange(41) - 20) * 0.004 / 41
@@ -76,46 +76,46 @@ def test_numba_and_numpy_give_the_same_layers(size, turn, lean, x_m, solid):
         (tactile_sim.pose(turn_rad=turn), tilted(min(lean, 0.8), turn, x_m)),
     ):
         found = [
-            press(prepared, object_pose, target, tactile_sim.as_environment(*size))
-            for press in (tactile_sim.press, reference.press)
+            press(prepared, object_pose, target, tactile_sim.center_view(*size))
+            for press in (tactile_sim.render_touch, reference.press)
         ]
         assert found[0].depth_m.tobytes() == found[1].depth_m.tobytes()
         assert found[0].sensor_z_m == found[1].sensor_z_m
 
 
 def test_tops_end_at_whole_layers_and_feet_stay_flat():
-    sensor = tactile_sim.as_sensor(64, 48)
+    sensor = tactile_sim.full_view(64, 48)
     for height_mm, layers in ((4.0, 10), (4.19, 10), (4.2, 11), (4.41, 11)):
         solid = tactile_sim.Pressable.of(block((0.03, 0.03, height_mm / 1000)), layer_m=LAYER_M)
-        felt = tactile_sim.press(solid, tactile_sim.pose(), tactile_sim.pose(), sensor)
+        felt = tactile_sim.render_touch(solid, tactile_sim.pose(), tactile_sim.pose(), sensor)
         assert felt.sensor_z_m == pytest.approx(layers * LAYER_M + sensor.press_m, abs=1e-12)
         assert np.ptp(felt.depth_m) < 1e-12
     turned = tilted(np.pi, 0.0)
     turned[2, 3] = 0.00441
-    felt = tactile_sim.press(solid, turned, tactile_sim.pose(), sensor)
+    felt = tactile_sim.render_touch(solid, turned, tactile_sim.pose(), sensor)
     assert felt.sensor_z_m == pytest.approx(0.00441 + sensor.press_m, abs=1e-12)
 
 
 def test_layers_turn_and_move_with_their_solid():
     solid = tactile_sim.Pressable.of(ball(), layer_m=LAYER_M)
     sensor = tactile_sim.Sensor((65, 65), (0.01, 0.01))
-    one = tactile_sim.press(solid, tactile_sim.pose(), tactile_sim.pose(), sensor)
+    one = tactile_sim.render_touch(solid, tactile_sim.pose(), tactile_sim.pose(), sensor)
     lean, place = tilted(0.5, 0.7), tactile_sim.pose(0.011, -0.005, 0.001)
     lean[:3, 3] += place[:3, 3]
     # The same relative pose: the ball and the sensor lean and move together.
-    other = tactile_sim.press(solid, lean, lean, sensor)
+    other = tactile_sim.render_touch(solid, lean, lean, sensor)
     near = one.depth_m < 0.003
     assert near.sum() > 100
     assert np.percentile(np.abs(one.depth_m - other.depth_m)[near], 99) < 1e-12
 
 
 def test_layers_stay_near_the_solid():
-    sensor = tactile_sim.as_environment(200, 200)
+    sensor = tactile_sim.center_view(200, 200)
     for lean in (0.0, 0.4, 0.9):
         target = tilted(lean, 0.3)
         target[:2, 3] = -0.008 * target[:2, 2] / target[2, 2]  # the axis goes through the middle of the ball
         smooth, printed = (
-            tactile_sim.press(
+            tactile_sim.render_touch(
                 tactile_sim.Pressable.of(ball(), layer_m=layer_m),
                 tactile_sim.pose(),
                 target,

@@ -58,10 +58,10 @@ from tactile_sim.spec import TrainConfig  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
 
-SPEC = PairsSpec((32, 32), 60, without_contact=0.2, min_height_m=0.006, like="environment")
+SPEC = PairsSpec((32, 32), 60, without_contact=0.2, min_height_m=0.006, window="environment")
 CONFIG = TrainConfig(
     2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1, sensor_noise=NOISE, noise=0.05,
-    judge_noise=0.1, start_steps=3,
+    discriminator_noise=0.1, pretrain_steps=3,
 )  # fmt: skip
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
 
@@ -208,13 +208,13 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
 
 
 def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pairs, trained, tmp_path):
-    few = PairsSpec((32, 32), 12, without_contact=0.2, like="environment")
+    few = PairsSpec((32, 32), 12, without_contact=0.2, window="environment")
     make_pairs(*sources, "train", few, tmp_path / "few")
     with pytest.raises(
         InputError, match=r"few' holds 12 pictures .*, 10 with contact, .*at least 40.*--count"
     ):
         evaluate(trained, str(tmp_path / "few"), baselines=())
-    make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, like="environment"), tmp_path / "untouched")
+    make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, window="environment"), tmp_path / "untouched")
     with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no picture with contact"):
         train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
     manifest = tmp_path / "few" / "manifest.json"
@@ -280,7 +280,7 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
     with monkeypatch.context() as without:
         without.setattr("tactile_sim.optics.find_spec", lambda _: None)
         tactile_sim.optics._taxim.cache_clear()
-        with pytest.raises(InputError, match=r"'taxim'.*not installed.*or leave out.*--start-steps 0"):
+        with pytest.raises(InputError, match=r"'taxim'.*not installed.*or leave out.*pretrain_steps = 0"):
             train(pairs, tmp_path / "new", CONFIG)
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="finds no GPU"):
@@ -438,14 +438,14 @@ def test_what_is_known_without_pairs_is_learned(pairs, tmp_path):
     off = {}
     for weight in (0, 100):
         others = dict.fromkeys(
-            ("start_steps", "depth_cycle_weight", "touch_cycle_weight", "identity_weight"), 0
+            ("pretrain_steps", "depth_cycle_weight", "touch_cycle_weight", "identity_weight"), 0
         )
         config = TrainConfig(
-            4, 0, 4, steps=120, batch=2, crop=1.0, learning_rate=2e-3, level_weight=weight, **others
+            4, 0, 4, steps=120, batch=2, crop=1.0, learning_rate=2e-3, background_weight=weight, **others
         )
         out = tmp_path / str(weight)
         train(pairs, out, config, device="cpu", deterministic=True)
-        sensor = tactile_sim.as_environment(32, 32)
+        sensor = tactile_sim.center_view(32, 32)
         level_m = np.full((1, 32, 32), sensor.gel_m)
         made = CycleganOptics(out / "depth_to_touch.npz").render(level_m, sensor, (32, 32))[0]
         depth = CycleganDepth(out / "touch_to_depth.npz").images(nothing, (32, 32))
@@ -456,7 +456,7 @@ def test_what_is_known_without_pairs_is_learned(pairs, tmp_path):
 
 def test_the_start_learns_where_relief_belongs(pairs, tmp_path):
     """Of pairs that simulation knows: the way back finds the depth of touches that it made."""
-    config = TrainConfig(4, 1, 1, steps=150, start_steps=150, batch=4, crop=1.0, learning_rate=3e-3)
+    config = TrainConfig(4, 1, 1, steps=150, pretrain_steps=150, batch=4, crop=1.0, learning_rate=3e-3)
     train(pairs, tmp_path, config, device="cpu", deterministic=True)
     data = Pairs.open(pairs)
     depth = data.depth.images(np.flatnonzero(data.depth.contact))
@@ -494,8 +494,8 @@ def test_noise_in_training_is_that_of_generated_touches():
 
 def test_errors_weigh_what_the_settings_say():
     config = TrainConfig(
-        2, 1, 4, steps=8, start_steps=4,
-        touch_cycle_weight=3.0, depth_cycle_weight=4.0, identity_weight=5.0, level_weight=6.0,
+        2, 1, 4, steps=8, pretrain_steps=4,
+        touch_cycle_weight=3.0, depth_cycle_weight=4.0, identity_weight=5.0, background_weight=6.0,
     )  # fmt: skip
     networks = CycleGan(config, "cpu")
     for name, weight in {"cycle": (3.0, 4.0), "identity": (5.0, 5.0), "level": (6.0, 6.0)}.items():
@@ -515,8 +515,8 @@ def test_noise_is_laid_over_touches_alone():
 
 
 def test_noise_for_discriminators_ends_where_the_rate_begins_to_fall():
-    config = TrainConfig(steps=100, judge_noise=0.1)
-    assert [round(config.judge_noise_at(step), 3) for step in (0, 25, 50, 99)] == [0.1, 0.05, 0, 0]
+    config = TrainConfig(steps=100, discriminator_noise=0.1)
+    assert [round(config.discriminator_noise_at(step), 3) for step in (0, 25, 50, 99)] == [0.1, 0.05, 0, 0]
     assert [config.rate(step) < config.learning_rate for step in (0, 49, 51)] == [False, False, True]
 
 

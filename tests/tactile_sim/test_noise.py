@@ -107,7 +107,7 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
     scenes = str(tmp_path / "scenes")
     starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), scenes)
     # All touches of the bare plate: what differs is noise.
-    given = tactile_sim.GivenTouches(
+    given = tactile_sim.TouchTable(
         [0.0] * 3, [0.0] * 3, object_x_m=[0.5] * 3, object_y_m=[0.5] * 3, object_turn_rad=[0.0] * 3
     )
     made = {}
@@ -117,7 +117,7 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
         ("again", NOISE, 0),
         ("other", NOISE, 1),
     ):
-        plan = tactile_sim.TouchPlan(2, place="given", given=given, seed=seed)
+        plan = tactile_sim.TouchPlan(2, positions="given", given=given, seed=seed)
         spec = tactile_sim.GenerateSpec(
             (32, 32), "taxim", plan=plan, image_format="png", noise=noise, limit=2
         )

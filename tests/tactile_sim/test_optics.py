@@ -20,7 +20,7 @@ def _depths(sensor):
         [tactile_sim.pose(*place) for place in ((0, 0), (0.004, 0.001), (-0.003, 0.002), (0.04, 0))]
     )
     poses = np.stack([tactile_sim.pose(turn_rad=turn) for turn in (0.0, 0.4, 1.1, 0.0)])
-    return tactile_sim.press([ball(0.006), block(), block(), ball()], poses, targets, sensor).depth_m
+    return tactile_sim.render_touch([ball(0.006), block(), block(), ball()], poses, targets, sensor).depth_m
 
 
 @pytest.mark.parametrize("size", [(64, 64), (320, 240), (50, 40)], ids=str)
@@ -29,7 +29,7 @@ def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size
     from taxim import CALIB_GELSIGHT_MINI
 
     package = jax.TaximJax(CALIB_GELSIGHT_MINI, params={"simulator": {"contact_scale": 0.6}})
-    sensor = tactile_sim.as_environment(*size)
+    sensor = tactile_sim.center_view(*size)
     depths = _depths(sensor)
     ours = make_optics("taxim").shades(depths, sensor)
     assert (make_optics("taxim").render(depths, sensor, size) == np.rint(ours * np.float32(255))).all()
@@ -52,7 +52,7 @@ def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size
 
 
 def test_flat_pixels_have_one_colour_whatever_the_rounding():
-    sensor = tactile_sim.as_environment(64, 64)
+    sensor = tactile_sim.center_view(64, 64)
     plate = np.full((1, 64, 64), sensor.press_m)
     optics = make_optics("taxim")
     first = optics.render(plate, sensor, (64, 64))
@@ -61,7 +61,7 @@ def test_flat_pixels_have_one_colour_whatever_the_rounding():
 
 
 def test_depth_pictures_are_grey_levels_of_the_depth_image():
-    sensor = tactile_sim.as_environment(32, 24)
+    sensor = tactile_sim.center_view(32, 24)
     depths = _depths(sensor)
     picture = make_optics("depth").render(depths, sensor, (32, 24))
     expected = (np.clip(depths, 0.002125, 0.00425) - 0.002125) / 0.002125 * 255

@@ -66,7 +66,7 @@ def test_depth_is_that_of_the_environments(kind, size, record_property):
         target = tactile_sim.pose(*place)
         depth_m, sensor_z_m = oracle.depth_m(mesh, object_pose, target)
         sensor = oracle.sensor() if sensor is None else sensor
-        pressed = tactile_sim.press(solid, object_pose, target, sensor)
+        pressed = tactile_sim.render_touch(solid, object_pose, target, sensor)
         heights_m.append(abs(pressed.sensor_z_m - sensor_z_m))
         clipped = [np.clip(each, PRESS_M, GEL_M) for each in (depth_m, pressed.depth_m)]
         apart_m.append(np.abs(clipped[0] - clipped[1]).astype(np.float32))

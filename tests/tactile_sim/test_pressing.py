@@ -18,7 +18,7 @@ from tests.tactile_sim.solids import ball, block, tilted
 
 
 def _press(solid, object_pose, target, sensor):
-    return tactile_sim.press(solid, object_pose, target, sensor)
+    return tactile_sim.render_touch(solid, object_pose, target, sensor)
 
 
 @pytest.mark.sim
@@ -31,7 +31,7 @@ def _press(solid, object_pose, target, sensor):
     st.sampled_from([ball(), block(), trimesh.creation.torus(0.01, 0.003)]),
 )
 def test_numba_and_numpy_give_the_same_bytes(size, turn, lean, x_m, y_m, solid):
-    sensor = tactile_sim.as_environment(*size)
+    sensor = tactile_sim.center_view(*size)
     prepared = tactile_sim.Pressable.of(solid)
     for target in (
         tactile_sim.pose(x_m, y_m),
@@ -40,7 +40,7 @@ def test_numba_and_numpy_give_the_same_bytes(size, turn, lean, x_m, y_m, solid):
     ):
         found = [
             press(prepared, tactile_sim.pose(turn_rad=turn), target, sensor)
-            for press in (tactile_sim.press, reference.press)
+            for press in (tactile_sim.render_touch, reference.press)
         ]
         assert found[0].depth_m.tobytes() == found[1].depth_m.tobytes()
         assert found[0].image.tobytes() == found[1].image.tobytes()
@@ -71,7 +71,7 @@ def _rays(mesh: trimesh.Trimesh, object_pose, target, sensor):
 @pytest.mark.parametrize("lean", [0.0, 0.2, 0.7])
 @pytest.mark.parametrize("solid", [ball(subdivisions=3), block()], ids=["ball", "block"])
 def test_every_pixel_is_where_a_ray_meets_the_surface(solid, lean):
-    sensor = tactile_sim.as_environment(24, 18)
+    sensor = tactile_sim.center_view(24, 18)
     rng = np.random.default_rng(3)
     for _ in range(3):
         object_pose = tactile_sim.pose(*rng.uniform(-0.01, 0.01, 2), turn_rad=rng.uniform(-3, 3))
@@ -84,14 +84,14 @@ def test_every_pixel_is_where_a_ray_meets_the_surface(solid, lean):
 
 
 def test_a_bare_plate_is_felt_all_over():
-    pressed = _press(ball(), tactile_sim.pose(), tactile_sim.pose(0.03, 0.03), tactile_sim.as_environment())
+    pressed = _press(ball(), tactile_sim.pose(), tactile_sim.pose(0.03, 0.03), tactile_sim.center_view())
     assert (pressed.depth_m == 0.002125).all()
     assert (pressed.image == 0).all()
     assert pressed.sensor_z_m == 0.002125
 
 
 def test_a_block_is_felt_at_its_height_in_its_place():
-    sensor = tactile_sim.as_sensor(320, 240)
+    sensor = tactile_sim.full_view(320, 240)
     pressed = _press(block((0.01, 0.004, 0.003)), tactile_sim.pose(0.001, 0.002), tactile_sim.pose(), sensor)
     assert pressed.sensor_z_m == pytest.approx(0.003 + 0.002125, abs=1e-12)
     top = pressed.image == 0
@@ -104,13 +104,13 @@ def test_a_block_is_felt_at_its_height_in_its_place():
 
 
 def test_windows_of_the_presets():
-    assert tactile_sim.as_sensor(64, 64).window_m == (0.01888, 0.01416)
-    assert tactile_sim.as_environment(64, 64).window_m == (0.01416, 0.01416)
-    assert tactile_sim.as_environment(320, 240).window_m == pytest.approx((0.01888, 0.01416), abs=1e-12)
+    assert tactile_sim.full_view(64, 64).window_m == (0.01888, 0.01416)
+    assert tactile_sim.center_view(64, 64).window_m == (0.01416, 0.01416)
+    assert tactile_sim.center_view(320, 240).window_m == pytest.approx((0.01888, 0.01416), abs=1e-12)
 
 
 def test_several_touches_are_single_ones_in_a_row():
-    solids, sensor = [ball(), block(), ball(0.004)], tactile_sim.as_environment(32, 32)
+    solids, sensor = [ball(), block(), ball(0.004)], tactile_sim.center_view(32, 32)
     poses = np.stack([tactile_sim.pose(0.001 * k, turn_rad=0.3 * k) for k in range(3)])
     targets = np.stack([tactile_sim.pose(0.002 * k) for k in range(3)])
     together = _press(solids, poses, targets, sensor)
@@ -162,7 +162,7 @@ def _moved(row, column, value):
 def test_bad_input_is_named(change, words):
     given_values = {"solid": ball(), "object_pose": tactile_sim.pose(), "target": tactile_sim.pose()} | change
     with pytest.raises(InputError, match=re.escape(words)):
-        _press(sensor=tactile_sim.as_environment(), **given_values)
+        _press(sensor=tactile_sim.center_view(), **given_values)
 
 
 @pytest.mark.parametrize(
@@ -182,4 +182,4 @@ def test_bad_input_is_named(change, words):
 )
 def test_sensors_that_cannot_be_are_refused(values):
     with pytest.raises(InputError, match="expected"):
-        dataclasses.replace(tactile_sim.as_sensor(), **values)
+        dataclasses.replace(tactile_sim.full_view(), **values)

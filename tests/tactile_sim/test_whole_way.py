@@ -145,7 +145,7 @@ def test_poses_that_cannot_be_are_refused():
         ("here", "expected a pose"),
     ):
         with pytest.raises(InputError, match=message):
-            tactile_sim.press(solid, pose, tactile_sim.pose())
+            tactile_sim.render_touch(solid, pose, tactile_sim.pose())
 
 
 def test_a_set_without_taxim_says_what_to_install(made, tmp_path, monkeypatch):

@@ -249,7 +249,7 @@ def test_cycle_gan_with_weights_of_ones_own(provider, own_statistics, tmp_path):
     try:
         observation, info = env.reset(seed=SEED)
         for _ in range(2):
-            shades = CycleganOptics(file).shades(info["depth"], tactile_sim.as_environment(32, 32), (64, 64))
+            shades = CycleganOptics(file).shades(info["depth"], tactile_sim.center_view(32, 32), (64, 64))
             np.testing.assert_allclose(observation["sensor_img"], shades, atol=1e-4)
             observation, *_, info = env.step(env.action_space.sample())
     finally:

@@ -36,7 +36,7 @@ _FARTHEST_M = {
 
 
 @dataclass(frozen=True, eq=False)
-class GivenTouches:
+class TouchTable:
     """A table of touches; within a round they are made in the order in which they stand.
 
     Attributes
@@ -81,7 +81,7 @@ class GivenTouches:
             )
 
     @classmethod
-    def read(cls, path: str | Path) -> GivenTouches:
+    def read(cls, path: str | Path) -> TouchTable:
         """Read a table from a file.
 
         Parameters
@@ -91,7 +91,7 @@ class GivenTouches:
 
         Returns
         -------
-        GivenTouches
+        TouchTable
 
         Raises
         ------

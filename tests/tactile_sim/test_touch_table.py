@@ -40,8 +40,8 @@ def _write(folder, suffix, table):
 @pytest.mark.parametrize("suffix", [".csv", ".parquet", ".npz"])
 def test_files_of_all_kinds_hold_the_same(suffix, tmp_path):
     made, read = (
-        tactile_sim.GivenTouches(**TABLE),
-        tactile_sim.GivenTouches.read(_write(tmp_path, suffix, TABLE)),
+        tactile_sim.TouchTable(**TABLE),
+        tactile_sim.TouchTable.read(_write(tmp_path, suffix, TABLE)),
     )
     assert made.to_dict() == read.to_dict()
     assert (read.rounds, read.longest) == (2, 2)
@@ -53,7 +53,7 @@ def test_files_of_all_kinds_hold_the_same(suffix, tmp_path):
 
 def test_a_round_is_made_of_what_is_given():
     solid = tactile_sim.Pressable.of(block())
-    plan = tactile_sim.TouchPlan(place="given", given=tactile_sim.GivenTouches(**TABLE))
+    plan = tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**TABLE))
     assert (plan.rounds, plan.touches) == (2, 2)
     made = tactile_sim.plan_round(plan, solid, "train", 1, 1)
     assert made.positions_m.tolist() == [[-0.02, 0.01], [0.03, 0.0]]
@@ -61,7 +61,7 @@ def test_a_round_is_made_of_what_is_given():
     assert (made.object_poses[2] == made.object_poses[1]).all()
     # Without poses the object lies as the plan says, and is shifted as ever.
     places = {name: TABLE[name] for name in ("x_m", "y_m")}
-    given = tactile_sim.TouchPlan(3, place="given", given=tactile_sim.GivenTouches(**places))
+    given = tactile_sim.TouchPlan(3, positions="given", given=tactile_sim.TouchTable(**places))
     drawn = tactile_sim.TouchPlan(3, 4)
     one, other = (tactile_sim.plan_round(each, solid, "train", 5, 2) for each in (given, drawn))
     assert (one.object_poses == other.object_poses).all()
@@ -76,7 +76,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
     scenes = str(tmp_path / "scenes")
     starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), scenes)
     spec = tactile_sim.GenerateSpec(
-        optics="depth", plan=tactile_sim.TouchPlan(place="given", given=tactile_sim.GivenTouches(**TABLE))
+        optics="depth", plan=tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**TABLE))
     )
     manifest = tactile_sim.generate(scenes, spec, tmp_path / "out", ["train"])
     assert manifest.spec["options"]["plan"]["given"]["rows"] == 4
@@ -85,7 +85,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
     touched = rounds[2].info["touched_object_pose"].position_m
     assert touched[:, :2].tolist() == [[0.001, 0.0], [0.002, -0.001]]
     unknown = {**TABLE, "object_id": [1, 1, 0, 99]}
-    plan = tactile_sim.TouchPlan(place="given", given=tactile_sim.GivenTouches(**unknown))
+    plan = tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**unknown))
     with pytest.raises(InputError, match="touches of objects 99 are given"):
         TouchMaking.of(scenes, tactile_sim.GenerateSpec(optics="depth", plan=plan))
 
@@ -106,11 +106,11 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
 def test_tables_that_cannot_be_are_refused(changed, message, tmp_path):
     table = {**TABLE, **changed}
     with pytest.raises(InputError, match=message):
-        tactile_sim.GivenTouches(**table)
+        tactile_sim.TouchTable(**table)
 
 
 def test_files_that_cannot_be_are_refused(tmp_path, monkeypatch):
-    read = tactile_sim.GivenTouches.read
+    read = tactile_sim.TouchTable.read
     for name, content, message in (
         ("no.csv", None, "cannot be read"),
         ("poses.txt", b"", r"expected a file \.csv"),
@@ -137,9 +137,9 @@ def test_files_that_cannot_be_are_refused(tmp_path, monkeypatch):
 
 
 def test_a_plan_has_given_touches_or_none():
-    given = tactile_sim.GivenTouches(**TABLE)
-    for values in ({"place": "given"}, {"given": given}, {"place": "given", "given": [(0.0, 0.0)]}):
-        with pytest.raises(InputError, match="expected place 'given' and a GivenTouches"):
+    given = tactile_sim.TouchTable(**TABLE)
+    for values in ({"positions": "given"}, {"given": given}, {"positions": "given", "given": [(0.0, 0.0)]}):
+        with pytest.raises(InputError, match="expected positions 'given' and a TouchTable"):
             tactile_sim.TouchPlan(**values)
 
 
@@ -165,15 +165,15 @@ def test_a_small_table_of_millions_of_rows_is_refused_unread(tmp_path):
     for name, expected in words.items():
         assert (tmp_path / name).stat().st_size < 10_000_000
         with pytest.raises(InputError, match=f"{name}.*{expected}"):
-            tactile_sim.GivenTouches.read(tmp_path / name)
+            tactile_sim.TouchTable.read(tmp_path / name)
 
 
 def test_columns_of_one_name_and_archives_of_other_methods_are_refused(tmp_path):
     zeros = pa.array(np.zeros(10))
     parquet.write_table(pa.Table.from_arrays([zeros] * 4, ["x_m", "y_m"] * 2), tmp_path / "twice.parquet")
     with pytest.raises(InputError, match=r"its columns are x_m, y_m, x_m, y_m; expected .* each once"):
-        tactile_sim.GivenTouches.read(tmp_path / "twice.parquet")
+        tactile_sim.TouchTable.read(tmp_path / "twice.parquet")
     with zipfile.ZipFile(tmp_path / "packed.npz", "w", zipfile.ZIP_BZIP2) as archive:
         archive.writestr("x_m.npy", bytes(1000))
     with pytest.raises(InputError, match=r"'x_m\.npy' is packed by method 12; expected Deflate"):
-        tactile_sim.GivenTouches.read(tmp_path / "packed.npz")
+        tactile_sim.TouchTable.read(tmp_path / "packed.npz")
