@@ -127,9 +127,7 @@ class TouchPlan:
         help="Random rotation of the object: up to 22.5 degrees, any angle, or none.",
     )
     object_placement: str = choice("random", ("random", "middle"))
-    perturb: bool = switch(
-        True, help="Move the object a little after each touch, as the environments do."
-    )
+    perturb: bool = switch(True, help="Move the object a little after each touch, as the environments do.")
     seed: int = integer(0, help="Random seed.")
 
     def __post_init__(self) -> None:
