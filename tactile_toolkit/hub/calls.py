@@ -10,18 +10,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import re
-import time
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
+from tactile_toolkit.store.names import redact
+from tactile_toolkit.store.remote import Failure, cause_chain, with_retry
 
 ANSWER_BYTES = 32 << 20
 """Largest answer to a question, unpacked: a listing of more than 100,000 files."""
-WAIT_S = 120.0
-"""Longest time to wait because the Hub asks for it, seconds."""
 WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Waits between tries, seconds."""
 
@@ -45,14 +44,8 @@ _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, 
 _FILE_NAME = re.compile(r'(?:W/)?"?\w[\w.-]*"?', re.ASCII)
 _MOST_S = 1e9  # for numbers of thousands of digits
 
-# Tokens of users begin with hf_, those of organisations with api_org_.
-_TOKEN = re.compile(r"\b(?:hf|api_org)_[A-Za-z0-9]{6,}")
-_HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")
-# Addresses of stores carry what signs them behind the question mark.
-_QUERY = re.compile(r"(https?://[^\s'\"<>?]+)\?[^\s'\"<>]+")
 # A mirror may ask for a password, which its address holds then.
-_LOGIN_OF_ADDRESS = re.compile(r"(https?://)[^\s'\"<>/@]+@")
-_HIDDEN = "hf_***"
+_USER_OF_ADDRESS = re.compile(r"(https?://)[^\s'\"<>/@]+@")
 
 _LOGIN = "log in with `hf auth login` (or set HF_TOKEN)"
 # What failed and the next step, by the keys that `_keys` gives. In order: the first entry that fits any error
@@ -103,33 +96,12 @@ def public_endpoint() -> str:
     """Return the address of the Hub without the user and password that HF_ENDPOINT may hold."""
     from huggingface_hub import constants
 
-    return _LOGIN_OF_ADDRESS.sub(r"\1", constants.ENDPOINT)
+    return _USER_OF_ADDRESS.sub(r"\1", constants.ENDPOINT)
 
 
 def page_of(repo_id: str) -> str:
     """Return the address of a repository for people."""
     return f"{public_endpoint()}/datasets/{repo_id}"
-
-
-def scrub(text: str) -> str:
-    """Return a text without the token in use, without what looks like one, and without signatures."""
-    from huggingface_hub import get_token
-
-    token = get_token()
-    if token:
-        text = text.replace(token, _HIDDEN)
-    text = _LOGIN_OF_ADDRESS.sub(r"\1", _QUERY.sub(r"\1", text))
-    return _HEADER.sub(rf"\1 {_HIDDEN}", _TOKEN.sub(_HIDDEN, text))
-
-
-def _cause_chain(error: BaseException) -> list[BaseException]:
-    """Return an error and what it was raised from, outermost first."""
-    chain: list[BaseException] = []
-    link: BaseException | None = error
-    while link is not None and link not in chain:
-        chain.append(link)
-        link = link.__cause__ or link.__context__
-    return chain
 
 
 def _class_names(error: BaseException) -> list[str]:
@@ -168,12 +140,7 @@ def named_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
         failure = failure_of(error, repo_id, doing)
         if failure is None:
             raise
-        raise failure from _shown_cause(error)
-
-
-def _shown_cause(error: Exception) -> Exception | None:
-    """Return an error as the cause to show; None when it quotes a token, as the HTTP library can."""
-    return error if all(scrub(str(link)) == str(link) for link in _cause_chain(error)) else None
+        raise failure from None  # what the client raised may quote a token
 
 
 def not_cached(repo_id: str, what: str) -> HubError:
@@ -193,7 +160,9 @@ def failure_of(
 
     Where nothing but an answer of the Hub was read (``is_answer``), what cannot be read is not one.
     """
-    chain = _cause_chain(error)
+    from huggingface_hub import get_token
+
+    chain = cause_chain(error)
     if any(isinstance(link, ToolkitError) for link in chain):
         return None
     found = [(key, link) for link in chain for key in _keys(link)]
@@ -213,7 +182,7 @@ def failure_of(
                 "endpoint": public_endpoint(),
                 "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
             }
-            what, then = (scrub(part.format(**values)) for part in sentence)
+            what, then = (redact(part.format(**values), get_token()) for part in sentence)
             return _CLASSES.get(key, HubError)(what, next=then)
     return None
 
@@ -238,7 +207,7 @@ def is_transient(error: BaseException) -> bool:
     So do overload, a server's trouble, and a connection that broke; not so a Hub that could not be reached in
     the first place (no network stays no network for longer than anyone wants to wait), nor any refusal.
     """
-    chain = _cause_chain(error)
+    chain = cause_chain(error)
     names = [set(_class_names(link)) for link in chain]
     if any("LocalEntryNotFoundError" in each for each in names):  # the client has tried for long enough
         return False
@@ -252,7 +221,7 @@ def is_transient(error: BaseException) -> bool:
 
 def is_unanswered(error: BaseException) -> bool:
     """Return whether the Hub gave no answer of its own, so that its latest one still counts."""
-    return any(_CONNECTION & set(_class_names(link)) for link in _cause_chain(error)) or is_transient(error)
+    return any(_CONNECTION & set(_class_names(link)) for link in cause_chain(error)) or is_transient(error)
 
 
 def call_with_retry(
@@ -274,21 +243,14 @@ def call_with_retry(
     hooks = session.event_hooks if hasattr(session, "event_hooks") else session.hooks
     if _check_answer not in hooks["response"]:
         hooks["response"].append(_check_answer)
-    waits, waited_s = list(WAITS_S if waits_s is None else waits_s), 0.0
-    while True:
-        try:
-            return action()
-        except Exception as error:
-            failure = failure_of(error, repo_id, doing, is_answer=True)
-            if failure is None:
-                raise
-            requested_s = _requested_wait_s(_cause_chain(error))
-            waited_s += requested_s
-            if not waits or not is_transient(error) or waited_s > WAIT_S:
-                raise failure from _shown_cause(error)
-            wait_s = max(waits.pop(0), requested_s)
-            on_wait(f"{failure.what}; trying again in {wait_s:g} s")
-        time.sleep(wait_s)
+
+    def failure(error: Exception) -> Failure | None:
+        found = failure_of(error, repo_id, doing, is_answer=True)
+        if found is None:
+            return None
+        return Failure(found, is_transient(error), _requested_wait_s(cause_chain(error)))
+
+    return with_retry(action, failure, WAITS_S if waits_s is None else waits_s, on_wait=on_wait)
 
 
 def _check_answer(response: Any, **_: Any) -> None:

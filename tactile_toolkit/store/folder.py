@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path, PurePosixPath
-from typing import IO, Any, ClassVar
+from typing import IO, Any, ClassVar, TypeVar
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.run.threads import in_threads
@@ -37,7 +37,7 @@ from tactile_toolkit.store.files import (
     sync_folder,
 )
 from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
-from tactile_toolkit.store.remote import Store
+from tactile_toolkit.store.remote import ask_store, client_of, has_buckets, open_in_store
 
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
@@ -54,6 +54,8 @@ VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created", "LastModi
 _READ_AT_ONCE = 16
 """Small files that are asked for at a time: a network file system or store answers many as fast as one."""
 _TRIES = 10
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -224,8 +226,8 @@ class DataFolder:
         """
         self._write(path, lambda stream: stream.write(content))
 
-    def create_bytes(self, path: str, content: bytes) -> bool:
-        """Write a file in one step unless there is one of that name; return whether this call did.
+    def create_bytes(self, path: str, content: bytes) -> None:
+        """Write a file in one step unless there is one of that name.
 
         Of several writers at once, on any machines, one wins (in stores, where they know conditional writes;
         S3 and gs do). Raises as :meth:`write_bytes`.
@@ -239,13 +241,9 @@ class DataFolder:
                 # The one step that is all or nothing on network file systems too.
                 os.link(stream.name, target)
             except OSError:
-                if os.fstat(stream.fileno()).st_nlink == 2:
-                    return True  # done, and the answer of the server was lost
-                if target.exists():
-                    return False
-                Path(stream.name).replace(target)  # a file system without links
+                if not target.exists():
+                    Path(stream.name).replace(target)  # a file system without links
             sync_folder(target.parent)
-        return True
 
     @contextlib.contextmanager
     def writing(self, path: str) -> Iterator[IO[bytes]]:
@@ -387,20 +385,19 @@ class _StoreFolder(DataFolder):
     is_local = False
 
     @cached_property
-    def _store(self) -> Store:
-        return Store(self.root)
+    def _client(self) -> Any:
+        return client_of(self.root)
 
-    @property
-    def _system(self) -> Any:
-        return self._store.system
+    def _ask(self, action: Callable[[], T], doing: str, path: str) -> T:
+        return ask_store(action, doing, self.address(path))
 
     def _key(self, path: str = "") -> str:
         """Return how the client calls a file."""
-        return str(self._system._strip_protocol(self.address(path))).rstrip("/")
+        return str(self._client._strip_protocol(self.address(path))).rstrip("/")
 
     def _problem(self) -> str:
         bucket = self._key().partition("/")[0]
-        if self._store.has_buckets and self._info(bucket, "") is None:
+        if has_buckets(self.root) and self._info(bucket, "") is None:
             return f"the bucket {bucket!r} of {self.root!r} does not exist"
         return ""
 
@@ -409,14 +406,14 @@ class _StoreFolder(DataFolder):
 
     def _info(self, key: str, path: str) -> Mapping[str, Any] | None:
         with contextlib.suppress(FileNotFoundError):
-            found: Mapping[str, Any] = self._store.with_retry(lambda: self._system.info(key), "reading", path)
+            found: Mapping[str, Any] = self._ask(lambda: self._client.info(key), "reading", path)
             return found
         return None
 
     def entries(self, folder: str = "") -> dict[str, int | None]:
         key, sizes = self._key(folder), {}
         with contextlib.suppress(FileNotFoundError):
-            found = self._store.with_retry(lambda: self._system.ls(key, detail=True), "listing", folder)
+            found = self._ask(lambda: self._client.ls(key, detail=True), "listing", folder)
             for entry in found:
                 name = entry["name"].strip("/")
                 # A file, and the mark of an empty folder, are listed in themselves.
@@ -427,29 +424,20 @@ class _StoreFolder(DataFolder):
 
     def open(self, path: str) -> IO[bytes]:
         # Its `details` are what the store says of it; a file that is replaced meanwhile is not read on.
-        return self._store.open(self._key(path), path)
+        return open_in_store(self._client, self._key(path), self.address(path))
 
     def _read(self, path: str) -> bytes:
         key = self._key(path)
-        return bytes(self._store.with_retry(lambda: self._system.cat_file(key), "reading", path))
+        return bytes(self._ask(lambda: self._client.cat_file(key), "reading", path))
 
     def write_bytes(self, path: str, content: bytes) -> None:
         options = self._in_one_request(content)
-        self._put(path, lambda key: self._system.pipe_file(key, content, **options))
+        self._put(path, lambda key: self._client.pipe_file(key, content, **options))
 
-    def create_bytes(self, path: str, content: bytes) -> bool:
-        tries, options = [0], self._in_one_request(content)
-
-        def put(key: str) -> None:
-            tries[0] += 1
-            self._system.pipe_file(key, content, mode="create", **options)
-
-        try:
-            self._put(path, put)
-        except FileExistsError:
-            # The answer to an earlier try may have been lost after the store had done it.
-            return tries[0] > 1 and self._read(path) == content
-        return True
+    def create_bytes(self, path: str, content: bytes) -> None:
+        options = self._in_one_request(content)
+        with contextlib.suppress(FileExistsError):
+            self._put(path, lambda key: self._client.pipe_file(key, content, mode="create", **options))
 
     def _in_one_request(self, content: bytes) -> dict[str, Any]:
         """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""
@@ -457,7 +445,7 @@ class _StoreFolder(DataFolder):
 
     def upload(self, path: str, source: Path) -> None:
         options = {"max_concurrency": 2} if scheme_of(self.root) == "s3" else {}
-        self._put(path, lambda key: self._system.put_file(str(source), key, **options))
+        self._put(path, lambda key: self._client.put_file(str(source), key, **options))
 
     @contextlib.contextmanager
     def writing(self, path: str) -> Iterator[IO[bytes]]:
@@ -471,22 +459,22 @@ class _StoreFolder(DataFolder):
         self._require_writable(path)
         key = self._key(path)
         try:
-            self._store.with_retry(lambda: put(key), "writing", path)
+            self._ask(lambda: put(key), "writing", path)
         except FileNotFoundError as error:
-            if self._store.has_buckets:
+            if has_buckets(self.root):
                 raise self._no_bucket() from error
             parent = key.rpartition("/")[0]
-            self._store.with_retry(lambda: self._system.makedirs(parent, exist_ok=True), "writing", path)
-            self._store.with_retry(lambda: put(key), "writing", path)
+            self._ask(lambda: self._client.makedirs(parent, exist_ok=True), "writing", path)
+            self._ask(lambda: put(key), "writing", path)
 
     def download(self, path: str, target: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
-        self._store.with_retry(lambda: self._system.get_file(self._key(path), str(target)), "reading", path)
+        self._ask(lambda: self._client.get_file(self._key(path), str(target)), "reading", path)
 
     def remove(self, path: str) -> None:
         self._require_writable(path)
         with contextlib.suppress(FileNotFoundError):
-            self._store.with_retry(lambda: self._system.rm_file(self._key(path)), "removing", path)
+            self._ask(lambda: self._client.rm_file(self._key(path)), "removing", path)
 
     def require_folder(self) -> None:
         self._require_writable("")

@@ -6,6 +6,7 @@ for all that takes it. What an address must not hold (keys, signatures) is never
 
 from __future__ import annotations
 
+import os
 import re
 import unicodedata
 from collections.abc import Iterable
@@ -23,8 +24,12 @@ _FOLDED = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
 _LOCAL_SCHEMES = ("file", "local")
 _WEB_SCHEMES = ("http", "https")
 _OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
-_USER = re.compile(r"://[^/\s'\"@]*@")
-_SIGNED = re.compile(r"\?[^\s'\"]*")
+_LOGIN = re.compile(r"(\w://)[^/\s'\"<>@]*@")
+_SIGNED = re.compile(r"(\w://[^\s'\"<>?]+)\?[^\s'\"<>]+")
+# Access keys of S3; tokens of users of the Hub begin with hf_, those of organisations with api_org_.
+_TOKEN = re.compile(r"\b(?:(?:AKIA|ASIA)[A-Z0-9]{12,}|(?:hf|api_org)_[A-Za-z0-9]{6,})")
+_HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")
+_SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
 
 _LONGEST_BYTES = 1024
 # File systems take 255 bytes; while a file is written, more stands before its name.
@@ -51,9 +56,13 @@ def is_remote(place: str) -> bool:
     return bool(scheme_of(place))
 
 
-def redact(place: str) -> str:
-    """Return a place for a message: without a user, a key or a signature, which may stand in it."""
-    return _SIGNED.sub("?...", _USER.sub("://...@", place)) if is_remote(place) else place
+def redact(text: str, *secrets: str | None) -> str:
+    """Return a text for a message: without keys and tokens, nor users and signatures of addresses."""
+    for secret in (*secrets, *map(os.environ.get, _SECRET_VARIABLES)):
+        if secret:
+            text = text.replace(secret, "***")
+    text = _HEADER.sub(r"\1 ***", _TOKEN.sub("***", text))
+    return _SIGNED.sub(r"\1?...", _LOGIN.sub(r"\1...@", text))
 
 
 def normalize_uri(place: str) -> str:

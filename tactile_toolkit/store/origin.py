@@ -1,7 +1,7 @@
 """The record of the download that fills a folder: from where, which commit, which files.
 
 The Hub names the content of a file by a digest, which is all that a folder without a manifest can be checked
-by: SHA-256 for large files, git's own SHA-1 for files in git. Their lengths tell them apart.
+by: SHA-256 for large files, git's own SHA-1 for files in git. Their lengths distinguish them.
 """
 
 from __future__ import annotations

@@ -1,30 +1,30 @@
-"""Stores, through fsspec: what other processes write is seen, what goes wrong is named.
+"""Calls of servers, object stores and the Hub: tried again where that may help, failures in one sentence.
 
-Nothing is remembered of what a store said: listings of fsspec's clients are kept for good otherwise, and
-another process may write there at any moment. What fails becomes one error that says what to do, without keys
-and signatures, which the clients of stores may quote. The clients' own types are known by name alone, so that
-none of those packages has to be there; several wrap what happened to them in an error of Python's without a
-word.
+What fails becomes one error that states the next step, without keys and signatures, which clients may quote.
+The clients' own types are known by name alone, so that none of those packages has to be installed; several
+wrap the cause in an error of Python's without naming it.
 """
 
 from __future__ import annotations
 
 import io
 import logging
-import os
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import IO, Any, TypeVar, cast
 
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
 from tactile_toolkit.store.names import redact, scheme_of
 
+ASKED_WAIT_S = 120.0
+"""Longest time to wait in all because a server asks for it, seconds."""
+
 _READ_AHEAD_BYTES = 1 << 20
+_WAITS_S = (0.5, 1.0, 2.0, 4.0, 8.0)
 _PATIENCE_S = 20.0
-"""For so long what fails in passing is tried again."""
+"""Longest time after which a store is asked once more."""
 _LIMITS = {"connect_timeout": 5, "read_timeout": 20, "retries": {"total_max_attempts": 1}}
 """Of the client of S3, which would try five times what is tried again here, within one time limit."""
 _PACKAGES = {"s3": "s3fs", "gs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
@@ -34,74 +34,89 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Store:
-    """The store of an address such as ``s3://BUCKET/FOLDER``, in the form of ``names.normalize_uri``."""
+class Failure:
+    """The error for what a client raised, and whether the same call may succeed soon.
 
-    address: str
+    ``asked_wait_s`` is for how long the server asks to wait.
+    """
 
-    @property
-    def has_buckets(self) -> bool:
-        """Whether files of this kind of store lie in buckets."""
-        return scheme_of(self.address) in _PACKAGES
+    error: ToolkitError
+    is_transient: bool
+    asked_wait_s: float = 0.0
 
-    @cached_property
-    def system(self) -> Any:
-        """The client, shared in this process by all folders of the same kind of store."""
-        import fsspec
 
-        scheme = scheme_of(self.address)
+def with_retry(
+    action: Callable[[], T],
+    failure_of: Callable[[Exception], Failure | None],
+    waits_s: Sequence[float],
+    *,
+    patience_s: float = float("inf"),
+    on_wait: Callable[[str], None] = lambda _: None,
+) -> T:
+    """Return what an action gives; a transient failure is tried again after each of these waits.
+
+    An error without a failure is raised as it is. The action may have had its effect though it failed, where
+    the answer was lost. ``on_wait`` gets a sentence for each wait.
+    """
+    started_s, asked_s, waits = time.monotonic(), 0.0, list(waits_s)
+    while True:
         try:
-            system = fsspec.filesystem(scheme, **_options(scheme))
-        except ImportError as error:
-            if scheme == "s3":
-                raise MissingExtraError(repr(self.address), "s3fs", "s3") from error
-            package = _PACKAGES.get(scheme, "of this kind of store")
-            missing = f"{self.address!r} needs the package {package!r}, which is not installed"
-            raise InputError(missing, next=f"pip install {package}") from error
-        except ValueError as error:
-            raise InputError(
-                f"{self.address!r}: no store is known by {scheme + '://'!r}",
-                next="give a folder or s3://BUCKET/FOLDER",
-            ) from error
-        if scheme == "s3":
-            system.retries = 1  # see _LIMITS
-        # Failures are reported here; without a handler of its log, gcsfs prints them with tracebacks.
-        logging.getLogger(type(system).__module__.partition(".")[0]).addHandler(logging.NullHandler())
-        return system
-
-    def with_retry(self, action: Callable[[], T], doing: str, path: str) -> T:
-        """Do something with the store; what fails in passing is tried again for a while.
-
-        ``doing`` says, for messages, what is done with the file of that path. Raises FileNotFoundError and
-        FileExistsError as they are, all else as RemoteError.
-        """
-        address = f"{self.address}/{path}" if path else self.address
-        began_s, wait_s = time.monotonic(), 0.5
-        while True:
-            try:
-                return action()
-            except (FileNotFoundError, FileExistsError):
+            return action()
+        except Exception as error:
+            failure = failure_of(error)
+            if failure is None:
                 raise
-            except Exception as error:
-                failure, is_transient = _failure(error, doing, address)
-                if failure is None:
-                    raise
-                if not is_transient or time.monotonic() - began_s + wait_s > _PATIENCE_S:
-                    raise failure from None  # what the client raised may quote keys
-            time.sleep(wait_s)
-            wait_s *= 2
+            asked_s += failure.asked_wait_s
+            is_over = not waits or asked_s > ASKED_WAIT_S
+            if is_over or not failure.is_transient or time.monotonic() - started_s + waits[0] > patience_s:
+                raise failure.error from None  # what the client raised may quote keys
+        wait_s = max(waits.pop(0), failure.asked_wait_s)
+        on_wait(f"{failure.error.what}; trying again in {wait_s:g} s")
+        time.sleep(wait_s)
 
-    def open(self, key: str, path: str) -> IO[bytes]:
-        """Open a file for reading piece by piece; FileNotFoundError where there is none."""
-        stream = self.with_retry(
-            lambda: self.system.open(key, "rb", block_size=_READ_AHEAD_BYTES), "reading", path
-        )
-        # Whoever reads from the Hub names its failures.
-        return cast(IO[bytes], stream if scheme_of(self.address) == "hf" else _Stream(self, path, stream))
+
+def cause_chain(error: BaseException) -> list[BaseException]:
+    """Return an error and what it was raised from, outermost first."""
+    chain: list[BaseException] = []
+    link: BaseException | None = error
+    while link is not None and link not in chain:
+        chain.append(link)
+        link = link.__cause__ or link.__context__
+    return chain
+
+
+def has_buckets(address: str) -> bool:
+    """Return whether the files of a store lie in buckets."""
+    return scheme_of(address) in _PACKAGES
+
+
+def client_of(address: str) -> Any:
+    """Return the client of a store, shared in this process by all folders of the same kind of store."""
+    import fsspec
+
+    scheme = scheme_of(address)
+    try:
+        client = fsspec.filesystem(scheme, **_options(scheme))
+    except ImportError as error:
+        package = _PACKAGES.get(scheme, "of this kind of store")
+        if scheme == "s3":
+            raise MissingExtraError(repr(address), package, "s3") from error
+        missing = f"{address!r} needs the package {package!r}, which is not installed"
+        raise InputError(missing, next=f"pip install {package}") from error
+    except ValueError as error:
+        raise InputError(
+            f"{address!r}: no store is known by {scheme + '://'!r}",
+            next="give a folder or s3://BUCKET/FOLDER",
+        ) from error
+    if scheme == "s3":
+        client.retries = 1  # see _LIMITS
+    # Its failures are reported here; without a handler of its log, gcsfs prints them with tracebacks.
+    logging.getLogger(type(client).__module__.partition(".")[0]).addHandler(logging.NullHandler())
+    return client
 
 
 def _options(scheme: str) -> dict[str, Any]:
-    """Return what the client of a store is made with."""
+    """Return what the client of a store is made with: listings are not kept, as others write there too."""
     if scheme == "hf":
         return {}  # a commit never changes, and others are looked up by name
     if scheme != "s3":
@@ -113,12 +128,29 @@ def _options(scheme: str) -> dict[str, Any]:
     return {"use_listings_cache": False, "config_kwargs": {**_LIMITS, **own}}
 
 
+def ask_store(action: Callable[[], T], doing: str, address: str) -> T:
+    """Do something with a file of a store; ``doing`` names it for messages, such as ``"reading"``.
+
+    Raises FileNotFoundError and FileExistsError as they are, all else as RemoteError.
+    """
+    return with_retry(
+        action, lambda error: _store_failure(error, doing, address), _WAITS_S, patience_s=_PATIENCE_S
+    )
+
+
+def open_in_store(client: Any, key: str, address: str) -> IO[bytes]:
+    """Open a file for reading piece by piece; FileNotFoundError where there is none."""
+    stream = ask_store(lambda: client.open(key, "rb", block_size=_READ_AHEAD_BYTES), "reading", address)
+    # Failures of the Hub get their messages in `tactile_toolkit.hub`.
+    return cast(IO[bytes], stream if scheme_of(address) == "hf" else _Stream(stream, address))
+
+
 class _Stream(io.BufferedIOBase):
     """A file of a store, read piece by piece."""
 
-    def __init__(self, store: Store, path: str, stream: Any) -> None:
+    def __init__(self, stream: Any, address: str) -> None:
         super().__init__()
-        self._store, self._path, self._stream = store, path, stream
+        self._stream, self._address = stream, address
         self.details: Mapping[str, Any] | None = getattr(stream, "details", None)
         self.seek, self.tell = stream.seek, stream.tell  # type: ignore[method-assign]
 
@@ -129,7 +161,7 @@ class _Stream(io.BufferedIOBase):
             self._stream.seek(position)
             return bytes(self._stream.read(-1 if size is None else size))
 
-        return self._store.with_retry(read, "reading", self._path)
+        return ask_store(read, "reading", self._address)
 
     def readable(self) -> bool:
         return True
@@ -144,79 +176,77 @@ class _Stream(io.BufferedIOBase):
 
 _CLIENTS = {"botocore", "aiobotocore", "aiohttp", "gcsfs", "google", "huggingface_hub", "httpx", "httpcore"}
 _CLIENTS |= {"requests", "urllib3", "s3fs", "azure", "adlfs", "fsspec", "httpx2", "httpcore2"}
-# What stores and their clients call what went wrong; numbers are those of HTTP.
+# What stores and their clients call their failures; numbers are those of HTTP.
 _TRANSIENT = re.compile(
     "SlowDown|InternalError|Unavailable|RequestTimeout|Aborted|Throttling|Conflict|LimitExceeded|408|429|5.."
 )
 _CONNECTION = re.compile("Connect|Timeout|Incomplete|Payload|Streaming|HTTPClientError|ClientOSError")
-_BAD_NAME = re.compile("InvalidBucketName|NoSuchBucketName|ParamValidation")
-# 400 is the answer of S3 to a question for the head of a file; a client that is sent on and on ends in a
-# RecursionError.
-_ELSEWHERE = re.compile("Redirect|AuthorizationHeader|LocationConstraint|RecursionError|301|307|400")
-_REFUSED = re.compile(
-    "Credential|Profile|Token|Expired|Auth|Access|Signature|Denied|Permission|Skewed|40[13]|Refresh"
+_NO_ANSWER = "NoAnswer"
+# The first sentence counts whose pattern is found in the status and the names of the errors.
+_SENTENCES: tuple[tuple[str, type[ToolkitError], str, str], ...] = (
+    ("FileExpired", IntegrityError, "{address!r} was replaced while it was read", "run it again"),
+    (
+        "InvalidBucketName|NoSuchBucketName|ParamValidation",
+        InputError,
+        "{address!r} holds no name that a bucket or file can have",
+        "check it",
+    ),
+    (
+        # 400 is the answer of S3 to a question for the head of a file; a client that is redirected without
+        # end raises a RecursionError.
+        "Redirect|AuthorizationHeader|LocationConstraint|RecursionError|301|307|400",
+        RemoteError,
+        "{address!r} lies in another region ({code}), or the credentials have expired",
+        "set AWS_DEFAULT_REGION to the region of the bucket, check AWS_ENDPOINT_URL if you set it, and renew "
+        "the credentials",
+    ),
+    (
+        "Credential|Profile|Token|Expired|Auth|Access|Signature|Denied|Permission|Skewed|40[13]|Refresh",
+        RemoteError,
+        "{doing} {address!r} is refused ({code}: {answer})",
+        "give credentials that may do that and have not expired, as the store's own tools take them (for S3: "
+        "AWS_PROFILE, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or `aws configure`), and check the clock "
+        "of this machine",
+    ),
+    (
+        _NO_ANSWER,
+        RemoteError,
+        "the store of {address!r} gives no answer ({answer}); finished files stay",
+        "check the network and the address of the store (for S3: AWS_ENDPOINT_URL), and run the same command "
+        "again",
+    ),
+    ("", RemoteError, "{doing} {address!r} failed: {code}: {answer}; finished files stay", "run it again"),
 )
-_SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
-_ACCESS_KEY = re.compile(r"\b(?:AKIA|ASIA)[A-Z0-9]{12,}\b|\bhf_[A-Za-z0-9]{6,}")
-_ADDRESS = re.compile(r"\w+://[^\s'\"<>]+")
 
 
-def _failure(error: Exception, doing: str, address: str) -> tuple[ToolkitError | None, bool]:
-    """Return what is to be raised for what a client raised, and whether trying again may help.
-
-    None stands for an error that has nothing to do with a store.
-    """
-    chain = list(_chain(error))
-    if any(isinstance(link, ToolkitError) for link in chain):
-        return None, False
+def _store_failure(error: Exception, doing: str, address: str) -> Failure | None:
+    """Return the failure for what the client of a store raised; None for an error of another origin."""
+    chain = cause_chain(error)
+    if isinstance(error, (FileNotFoundError, FileExistsError)) or any(
+        isinstance(link, ToolkitError) for link in chain
+    ):
+        return None
     status = next((code for code in map(_code_of, chain) if code is not None), None)
     is_silent = status is None and any(map(_is_connection_error, chain))
-    code = status or type(error).__name__
-    causes = " ".join([status or "", *(type(link).__name__ for link in chain)])
-    link = next((each for each in reversed(chain) if _is_of_client(each)), error)
-    answer = (_hidden(str(link)).strip().splitlines() or [""])[0][:300] or type(link).__name__
-    failure: ToolkitError | None = None
-    if "FileExpired" in causes:
-        failure = IntegrityError(f"{address!r} was replaced while it was read", next="run it again")
-    elif _BAD_NAME.search(causes):
-        failure = InputError(f"{address!r} holds no name that a bucket or file can have", next="check it")
-    elif _ELSEWHERE.search(causes):
-        failure = RemoteError(
-            f"{address!r} lies in another region ({code}), or the credentials have expired",
-            next="set AWS_DEFAULT_REGION to the region of the bucket, check AWS_ENDPOINT_URL if you set it, "
-            "and renew the credentials",
-        )
-    elif _REFUSED.search(causes):
-        failure = RemoteError(
-            f"{doing} {address!r} is refused ({code}: {answer})",
-            next="give credentials that may do that and have not expired, as the store's own tools take them "
-            "(for S3: AWS_PROFILE, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or `aws configure`), and "
-            "check the clock of this machine",
-        )
-    elif is_silent:
-        failure = RemoteError(
-            f"the store of {address!r} gives no answer ({answer}); finished files stay",
-            next="check the network and the address of the store (for S3: AWS_ENDPOINT_URL), and run the "
-            "same command again",
-        )
-    elif status is not None or isinstance(error, OSError) or any(map(_is_of_client, chain)):
-        failure = RemoteError(
-            f"{doing} {address!r} failed: {code}: {answer}; finished files stay",
-            next="run the same command again",
-        )
-    return failure, is_silent or bool(_TRANSIENT.match(status or ""))
-
-
-def _chain(error: BaseException | None) -> Iterator[BaseException]:
-    seen: list[BaseException] = []
-    while error is not None and error not in seen:
-        yield error
-        seen.append(error)
-        error = error.__cause__ or error.__context__
+    causes = " ".join([status or "", *(type(link).__name__ for link in chain), _NO_ANSWER * is_silent])
+    of_client = [link for link in chain if _is_of_client(link)]
+    answer = (redact(str([error, *of_client][-1])).strip().splitlines() or [""])[0][:300]
+    values = {
+        "address": address,
+        "doing": doing,
+        "code": status or type(error).__name__,
+        "answer": answer or type([error, *of_client][-1]).__name__,
+    }
+    for pattern, kind, what, then in _SENTENCES:
+        is_of_store = pattern or status is not None or of_client or isinstance(error, OSError)
+        if is_of_store and re.search(pattern, causes):
+            is_transient = is_silent or bool(_TRANSIENT.match(status or ""))
+            return Failure(kind(what.format(**values), next=then), is_transient)
+    return None
 
 
 def _code_of(link: BaseException) -> str | None:
-    """Return the word or number that a store gives for what went wrong."""
+    """Return the word or number that a store gives for a failure."""
     response = getattr(link, "response", None)
     if isinstance(response, Mapping):
         return str(response.get("Error", {}).get("Code", ""))
@@ -236,11 +266,3 @@ def _is_of_client(link: BaseException) -> bool:
     if type(link).__module__ == "aiohttp.http_exceptions":
         return False
     return any(kind.__module__.partition(".")[0] in _CLIENTS for kind in type(link).__mro__)
-
-
-def _hidden(text: str) -> str:
-    """Return a text without keys, tokens and signatures."""
-    for name in _SECRET_VARIABLES:
-        if os.environ.get(name):
-            text = text.replace(os.environ[name], "***")
-    return _ADDRESS.sub(lambda match: redact(match[0]), _ACCESS_KEY.sub("***", text))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,7 +12,8 @@ from huggingface_hub import constants
 
 from tactile_toolkit.errors import HubError
 from tactile_toolkit.hub import calls
-from tactile_toolkit.hub.calls import call_with_retry, failure_of, is_transient, not_cached, page_of, scrub
+from tactile_toolkit.hub.calls import call_with_retry, failure_of, is_transient, not_cached, page_of
+from tactile_toolkit.store.names import redact
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
 
@@ -209,8 +211,8 @@ def test_errors_of_others_pass_untouched():
     "text", ["hf_AbCdEf123456", "x hf_AbCdEf123456, y", "Bearer hf_AbCdEf123456", "b'Bearer AbCdEf123456'"]
 )
 def test_scrubbing(text):
-    assert "AbCdEf123456" not in scrub(text)
-    assert "hf_***" in scrub(text)
+    assert "AbCdEf123456" not in redact(text)
+    assert "***" in redact(text)
 
 
 @pytest.mark.parametrize("words", ["Authorization: Bearer AbCdEf123456", "https://host/a?sig=AbCdEf123456"])
@@ -221,8 +223,8 @@ def test_what_is_hidden_ends_where_the_next_step_begins(words):
 
 
 def test_the_password_of_a_mirror_is_hidden(monkeypatch):
-    hidden = scrub("the Hub at https://someone:secret@mirror/hub cannot be reached; mail a@b.c")
-    assert hidden == "the Hub at https://mirror/hub cannot be reached; mail a@b.c"
+    hidden = redact("the Hub at https://someone:secret@mirror/hub cannot be reached; mail a@b.c")
+    assert hidden == "the Hub at https://...@mirror/hub cannot be reached; mail a@b.c"
     monkeypatch.setattr(constants, "ENDPOINT", "https://someone:secret@mirror/hub")
     assert page_of("a/b") == "https://mirror/hub/datasets/a/b"
     for failure in (not_cached("a/b", "README.md"), failure_of(TimeoutError(), "a/b")):
@@ -232,10 +234,10 @@ def test_the_password_of_a_mirror_is_hidden(monkeypatch):
 
 def test_scrubbing_knows_the_token_in_use(monkeypatch):
     monkeypatch.setenv("HF_TOKEN", "no-usual-look")
-    assert scrub("said no-usual-look aloud") == "said hf_*** aloud"
+    assert redact("said no-usual-look aloud") == "said *** aloud"
     signed = "PUT https://store.example/a?X-Amz-Signature=secret&X=1 'https://b.c/d?e'"
-    assert scrub(signed) == "PUT https://store.example/a 'https://b.c/d'"
-    assert scrub("hf_hub_download of hf://datasets/a/b") == "hf_hub_download of hf://datasets/a/b"
+    assert redact(signed) == "PUT https://store.example/a?... 'https://b.c/d?...'"
+    assert redact("hf_hub_download of hf://datasets/a/b") == "hf_hub_download of hf://datasets/a/b"
 
 
 class BusyError(Exception):
@@ -253,7 +255,7 @@ class BusyError(Exception):
 def test_as_long_as_the_hub_asks_for_is_waited(monkeypatch, asked, waited_s):
     """At least as long as planned, at most two minutes together."""
     slept, told, failures = [], [], [BusyError(asked), BusyError(asked)]
-    monkeypatch.setattr(calls.time, "sleep", slept.append)
+    monkeypatch.setattr(time, "sleep", slept.append)
 
     def action() -> str:
         if failures:
