@@ -58,6 +58,11 @@ def plan(
     return Conversion(source, "export", options, step, choices, extra_dirs=(_FOLDER,), write_files=write)
 
 
+def _copy(source: IO[bytes], target: IO[bytes]) -> None:
+    source.seek(0)
+    shutil.copyfileobj(source, target)
+
+
 @dataclass(frozen=True)
 class _WriteBuffer:
     """Writes the group, once the frames of all shards are there."""
@@ -72,9 +77,7 @@ class _WriteBuffer:
             made.seek(0)
             digest = hashlib.file_digest(made, "sha256").hexdigest()
             if not is_unchanged(folder, _FILE, digest, reads=True):
-                made.seek(0)
-                with folder.writing(_FILE) as stream:
-                    shutil.copyfileobj(made, stream)
+                folder.write(_FILE, lambda stream: _copy(made, stream))
         return {_FILE: digest}
 
     def _write(self, stream: IO[bytes], shards: Sequence[Shard]) -> None:

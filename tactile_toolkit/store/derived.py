@@ -12,7 +12,7 @@ import io
 import os
 from collections.abc import Collection, Generator, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import IO, Any
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.run.threads import in_threads
@@ -78,10 +78,14 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
     known = manifest.files.get(path)
     if known and not pending and folder.exists(path) and file_sha256(folder, path) == known:
         return known
-    try:
+
+    def write(stream: IO[bytes]) -> str:
         # What is read is let go before the new file takes its place.
-        with folder.writing(path) as stream, contextlib.closing(_stored_rows(folder, path)) as stored:
+        with contextlib.closing(_stored_rows(folder, path)) as stored:
             return stream_parquet(stream, _tables(folder, records, pending, stored), REPORT_STYLE)
+
+    try:
+        return folder.write(path, write)
     except IntegrityError as error:
         raise IntegrityError(
             f"{error}; nothing was changed", next="run the same command again with --check"

@@ -218,68 +218,65 @@ class DataFolder:
 
         return in_threads(read, paths, _READ_AT_ONCE)
 
-    def write_bytes(self, path: str, content: bytes) -> None:
-        """Write a file in one step, so that readers see all of it or nothing.
+    def write(self, path: str, fill: Callable[[IO[bytes]], T]) -> T:
+        """Write a file in pieces, which appears when all is written, or never; return what ``fill`` returns.
 
-        Raises StorageError for a path that leads out of the folder, and where the file system refuses; then
-        nothing is left behind under any name.
+        ``fill`` writes to a stream, and is called again where a run that finished a data set here has removed
+        the temporary file. What goes to a store is put together in ``$TMPDIR`` first. Raises StorageError for
+        a path that leads out of the folder, and where the file system refuses; then nothing is left behind.
         """
-        self._write(path, lambda stream: stream.write(content))
-
-    def create_bytes(self, path: str, content: bytes) -> None:
-        """Write a file in one step unless there is one of that name.
-
-        Of several writers at once, on any machines, one wins (in stores, where they know conditional writes;
-        S3 and gs do). Raises as :meth:`write_bytes`.
-        """
-        with named_failures(self.address(path)), self._temporary(path) as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-            target = self.place(path)
+        for tries_left in reversed(range(_TRIES)):
             try:
-                # The one step that is all or nothing on network file systems too.
-                os.link(stream.name, target)
-            except OSError:
-                if not target.exists():
-                    Path(stream.name).replace(target)  # a file system without links
-            sync_folder(target.parent)
+                with named_failures(self.address(path)), self._temporary(path) as stream:
+                    filled = fill(stream)
+                    self._publish(stream, path, Path.replace)
+                    return filled
+            except StorageError as error:
+                if not tries_left or not isinstance(error.__cause__, FileNotFoundError):
+                    raise
+        raise AssertionError
 
-    @contextlib.contextmanager
-    def writing(self, path: str) -> Iterator[IO[bytes]]:
-        """Open a file to be written in pieces, which appears whole when all is written, or never.
+    def _publish(self, stream: IO[bytes], path: str, publish: Callable[[Path, Path], object]) -> None:
+        """Give a temporary file its name, once its content is on the disk."""
+        stream.flush()
+        os.fsync(stream.fileno())
+        stream.close()  # Windows moves no open file
+        target = self.place(path)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        publish(Path(stream.name), target)
+        sync_folder(target.parent)
 
-        What goes to a store is put together in ``$TMPDIR`` first. Raises as :meth:`write_bytes`.
-        """
-        with named_failures(self.address(path)), self._temporary(path) as stream:
-            yield stream
-            stream.flush()
-            os.fsync(stream.fileno())
-            stream.close()  # Windows moves no open file
-            target = self.place(path)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            Path(stream.name).replace(target)
-            sync_folder(target.parent)
+    def write_bytes(self, path: str, content: bytes) -> None:
+        """Write a file in one step, so that readers see all of it or nothing; raises as :meth:`write`."""
+        self.write(path, lambda stream: stream.write(content))
 
     def upload(self, path: str, source: Path) -> None:
-        """Write a copy of a file of this machine, as :meth:`write_bytes` does, in pieces."""
+        """Write a copy of a file of this machine in pieces; raises as :meth:`write`."""
 
         def copy(stream: IO[bytes]) -> None:
             with source.open("rb") as content:
                 shutil.copyfileobj(content, stream, 1 << 20)
 
-        self._write(path, copy)
+        self.write(path, copy)
 
-    def _write(self, path: str, fill: Callable[[IO[bytes]], object]) -> None:
-        for tries_left in reversed(range(_TRIES)):
+    def create_bytes(self, path: str, content: bytes) -> None:
+        """Write a file in one step unless there is one of that name.
+
+        Of several writers at once, on any machines, one wins (in stores, where they know conditional writes;
+        S3 and gs do). Raises as :meth:`write`.
+        """
+
+        def link(temporary: Path, target: Path) -> None:
             try:
-                with self.writing(path) as stream:
-                    fill(stream)
-                return
-            except StorageError as error:
-                # Who finished a data set here has removed it.
-                if not tries_left or not isinstance(error.__cause__, FileNotFoundError):
-                    raise
+                # The one step that is all or nothing on network file systems too.
+                os.link(temporary, target)
+            except OSError:
+                if not target.exists():
+                    temporary.replace(target)  # a file system without links
+
+        with named_failures(self.address(path)), self._temporary(path) as stream:
+            stream.write(content)
+            self._publish(stream, path, link)
 
     @contextlib.contextmanager
     def _temporary(self, path: str) -> Iterator[IO[bytes]]:
@@ -447,13 +444,13 @@ class _StoreFolder(DataFolder):
         options = {"max_concurrency": 2} if scheme_of(self.root) == "s3" else {}
         self._put(path, lambda key: self._client.put_file(str(source), key, **options))
 
-    @contextlib.contextmanager
-    def writing(self, path: str) -> Iterator[IO[bytes]]:
+    def write(self, path: str, fill: Callable[[IO[bytes]], T]) -> T:
         with scratch_folder() as scratch:
             file = scratch / "file"
             with named_failures(str(file)), file.open("wb") as stream:
-                yield stream
+                filled = fill(stream)
             self.upload(path, file)
+        return filled
 
     def _put(self, path: str, put: Callable[[str], object]) -> None:
         self._require_writable(path)

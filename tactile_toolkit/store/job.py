@@ -213,7 +213,7 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
 
     Raises SpecMismatchError when the folder is made by another specification, or by libraries that write
     other bytes (the message states the differences), InputError when it holds something else, and
-    MissingPartsError where a Finish lacks shards.
+    MissingPartsError where shards are missing for a Finish.
     """
     check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
     tasks = tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks

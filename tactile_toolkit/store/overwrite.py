@@ -54,13 +54,12 @@ def require_replaceable(folder: DataFolder) -> list[str]:
     # A manifest may be any user's, of a data set from the Hub: what it names counts where kinds know it.
     named = () if manifest is None else manifest.trees
     further = [pattern for pattern in _extra_files() if pattern.partition("/")[0] in named]
-    names = [name for name in folder.names() if name in (PENDING_FOLDER, RECORD_FILE) or name[0] != "."]
-    found = [
-        path for name in names for path in (folder.walk(name) if folder.place(name).is_dir() else [name])
-    ]
+    names = set(folder.names())
+    shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or name[0] != "."}
+    found = [path for path in folder.walk() if path.partition("/")[0] in shown]
     strange = [path for path in found if folder.place(path) and not _is_ours(path, further)]
     # A damaged manifest of ours has shards next to it; other programs have files of that name, too.
-    if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & {*names}:
+    if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
         strange = [MANIFEST_FILE]
     if strange:
         raise InputError(

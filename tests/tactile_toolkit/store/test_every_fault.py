@@ -126,7 +126,7 @@ CHANGES = (
     "remove_empty",
     "require_folder",
     "locked",
-    "writing",
+    "write",
 )
 FAULTS = ("refused", "Ctrl-C", "ended", "another run")
 MOMENTS = ("before", "in", "after")
@@ -142,7 +142,7 @@ class Disturbed:
             monkeypatch.setattr(DataFolder, name, self._watched(name, getattr(DataFolder, name)))
 
     def _watched(self, name, call):
-        if name in ("locked", "writing"):
+        if name == "locked":
             return lambda files, *args, **kw: self._context(name, call, files, *args, **kw)
 
         def watched(files, *args):

@@ -151,8 +151,10 @@ scratch = scratch_folder()
 copy = local_copy(there, scratch.__enter__() / "copy")
 """
 _WRITTEN = """
-writing = there.writing("reports/a")
-writing.__enter__().write(b"half")
+def fill(stream):
+    stream.write(b"half")
+    os.kill(os.getpid(), signal.SIGKILL)
+there.write("reports/a", fill)
 """
 _TO_STORE = """
 import os, signal
@@ -171,7 +173,10 @@ def test_what_a_killed_writer_to_a_store_left_on_this_machine_goes_with_the_next
     assert subprocess.run([sys.executable, "-c", code], env=environment, check=False).returncode == -9
     assert len(names(tmp_path)) == 2
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    with DataFolder("memory://store/set").writing("reports/a") as stream:
+
+    def fill(stream):
         assert len(names(tmp_path)) == 2, "what this process is writing, and the user's file"
         stream.write(b"content")
+
+    DataFolder("memory://store/set").write("reports/a", fill)
     assert names(tmp_path) == ["tactile-toolkit-notes"]
