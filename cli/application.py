@@ -191,9 +191,9 @@ class _Command(TyperCommand):
             elif error.filename is not None:
                 # A path that the system refuses, such as too long a name. As a traceback it would end with 1:
                 # a validation failed.
-                from tactile_toolkit.store.files import of_the_process
+                from tactile_toolkit.store.files import resource_shortage
 
-                reason = of_the_process(error) or f"{error.strerror}; next: give another path"
+                reason = resource_shortage(error) or f"{error.strerror}; next: give another path"
                 message, code = f"{str(error.filename)!r}: {reason}", InputError.exit_code
             else:
                 raise

@@ -157,7 +157,10 @@ def _export_files(
 def _export_flat(
     sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], job: Job
 ) -> None:
-    from tactile_toolkit.exchange.tables import export_tables, forecast_tables, plan_tables
+    from tactile_toolkit.exchange.tables import forecast_tables, plan_tables
+    from tactile_toolkit.run.processes import runner_for
+    from tactile_toolkit.store.build import build
+    from tactile_toolkit.store.folder import DataFolder
 
     ids, labels = some["ids"], some["labels"]
     chosen_by = {
@@ -176,11 +179,13 @@ def _export_flat(
         sink.line(f"would write {made}; nothing was written")
         return
     with sink.progress("writing", kind.nouns) as update:
-        manifest = export_tables(
-            *(kind, plan, out),
+        manifest = build(
+            DataFolder(out),
+            plan,
+            runner_for(process_count(job.workers)),
             overwrite=job.overwrite,
-            workers=process_count(job.workers),
             on_progress=lambda progress: update(progress.done, progress.total),
+            write_card=kind.write_card,
         )
     print_converted(sink, manifest, out, nouns=kind.nouns)
     sink.line(f"the data set is in {out}")

@@ -21,7 +21,7 @@ from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.sequence import positions
-from tactile_toolkit.store.files import expanded, is_there
+from tactile_toolkit.store.files import expanded, path_exists
 
 _FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
 _SPLITS = ("train", "test")
@@ -193,7 +193,7 @@ def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
     to classes.
     """
     root = expanded(fspath(place))
-    if not is_there(root):
+    if not path_exists(root):
         return None
     if root.is_file():
         return _view_of_files([root], [root.stem]) if root.suffix.lower() in FORMATS else None

@@ -32,7 +32,7 @@ from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.store.files import expanded, is_there, locked, named_failures
+from tactile_toolkit.store.files import expanded, locked, named_failures, path_exists
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.wording import did_you_mean
 
@@ -328,11 +328,11 @@ class AssetProvider:
         # The toolkit's own names stand for the root even before anything is there: so it is made there, and a
         # folder of that name where the user happens to be is not taken for it.
         inside = self.root / name
-        return str(inside) if name in KINDS or (is_there(inside) and inside.is_dir()) else name
+        return str(inside) if name in KINDS or (path_exists(inside) and inside.is_dir()) else name
 
     def _commit_of(self, place: str) -> str | None:
         """Return the commit of a repository, looked up on first use and kept; None for a folder or a file."""
-        if place.startswith("/") or is_there(Path(place)):
+        if place.startswith("/") or path_exists(Path(place)):
             return None
         from tactile_toolkit.hub.repository import HubRepository, hub_name
 

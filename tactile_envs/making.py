@@ -11,7 +11,7 @@ from env_assets.meshes import MeshView
 from env_assets.provider import KINDS, AssetProvider, meshes_at
 from tactile_envs.config import IDS, Registered, configured
 from tactile_toolkit.errors import InputError, MissingExtraError
-from tactile_toolkit.store.files import expanded, is_there
+from tactile_toolkit.store.files import expanded, path_exists
 
 try:
     from tactile_envs.environment import TactileEnv, TactileVectorEnv
@@ -84,5 +84,5 @@ def _records(registered: Registered, assets: str | PathLike[str] | None) -> Any:
             raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
         return AssetProvider().meshes(published[0].repo_id, split)
     place = expanded(fspath(assets))
-    is_folder_of_sets = name in KINDS and is_there(place) and (place / name).is_dir()
+    is_folder_of_sets = name in KINDS and path_exists(place) and (place / name).is_dir()
     return AssetProvider(place).meshes(name, split) if is_folder_of_sets else meshes_at(assets, split)

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.store.files import locked, of_the_process
+from tactile_toolkit.store.files import locked, resource_shortage
 
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""
@@ -219,7 +219,7 @@ def _found(path: Path) -> Parts | None:
     except FileNotFoundError:
         return None
     except (ValueError, OSError) as error:
-        if of_the_process(error) is None:
+        if resource_shortage(error) is None:
             _POOLS.drop(path)
         return None
 

@@ -25,8 +25,8 @@ from tactile_toolkit.store.files import (
     TEMPORARY_PREFIX,
     atomic_file,
     expanded,
-    of_the_process,
     remove_abandoned,
+    resource_shortage,
 )
 
 LOCKS = "locks"
@@ -114,7 +114,7 @@ class DiskCache:
             with atomic_file(path, durable=self.durable) as stream:
                 fill(stream)
         except OSError as error:
-            if of_the_process(error) is not None:
+            if resource_shortage(error) is not None:
                 return False
             _unwritable.add(path.parent)
             if self.warning:

@@ -12,7 +12,7 @@ from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.derived import small_files
-from tactile_toolkit.store.files import expanded, is_there, readable
+from tactile_toolkit.store.files import expanded, path_exists, readable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, without_collecting
 from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
@@ -22,8 +22,8 @@ from tactile_toolkit.store.shards import (
     ShardFile,
     ShardName,
     files_of_split,
-    no_split,
     shard_files,
+    unknown_split,
 )
 from tactile_toolkit.wording import did_you_mean
 
@@ -52,7 +52,7 @@ def find_shards(
         # `train` may be what is asked for by default: a file named alone is opened then, whatever its split.
         found = _split_in_name(place)
         if split not in (None, found or split, _USUAL_SPLIT):
-            raise no_split(str(split), (str(found),), name)
+            raise unknown_split(str(split), (str(found),), name)
         return find_files([name], revision=revision, streaming=streaming)
     repository = HubRepository(place.repo_id, place.revision)
     files = _shards_below(repository, place.path)
@@ -138,7 +138,7 @@ def _found_here(name: str) -> str | DataFolder | None:
     except InputError:  # an unknown user's home
         return None
     with readable(name):
-        if not is_there(place):
+        if not path_exists(place):
             return None
     if place.is_dir():
         return DataFolder(str(place))
@@ -217,7 +217,7 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
         files = _shards_below(HubRepository(place.repo_id, place.revision), place.path)
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
-        raise no_split("", (), name)
+        raise unknown_split("", (), name)
     return splits
 
 
@@ -261,7 +261,7 @@ def _refuse_unfinished(folder: DataFolder, manifest: Manifest, split: str) -> No
         return
     there = [file.path for file in _folder_files(folder) if file.split == split]
     if not (records or there) and manifest.complete:
-        raise no_split(split, manifest.splits, folder.address())
+        raise unknown_split(split, manifest.splits, folder.address())
     raise IntegrityError(
         f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
         f"{split!r} are there, {MANIFEST_FILE} lists {len(records)} of them)",

@@ -1,6 +1,6 @@
 """Downloading data sets of the Hub: only the splits wanted, every file checked, into the cache or a folder.
 
-First everything is looked at and nothing is changed (:func:`plan_download`); then the plan is carried out
+First everything is compared and nothing is changed (:func:`plan_download`); then the plan is carried out
 (:func:`download`).
 """
 
@@ -157,7 +157,7 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
 
     here = in_threads(is_here, files.values(), _THREADS)
     missing = tuple(file for file, is_intact in zip(files.values(), here, strict=True) if not is_intact)
-    # Other tools write manifests too, which are none of a data set of ours.
+    # Other tools write files of that name, too, which are not manifests.
     ours = (
         path for path in _METADATA_FILES if path in snapshot.files and (path != MANIFEST_FILE or manifest)
     )
@@ -198,7 +198,7 @@ def _answered(repository: HubRepository, record: DownloadRecord | None) -> HubRe
 
 
 def _is_intact(folder: DataFolder, file: HubFile, earlier: DownloadRecord | None) -> bool:
-    """Return whether a file lies intact in a folder, read again: a flipped bit changes no time."""
+    """Return whether a file of a folder is intact; it is read, as a flipped bit changes no time."""
     path, digest = file.path, file.digest
     if digest is None or not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
         return False
@@ -213,7 +213,7 @@ def _is_intact(folder: DataFolder, file: HubFile, earlier: DownloadRecord | None
 
 def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord | None:
     """Return the record of an earlier download of the same repository; refuse a folder of anything else."""
-    names = folder.names()  # before the record, which a download that begins meanwhile writes first
+    names = folder.names()  # before the record, which another download writes first
     record = read_record(folder)
     if record is None and MANIFEST_FILE not in names:
         if names:
@@ -243,7 +243,7 @@ def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -
     def is_extra(path: str) -> bool:
         if path in _METADATA_FILES:
             return fitted
-        if path in shown:  # repeats the shards for the Hub's page, and stays there
+        if path in shown:  # repeats the shards for the Hub's page
             return False
         is_small = path in listed or path in _EXTRA_FILES or PurePosixPath(path).parts[0] in _EXTRA_FOLDERS
         return is_small or path.startswith(pictures)
@@ -325,7 +325,7 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
 
 
 def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
-    """Write manifest and cards, fitted to the splits that are there."""
+    """Write manifest and cards, fitted to the splits of the folder."""
     names = plan.record.metadata_files
     found = [place.read_bytes() for place in plan.repository.fetch(names)]
     contents = dict(zip(names, found, strict=True))

@@ -73,17 +73,17 @@ class _Source:
         return ShardedTable(tuple(shard for shards in self.shards.values() for shard in shards))
 
 
-def _related(kind: DatasetKind) -> list[DatasetKind]:
-    """List the kinds whose rows lie in the same columns: synthetic touches are opened as all touches are."""
+def _related_kinds(kind: DatasetKind) -> list[DatasetKind]:
+    """List the kinds whose rows have the same columns: synthetic touches are opened as all touches are."""
     return [each for each in kinds() if each.package == kind.package]
 
 
-def _opened(kind: DatasetKind, name: str) -> _Source:
+def _open_source(kind: DatasetKind, name: str) -> _Source:
     shards = {split: find_shards(name, split) for split in splits_of(name)}
     manifest = manifest_beside(next(iter(shards.values()))[0])
     if manifest is None:
         return _Source(name, None, False, shards)
-    if manifest.kind not in [each.name for each in _related(kind)]:
+    if manifest.kind not in [each.name for each in _related_kinds(kind)]:
         kind.refuse_other(manifest, name)
     if manifest.spec.get("operation") in ("export", "frames", "pairs"):
         raise InputError(
@@ -100,7 +100,7 @@ def merge_sets(kind: DatasetKind, names: Sequence[str], out: str, **run: Any) ->
 
     Raises InputError where they are of another kind, have other columns or classes, or an id in common.
     """
-    sources = [_opened(kind, name) for name in names]
+    sources = [_open_source(kind, name) for name in names]
     schemas = [shards[0].schema for source in sources for shards in source.shards.values()]
     if not all(schema.equals(schemas[0], check_metadata=True) for schema in schemas):
         raise InputError(
@@ -155,7 +155,7 @@ def write_part(
     **run: Any,
 ) -> Manifest:
     """Write rows of a data set as one of the same kind; ``options`` are JSON values that say which."""
-    return _build(kind, [_opened(kind, name)], rows, SPLIT, options, out, run)
+    return _build(kind, [_open_source(kind, name)], rows, SPLIT, options, out, run)
 
 
 def _build(
@@ -189,10 +189,10 @@ def _build(
         "operation": operation,
         "options": options,
         "source": fingerprints,
-        # Of several that were made in different ways none speaks for all.
+        # Several that were made in different ways have none in common.
         "source_spec": specs[0] if all(spec == specs[0] for spec in specs) else None,
     }
-    made = next((each for each in _related(kind) if each.name == each.package), kind)
+    made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
     libraries = ("numpy", "pyarrow")
     plan = BuildPlan(
         made.name, spec, tuple(fingerprints), tuple(tasks), _style(shards[0]), libraries=libraries

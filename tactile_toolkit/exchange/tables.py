@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -15,9 +15,7 @@ from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
-from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, ShardContent, inspect_job
 from tactile_toolkit.store.manifest import Manifest
@@ -88,28 +86,8 @@ def plan_tables(
     )
 
 
-def export_tables(
-    kind: DatasetKind,
-    plan: BuildPlan,
-    out: str,
-    *,
-    overwrite: bool = False,
-    workers: int = 1,
-    on_progress: Callable[[Progress], None] = lambda _: None,
-) -> Manifest:
-    """Write the planned tables with manifest and card; raises as all makers of folders do."""
-    return build(
-        DataFolder(out),
-        plan,
-        runner_for(workers),
-        overwrite=overwrite,
-        on_progress=on_progress,
-        write_card=kind.write_card,
-    )
-
-
 def forecast_tables(plan: BuildPlan, out: str, *, overwrite: bool = False) -> tuple[int, int]:
-    """Return rows and bytes that :func:`export_tables` would write, guessed from a few; raises as it does."""
+    """Return rows and bytes of the planned tables, estimated from a few; raises what writing them would."""
     if not overwrite:
         inspect_job(DataFolder(out), plan)
     tasks = [task for task in plan.tasks if isinstance(task, _WriteTable)]

@@ -1,6 +1,6 @@
 """Bringing a data set folder to the Hugging Face Hub.
 
-First everything is looked at and nothing is changed (:func:`prepare_upload`): is the folder intact, what has
+First everything is compared and nothing is changed (:func:`prepare_upload`): is the folder intact, what has
 the Hub already. Then what is missing is sent (:func:`run_upload`), and what arrived is compared by checksum.
 """
 
@@ -84,20 +84,20 @@ class UploadOptions:
 
 @dataclass(frozen=True, slots=True)
 class LocalFile:
-    """A file as it is to be on the Hub: its path there, where it lies, and its checksum where it is known."""
+    """A file to be sent: its path on the Hub, its local path, and its checksum where it is known."""
 
     path: str
     place: Path
     size: int
     sha256: str | None = None
 
-    def is_held(self, there: HubFile | None) -> bool:
+    def has_content_of(self, remote: HubFile | None) -> bool:
         """Return whether a file of a repository has its content."""
-        if there is None or there.digest is None or there.size_bytes != self.size:
+        if remote is None or remote.digest is None or remote.size_bytes != self.size:
             return False
-        if self.sha256 is not None and len(there.digest) == len(self.sha256):
-            return there.digest == self.sha256
-        return has_digest(self.place, there.digest)
+        if self.sha256 is not None and len(remote.digest) == len(self.sha256):
+            return remote.digest == self.sha256
+        return has_digest(self.place, remote.digest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,22 +117,22 @@ class UploadPlan:
         return not (self.to_send or self.removed)
 
 
-def compare(files: Iterable[LocalFile], there: Mapping[str, HubFile], *, delete: bool = False) -> UploadPlan:
+def compare(files: Iterable[LocalFile], remote: Mapping[str, HubFile], *, delete: bool = False) -> UploadPlan:
     """Compare all that is to be in a repository with its files by path, by checksums.
 
     Of other files, those that former uploads made for the Hub's page go, and all others with ``delete``.
     """
     local = {file.path: file for file in files}
-    missing = tuple(local[path] for path in sorted(local) if not local[path].is_held(there.get(path)))
-    kept, removed = _others(local, there, delete=delete)
+    missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
+    kept, removed = _others(local, remote, delete=delete)
     return UploadPlan(missing, kept, removed)
 
 
 def _others(
-    local: Iterable[str], there: Iterable[str], *, delete: bool
+    local: Iterable[str], remote: Iterable[str], *, delete: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the files of a repository that are not of a folder: those that stay there, and those that go."""
-    others = sorted(set(there).difference(local, _WRITTEN_BY_HUB))
+    """Return the files of a repository that a folder does not have: those kept, and those removed."""
+    others = sorted(set(remote).difference(local, _WRITTEN_BY_HUB))
     gone = tuple(path for path in others if delete or _is_for_page(path))
     return tuple(path for path in others if not (delete or _is_for_page(path))), gone
 
@@ -199,7 +199,7 @@ class UploadTarget:
             try:
                 refs = api.list_repo_refs(self.repo_id, repo_type="dataset")
             except errors.RepositoryNotFoundError as error:
-                # To the client it is a kind of that, but such a repository is there.
+                # To the client it is a kind of that, but such a repository exists.
                 if isinstance(error, errors.GatedRepoError):
                     raise
                 return replace(self, held=None)
@@ -214,7 +214,7 @@ class UploadTarget:
 
 @dataclass(frozen=True)
 class PreparedUpload:
-    """An upload that is decided and not begun.
+    """An upload that has been planned but not begun.
 
     ``left_out`` lies in the folder and does not belong to the data set. ``scratch`` holds what was made for
     the upload as long as this is kept.
@@ -384,8 +384,8 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     """Send what is missing, compare what arrived, and name it.
 
     What fails for the moment is done once more, with what is then missing: nothing, where only the answer was
-    lost. Raises HubError (what was sent stays there, and the same call continues from it) or IntegrityError
-    (what the Hub holds afterwards is not what the folder has).
+    lost. Raises HubError (what was sent stays on the Hub, and the same call continues from it) or
+    IntegrityError (what the Hub holds afterwards is not what the folder has).
     """
     target, options = prepared.target, prepared.options
     if target.held is None:

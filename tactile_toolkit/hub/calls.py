@@ -132,7 +132,7 @@ def named_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
     """Turn every failure of the Hub, the network and its cache into an error of the toolkit.
 
     ``doing`` is what is done to the repository: ``"reading"``, ``"uploading to"``, ... Raises HubError (not
-    allowed, not there, not reached), StorageError (no space, no permission) or InputError (not a name).
+    allowed, not found, not reached), StorageError (no space, no permission) or InputError (not a name).
     """
     try:
         yield
@@ -264,7 +264,7 @@ def _check_answer(response: Any, **_: Any) -> None:
                 f"the Hub calls a file {value[:80]!r}, which is not a digest", next="check HF_ENDPOINT"
             )
     if response.status_code in _TRANSIENT_STATUS and _requested_s(response.headers):
-        # Raised at once: the caller waits, who can give a reason for it.
+        # Raised at once: the caller waits, and can report why.
         import_module("huggingface_hub.utils").hf_raise_for_status(response)
     path = urlsplit(str(request.url)).path
     if response.status_code // 100 == 2 and "/api/" not in path.partition("/resolve/")[0]:

@@ -178,7 +178,7 @@ class Transfers:
             raise
 
     def count(self, file: HubFile, size_bytes: int) -> None:
-        """Note how much of a file is there; what is to stop stops here, and so does what has no end."""
+        """Note how much of a file has arrived; raises after a stop, and for a file that is too long."""
         if size_bytes > file.size_bytes:
             raise TooLargeError(f"more than the {file.size_bytes:,} bytes that were expected")
         with self._lock:
@@ -238,7 +238,7 @@ class HubRepository:
     Notes
     -----
     ``HF_HOME``, ``HF_ENDPOINT``, ``HF_HUB_OFFLINE`` and the stored token are honoured. Files lie in the Hub's
-    own cache, so that other programs find them there.
+    own cache, so that other programs find them.
     """
 
     repo_id: str
@@ -287,14 +287,14 @@ class HubRepository:
 
     @cached_property
     def _listed(self) -> dict[str, HubFile]:
-        """What the manifest states of its shards, and of other files that are there, by path."""
+        """What the manifest states of its shards, and of other files of the commit, by path."""
         if self.manifest is None:
             return {}
-        there, records = self.snapshot.files, self.manifest.shards
+        remote, records = self.snapshot.files, self.manifest.shards
         files = [HubFile(r.file, r.bytes, r.sha256) for r in records]
         for path, sha256 in (self.manifest.files or {}).items():
-            if path in there:
-                files.append(HubFile(path, there[path].size_bytes, sha256))
+            if path in remote:
+                files.append(HubFile(path, remote[path].size_bytes, sha256))
         return {file.path: file for file in files}
 
     def files(self) -> list[str]:
@@ -308,15 +308,15 @@ class HubRepository:
         that of a file in a folder, HubError for no such file.
         """
         names_inside((path,), f"Hub data set {self.repo_id!r}")
-        there = self.snapshot.files.get(path)
-        wanted = there if path == MANIFEST_FILE else self._listed.get(path, there)
+        remote = self.snapshot.files.get(path)
+        wanted = remote if path == MANIFEST_FILE else self._listed.get(path, remote)
         if wanted is None and self.snapshot.is_cache:
             raise not_cached(self.repo_id, repr(path))
         if wanted is None:
             raise HubError(
                 f"Hub data set {self.repo_id!r} has no file {path!r}", next="see what it has on its page"
             )
-        digests = [each.digest for each in (there, wanted) if each and each.digest]
+        digests = [each.digest for each in (remote, wanted) if each and each.digest]
         if len(set(digests)) == len(set(map(len, digests))):  # one of each kind
             return wanted
         raise IntegrityError(
@@ -331,7 +331,7 @@ class HubRepository:
         return f"{_PREFIX}{self.repo_id}@{self.snapshot.commit}/{path}"
 
     def cached(self, path: str, *, check: bool = False) -> Path | None:
-        """Return a file that lies intact in the Hub's cache; None otherwise. Asks no server, fetches nothing.
+        """Return a file that is intact in the Hub's cache; None otherwise. Asks no server, fetches nothing.
 
         It has the size that is expected and, with ``check``, the content.
         """
@@ -345,7 +345,7 @@ class HubRepository:
         return snapshot_folder(self.repo_id, self.snapshot.commit) / path
 
     def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[Path]:
-        """Bring files into the Hub's cache, or find them there, and return their local paths.
+        """Bring files into the Hub's cache, unless it has them, and return their local paths.
 
         What arrives has the digest of the manifest, where there is one, and else that of the Hub. Raises
         IntegrityError for a file that arrived damaged twice or is not what the manifest lists (nothing of it

@@ -31,7 +31,7 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table, stored_class_names
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.derived import MADE_OF
-from tactile_toolkit.store.files import locked, of_the_process, readable
+from tactile_toolkit.store.files import locked, readable, resource_shortage
 from tactile_toolkit.store.folder import VERSION_KEYS, split_uri
 from tactile_toolkit.store.parquet import open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
@@ -296,7 +296,7 @@ class Shard:
         except FileNotFoundError:
             return None
         except (ValueError, OSError) as error:
-            if of_the_process(error) is None:
+            if resource_shortage(error) is None:
                 _UNPACKED.drop(file)
             return None
         _UNPACKED.mark_used(file)

@@ -1,9 +1,9 @@
-"""Who does the work: one process, several, or (:mod:`tactile_toolkit.run.ray`) many machines.
+"""Where tasks run: in one process, in several, or (:mod:`tactile_toolkit.run.ray`) on many machines.
 
 A task is a small picklable value; running it anywhere, any number of times, writes the same bytes. A
 :class:`Runner` therefore only decides where tasks run and repeats those whose worker died. :class:`Part`,
 :class:`Finish` and :class:`Check` stand where a runner stands, so that every function that makes data takes
-them; what they mean for a folder is said in :mod:`tactile_toolkit.store.build`.
+them; they decide which shards are made and whether the set is finished.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class ProcessRunner:
                     held[pipe] = waiting.popleft()
                     with contextlib.suppress(OSError):  # it has died, as the end of its pipe shows
                         pipe.send_bytes(pickle.dumps(held[pipe][0]))
-                yield from map(outcome, answers)  # only now, so that no worker waits for the caller
+                yield from map(unpack_result, answers)  # only now, so that no worker waits for the caller
                 if not held:
                     return
                 answers = []
@@ -117,7 +117,9 @@ class ProcessRunner:
                     except (EOFError, OSError):
                         workers.pop(pipe).join()
                         if attempt >= self.attempts:
-                            raise died(task, attempt, "worker process", "with fewer --workers") from None
+                            raise worker_died(
+                                task, attempt, "worker process", "with fewer --workers"
+                            ) from None
                         waiting.appendleft((task, attempt + 1))
         finally:
             for process in workers.values():
@@ -190,7 +192,7 @@ class Finish:
 class Check:
     """Reads all that is finished again before it continues, and makes again what is damaged.
 
-    Without it runs believe sizes and records.
+    Without it runs trust sizes and records.
 
     Parameters
     ----------
@@ -266,7 +268,7 @@ def _main_hidden() -> Iterator[None]:
     """Start workers without running the caller's script again.
 
     Spawned processes import the main script; one without an ``if __name__ == "__main__"`` guard, or typed
-    into an interpreter, would fail or start the work again in each of them. Nothing of ours lives there.
+    into an interpreter, would fail or start the work again in each of them. No task needs the script.
     """
     main = sys.modules["__main__"].__dict__
     hidden: dict[str, Any] = {name: main[name] for name in ("__spec__", "__file__") if name in main}
@@ -285,7 +287,7 @@ def _work(pipe: Any, function: bytes) -> None:
     threading.Thread(target=_listen, args=(pipe, inbox), daemon=True).start()
     with contextlib.suppress(OSError):  # a parent that has died takes no answer
         while True:
-            pipe.send_bytes(carry_out(function, inbox.get()))
+            pipe.send_bytes(run_pickled(function, inbox.get()))
 
 
 def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:
@@ -296,8 +298,8 @@ def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:
     os._exit(1)
 
 
-def carry_out(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pickle.dumps) -> bytes:
-    """Call a pickled function with a pickled task; return what it returned or raised, for :func:`outcome`."""
+def run_pickled(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pickle.dumps) -> bytes:
+    """Call a pickled function with a pickled task; return its result or error, packed."""
     try:
         _prepare_worker()
         return dumps((pickle.loads(function)(pickle.loads(task)), None))
@@ -320,7 +322,7 @@ def _prepare_worker() -> None:
     threadpool_limits(limits=1, user_api="blas")  # in Ray numpy is there before the variables are set
 
 
-def outcome(packed: bytes, *notes: str) -> Any:
+def unpack_result(packed: bytes, *notes: str) -> Any:
     """Return what the function returned, or raise what it raised, with notes."""
     value, error = pickle.loads(packed)
     if error is None:
@@ -330,7 +332,7 @@ def outcome(packed: bytes, *notes: str) -> Any:
     raise error
 
 
-def died(task: object, attempts: int, worker: str, again: str) -> ToolkitError:
+def worker_died(task: object, attempts: int, worker: str, again: str) -> ToolkitError:
     """Return the error of a task whose workers always died."""
     return ToolkitError(
         f"the {worker} died {attempts} times while it made {task}; out of memory is the usual cause; next: "

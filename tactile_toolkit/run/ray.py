@@ -19,7 +19,7 @@ from importlib.util import find_spec
 from typing import Any, TypeVar
 
 from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError
-from tactile_toolkit.run.processes import died, outcome
+from tactile_toolkit.run.processes import unpack_result, worker_died
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -92,7 +92,7 @@ class RayRunner:
         if not waiting:
             return
         with _connected(self.address) as ray:
-            # Repeating is ours: Ray's own repeats a task that ran out of memory without end.
+            # Tried again here: Ray itself repeats a task that ran out of memory without end.
             names = (_DISTRIBUTION, *getattr(function, "libraries", ()))
             work = ray.remote(num_cpus=1, max_retries=0)(_travelling(names))
             # Pickled here, not by Ray, so that what cannot be unpickled there is an error like any other.
@@ -113,12 +113,12 @@ class RayRunner:
                         except ray.exceptions.RayError as error:
                             if attempt >= self.attempts:
                                 again = "on nodes with more memory or with fewer --workers"
-                                raise died(task, attempt, "Ray worker", again) from error
+                                raise worker_died(task, attempt, "Ray worker", again) from error
                             waiting.appendleft((task, attempt + 1))
                             continue
                         if differing:
                             raise _other_versions(node, differing)
-                        yield outcome(answer, f"raised on node {node}")
+                        yield unpack_result(answer, f"raised on node {node}")
             finally:
                 # Interrupted, tasks remove what is half-written; then the workers of those left are killed.
                 left = list(running)
@@ -129,9 +129,9 @@ class RayRunner:
 
 
 def _travelling(names: Iterable[str]) -> Callable[..., Any]:
-    """Return what nodes run: it carries its own code and needs nothing of ours.
+    """Return what nodes run: it carries its own code and needs no package of this project.
 
-    It returns the name of its machine, the versions that differ there from those here (there, here), and,
+    It returns the name of its machine, the versions that differ (on the node, here), and,
     where none does, the answer of a task.
     """
 
@@ -157,9 +157,9 @@ def _travelling(names: Iterable[str]) -> Callable[..., Any]:
                 {name: (known[name], wanted[name]) for name in names if known[name] != wanted[name]},
                 b"",
             )
-        from tactile_toolkit.run.processes import carry_out
+        from tactile_toolkit.run.processes import run_pickled
 
-        return machine, {}, carry_out(function, task, ray.cloudpickle.dumps)
+        return machine, {}, run_pickled(function, task, ray.cloudpickle.dumps)
 
     return work
 

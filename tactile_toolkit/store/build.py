@@ -1,7 +1,7 @@
 """Making a data set folder: begin, work, finish. The order of effects is what makes it safe.
 
-begin   creates the manifest (complete: false, no shards) if there is none, and reads back whose it is
-work    makes a shard; then, under the shared lock: still our job? rows, report rows, files, record
+begin   creates the manifest (complete: false, no shards) if there is none, and reads it back
+work    makes a shard; then, under the shared lock: same job? rows, report rows, files, record
 finish  under the lock: every task has its record; report, small columns, further files, card, manifest
 
 The kinds of data bring a :class:`~tactile_toolkit.store.job.BuildPlan`. What is interrupted continues when
@@ -42,7 +42,7 @@ from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord
 
 _CAUSES_SHOWN = 3
 _PATIENCE_S = 60.0
-"""How long a run waits to begin where others write; one that was stopped (Ctrl-Z) holds its lock for good."""
+"""How long a run waits for the lock of others; one that was stopped (Ctrl-Z) never releases it."""
 
 WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
@@ -169,7 +169,7 @@ def _work(job: Job, runner: Runner, on_progress: Callable[[Progress], None]) -> 
 
 
 def _end_part(job: Job, records: Sequence[ShardRecord]) -> Manifest:
-    """Return what the manifest would hold of a part, or that of a set that others have finished meanwhile."""
+    """Return what the manifest would hold of a part, or that of a set that other runs have finished."""
     if job.remaining:
         current = require_same_job(job.folder, job.manifest.identity)
         listed = {record.shard for record in current.shards}
@@ -187,7 +187,7 @@ def _finish(job: Job, records: Sequence[ShardRecord], write_card: WriteCard | No
     current = require_same_job(folder, job.manifest.identity)
     _require_records(job, records)
     _require_rows(records)
-    # Other splits may have been finished meanwhile.
+    # Other splits may have been finished since the run began.
     manifest = replace(job.manifest, shards=current.shards, files=current.files).with_shards(records)
     files = dict(manifest.files)
     if current.shards and current.shards != manifest.shards:
@@ -227,7 +227,7 @@ def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     pending = pending_records(folder, manifest.identity)
     if any(record.rows for shard, record in pending.items() if shard not in listed):
         return
-    # A shard from which all was left out is made again in no time.
+    # A shard without rows is soon made again.
     for shard in pending.keys() - listed:
         for path in (shard.record_path, shard.report_path, shard.data_path):
             folder.remove(path)

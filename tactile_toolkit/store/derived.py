@@ -68,13 +68,13 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
 
     Rows of shards finished in an earlier run come from the report that run wrote; the order is always that
     of the manifest, so the bytes do not depend on the order of the work. Where that report is of the same
-    shards it stays as it is. Raises IntegrityError where rows are nowhere.
+    shards it stays as it is. Raises IntegrityError where rows are missing.
     """
     records = [record for record in manifest.shards if record.report_sha256]
     if not records:
         return None
-    there = {f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)}
-    pending = {record.shard for record in records if record.shard.report_path in there}
+    stored = {f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)}
+    pending = {record.shard for record in records if record.shard.report_path in stored}
     known = manifest.files.get(path)
     if known and not pending and folder.exists(path) and file_sha256(folder, path) == known:
         return known
@@ -103,7 +103,7 @@ def _tables(
     for record in records:
         content = next(contents) if record.shard in pending else None
         table = None
-        # It goes where another run of the same ends at this moment; then that one has merged it.
+        # It is removed where another run of the same ends at this moment, which has merged it.
         if content is not None and sha256_hex(content) == record.report_sha256:
             with contextlib.suppress(IntegrityError), named_damage(record.shard.report_path):
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)
@@ -119,7 +119,7 @@ def _tables(
 
 
 def _stored_rows(folder: DataFolder, path: str) -> Generator[tuple[str, Any], None, None]:
-    """Yield the shards of a report that a run has merged, each with its rows, which stand together."""
+    """Yield the shards of a report that a run has merged, each with its rows, which are contiguous."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
@@ -208,7 +208,7 @@ def _small_table(folder: DataFolder, file: SmallFile) -> Any:
 
     workers = min(os.cpu_count() or 1, _READERS) if folder.is_local else _READERS
     tables = list(in_threads(read, file.records, workers))
-    # What not all shards have in one type is left to them.
+    # Columns that differ between shards are read from the shards.
     every = [dict(zip(table.schema.names, table.schema.types, strict=True)) for table in tables]
     names = [
         field.name

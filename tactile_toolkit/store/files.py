@@ -50,7 +50,7 @@ def named_failures(address: str) -> Iterator[None]:
         ) from error
 
 
-def of_the_process(error: Exception) -> str | None:
+def resource_shortage(error: Exception) -> str | None:
     """Return, in words, of what this process or machine has too little; None for any other error."""
     if isinstance(error, MemoryError):
         error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
@@ -68,7 +68,7 @@ def readable(address: str) -> Iterator[None]:
     try:
         yield
     except (OSError, MemoryError) as error:
-        reason = of_the_process(error)
+        reason = resource_shortage(error)
         if isinstance(error, PermissionError):
             reason = "permission denied; next: change its permissions, or ask its owner to"
         if reason is None:
@@ -76,7 +76,7 @@ def readable(address: str) -> Iterator[None]:
         raise InputError(f"{address!r} cannot be read: {reason}") from error
 
 
-def is_there(path: Path) -> bool:
+def path_exists(path: Path) -> bool:
     """Return whether there is such a file or folder; PermissionError where this user may not know.
 
     `Path.exists` says so too, but from Python 3.14 on it answers no.

@@ -1,4 +1,4 @@
-"""The one seam through which data set folders are read and written.
+"""The only way in which data set folders are read and written.
 
 Local folders and every fsspec address (``s3://...``, ``memory://...``) are a :class:`DataFolder`: it lists,
 reads, writes files in one step or creates them if absent, moves, removes, and locks. Its methods are those
@@ -82,7 +82,7 @@ class DataFolder:
         object.__setattr__(self, "root", str(expanded(place).absolute()) if self.is_local else place)
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Leave open connections behind."""
+        """Pickle the address alone, without open connections."""
         return DataFolder, (self.root,)
 
     def address(self, path: str = "") -> str:
@@ -90,7 +90,7 @@ class DataFolder:
 
         Everything that is done with a file starts here. Raises StorageError for a path that leads out of the
         folder: names from outside are refused where they are read (:mod:`tactile_toolkit.store.names`), and
-        nothing is done even with one that was forgotten there.
+        the check here is the last one.
         """
         if not path:
             return self.root
@@ -121,7 +121,7 @@ class DataFolder:
         return self._problem() or f"no {what} in {self.root!r}"
 
     def _problem(self) -> str:
-        """Say why nothing can be in the folder; empty where something can."""
+        """Return why nothing can be in the folder; empty where something can."""
         found = self.info("")
         if found is None:
             return f"{self.root!r} does not exist"
@@ -132,7 +132,7 @@ class DataFolder:
         with readable(self.address(path)):
             try:
                 found = Path(self.address(path)).stat()
-            except (OSError, ValueError) as error:  # a circle of links, or a null byte: nothing is there
+            except (OSError, ValueError) as error:  # a circle of links, or a null byte: no file
                 if getattr(error, "errno", None) in (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG):
                     raise
                 return None
@@ -140,7 +140,7 @@ class DataFolder:
         return {"type": kind, "size": found.st_size, "mtime": found.st_mtime_ns, "inode": found.st_ino}
 
     def exists(self, path: str = "") -> bool:
-        """Return whether a file (or, without an argument, the folder) is there."""
+        """Return whether a file (or, without an argument, the folder) exists."""
         return self.info(path) is not None
 
     def version(self, path: str) -> tuple[object, ...] | None:
@@ -170,7 +170,7 @@ class DataFolder:
             for entry in found:
                 try:
                     sizes[entry.name] = entry.stat().st_size if entry.is_file() else None
-                except FileNotFoundError:  # gone since it was listed, or a link that leads nowhere
+                except FileNotFoundError:  # removed since it was listed, or a broken link
                     if entry.is_symlink():
                         sizes[entry.name] = None
         return dict(sorted(sizes.items()))
@@ -198,7 +198,7 @@ class DataFolder:
             return open_regular(Path(self.address(path)))
 
     def read_bytes(self, path: str) -> bytes:
-        """Read a whole (small) file; IntegrityError when it is not there or cannot be read."""
+        """Read a whole (small) file; IntegrityError when it is missing or cannot be read."""
         try:
             return self._read(path)
         except OSError as error:
@@ -280,7 +280,7 @@ class DataFolder:
 
     @contextlib.contextmanager
     def _temporary(self, path: str) -> Iterator[IO[bytes]]:
-        """Give a new temporary file for one of that path, and remove it if it is still there at the end."""
+        """Open a new temporary file for one of that path, and remove it at the end unless it was moved."""
         self.place(path)
         temporary = self.place(f"{PENDING_FOLDER}/{TEMPORARY}{uuid.uuid4().hex}")
         try:
@@ -306,7 +306,7 @@ class DataFolder:
             sync_folder(place.parent)
 
     def remove(self, path: str) -> None:
-        """Remove a file, if it is there."""
+        """Remove a file, if it exists."""
         with named_failures(self.address(path)):
             self.place(path).unlink(missing_ok=True)
 
@@ -331,7 +331,7 @@ class DataFolder:
         self.remove_tree(PENDING_FOLDER, TEMPORARY)
 
     def require_folder(self) -> None:
-        """Create the folder, and prove that it can be written to; a bucket must be there.
+        """Create the folder, and prove that it can be written to; a bucket must exist.
 
         Raises InputError when a file stands in its place or the bucket does not exist.
         """
@@ -343,7 +343,7 @@ class DataFolder:
                 pass
 
     def refresh(self, folder: str) -> None:
-        """Have a network file system forget what it knows of a sub-folder; stores remember nothing."""
+        """Make a network file system drop what it cached of a sub-folder; stores cache nothing."""
         # Its time changes.
         with contextlib.suppress(OSError):
             os.utime(self.place(folder))
@@ -420,7 +420,7 @@ class _StoreFolder(DataFolder):
         return dict(sorted(sizes.items()))
 
     def open(self, path: str) -> IO[bytes]:
-        # Its `details` are what the store says of it; a file that is replaced meanwhile is not read on.
+        # Its `details` are those of the store; a file that is replaced is not read on.
         return open_in_store(self._client, self._key(path), self.address(path))
 
     def _read(self, path: str) -> bytes:
@@ -483,7 +483,7 @@ class _StoreFolder(DataFolder):
         if found is None and self._problem():
             raise self._no_bucket()
 
-    # What only a file system has: a store lists what is there, has no empty folders, and knows no locks.
+    # What only a file system has: a store has no stale listings, no empty folders, and no locks.
 
     def remove_empty(self, folder: str) -> None:
         self.address(folder)  # refuses a path that leads out of the folder
@@ -510,7 +510,7 @@ class _StoreFolder(DataFolder):
 
 
 def split_uri(place: str) -> tuple[DataFolder, str]:
-    """Return the folder of a file, local or at an address, and its name there."""
+    """Return the folder of a file, local or at an address, and its name in it."""
     if is_remote(place):
         parent, _, name = normalize_uri(place).rpartition("/")
         return DataFolder(parent), name

@@ -88,7 +88,7 @@ class BuildPlan:
         there.
     is_current : callable, optional
         Takes the folder, the record of a finished shard and whether to read all; returns whether what goes
-        with its rows, such as ``files``, is there and unchanged.
+        with its rows, such as ``files``, exists and is unchanged.
     libraries : tuple of str
         Distributions whose versions decide bytes.
     write_files : callable
@@ -110,7 +110,7 @@ class BuildPlan:
     )
 
     def __post_init__(self) -> None:
-        # What is compared with a manifest has gone through JSON there: tuples became lists.
+        # As in a manifest: JSON has made lists of tuples.
         text = json.dumps(self.spec, ensure_ascii=False)
         object.__setattr__(self, "spec", json.loads(text))
         try:
@@ -282,7 +282,7 @@ def _manifest_of_version(folder: DataFolder, version: object) -> Manifest | None
 def _intact_records(
     folder: DataFolder, plan: BuildPlan, manifest: Manifest, shards: Collection[ShardName], check: bool
 ) -> dict[ShardName, ShardRecord]:
-    """Return the record of each shard whose files are there: by size or, to check, by content.
+    """Return the record of each shard whose files are intact: by size or, to check, by content.
 
     A pending record counts before that of the manifest.
     """
@@ -339,14 +339,14 @@ def pending_records(
 ) -> dict[ShardName, ShardRecord]:
     """Read the records of a job that no manifest holds yet: of all shards, or of these.
 
-    One whose report rows are not there, or of another size, does not count.
+    One whose report rows are missing, or of another size, does not count.
     """
     waiting = folder.sizes(PENDING_FOLDER)
     chosen = [shard for shard in _pending_shards(waiting) if shards is None or shard in shards]
     contents = folder.read_many([shard.record_path for shard in chosen])
     found = {}
     for shard, content in zip(chosen, contents, strict=True):
-        # One that cannot be read proves nothing: its shard is made again. It may also have gone since it was
+        # The shard of one that cannot be read is made again. It may also have been removed since it was
         # listed, because the run has just ended.
         with contextlib.suppress(IntegrityError, ValueError):
             pending = decode(content or b"", _Pending, shard.record_path)
@@ -369,7 +369,7 @@ def manifest_so_far(folder: DataFolder) -> Manifest | None:
 
 
 def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
-    """Return the pending records that a manifest does not hold and whose files are there."""
+    """Return the pending records that a manifest does not hold and whose files exist."""
     listed, sizes = {record.shard for record in manifest.shards}, folder.sizes(DATA_FOLDER)
     return [
         record
@@ -379,9 +379,9 @@ def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
 
 
 def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
-    """Remove what a finished set does not need: records that it holds, temporary files, a set begun inside.
+    """Remove what a finished set does not need: its pending records, temporary files, an abandoned next set.
 
-    What another split has begun stays its own until that is finished.
+    The records of another split stay until that is finished.
     """
     shards = [record.shard for record in _begun_records(folder, manifest)]
     kept = {path for shard in shards for path in (shard.record_path, shard.report_path)}
@@ -415,16 +415,16 @@ def _refuse_difference(folder: DataFolder, found: object, wanted: object) -> Non
         )
 
 
-def _differences(there: Any, wanted: Any, path: str = "") -> list[str]:
+def _differences(found: Any, wanted: Any, path: str = "") -> list[str]:
     """State how two JSON values differ, one line for each difference."""
-    if isinstance(there, Mapping) and isinstance(wanted, Mapping):
+    if isinstance(found, Mapping) and isinstance(wanted, Mapping):
         lines = []
-        for key in dict.fromkeys((*there, *wanted)):
-            lines += _differences(there.get(key), wanted.get(key), f"{path}.{key}".lstrip("."))
+        for key in dict.fromkeys((*found, *wanted)):
+            lines += _differences(found.get(key), wanted.get(key), f"{path}.{key}".lstrip("."))
         return lines
-    if there == wanted:
+    if found == wanted:
         return []
-    return [f"{path} is {_short(there)} there, {_short(wanted)} was asked for"]
+    return [f"{path} is {_short(found)} there, {_short(wanted)} was asked for"]
 
 
 def _short(value: Any) -> str:

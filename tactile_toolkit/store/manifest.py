@@ -1,4 +1,4 @@
-"""``manifest.json``: what made a data set folder, and what lies in it.
+"""``manifest.json``: what made a data set folder, and what is in it.
 
 While a run is under way, what it has finished is in pending records instead, one file for each shard, so that
 two writers never share a file (:mod:`tactile_toolkit.store.job`).
@@ -101,7 +101,7 @@ class Manifest:
         return replace(self, shards=tuple(ordered))
 
     def sums(self) -> dict[str, dict[str, Any]]:
-        """Return what the text of the manifest repeats of the shards, by the name that it has there."""
+        """Return what the text of the manifest repeats of the shards, by its name in the text."""
         return {
             "splits": self.split_table(),
             "skipped": self.skipped_reasons(),
@@ -136,7 +136,7 @@ class Manifest:
                 f"{SCHEMA_VERSION}",
                 next="install a newer tactile-toolkit",
             )
-        # What follows from the shards stands there too, so that a number that was changed shows.
+        # The text repeats what follows from the shards, so that a changed number is found.
         stated = msgspec.structs.asdict(decode(content, _Sums, where))
         try:
             shards = {record.shard for record in manifest.shards}

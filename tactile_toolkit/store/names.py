@@ -32,7 +32,7 @@ _HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")
 _SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
 
 _LONGEST_BYTES = 1024
-# File systems take 255 bytes; while a file is written, more stands before its name.
+# File systems take 255 bytes; while a file is written, its name has a prefix.
 _LONGEST_PART_BYTES = 150
 _DRIVE = re.compile("[A-Za-z]:")
 _PORTS = frozenset(f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³")
@@ -99,7 +99,7 @@ def normalize_uri(place: str) -> str:
 
 
 def problem_of_name(name: object) -> str:
-    """Say why a name, a path with slashes, cannot be that of a file of a data set; empty where it can."""
+    """Return why a name, a path with slashes, cannot be that of a file of a data set; empty where it can."""
     is_plain = (
         isinstance(name, str)
         and name.isprintable()
@@ -121,7 +121,7 @@ def _is_plain_part(part: str) -> bool:
 
 
 def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
-    """Return names of files that belong together, if each can stand for one file in a folder of ours.
+    """Return names of files that belong together, if each is that of one file in a data set folder.
 
     ``where`` says, for the message, who gave the names. Raises IntegrityError for one that cannot (it leads
     out of the folder, is hidden, or is not a name on every system), and for two that are one file where case

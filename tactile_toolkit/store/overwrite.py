@@ -37,9 +37,9 @@ class _Promotion(msgspec.Struct):
 def require_replaceable(folder: DataFolder) -> list[str]:
     """Return the files of the data set that a run may replace, none where there is none; changes nothing.
 
-    All that a data set of ours can hold is known by its name; what is hidden and not of ours stays. Raises
-    InputError when anything else is there, a symbolic link above all, and for a set in an object store, which
-    moves no file.
+    All files of a data set are known by their names; other hidden files stay. Raises
+    InputError for any other file, a symbolic link above all, and for a set in an object store, which moves
+    no file.
     """
     if not folder.exists(MANIFEST_FILE):
         refuse_unknown_files(folder)
@@ -58,7 +58,7 @@ def require_replaceable(folder: DataFolder) -> list[str]:
     shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or name[0] != "."}
     found = [path for path in folder.walk() if path.partition("/")[0] in shown]
     strange = [path for path in found if folder.place(path) and not _is_ours(path, further)]
-    # A damaged manifest of ours has shards next to it; other programs have files of that name, too.
+    # A damaged manifest of a data set has shards next to it; other programs have files of that name, too.
     if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
         strange = [MANIFEST_FILE]
     if strange:
@@ -93,7 +93,7 @@ def _extra_files() -> list[str]:
 
 
 def _is_ours(path: str, further: list[str]) -> bool:
-    """Return whether a file of a data set of ours can have such a path."""
+    """Return whether a file of a data set can have such a path."""
     place = PurePosixPath(path)
     if path.startswith(f"{PENDING_FOLDER}/") or (
         len(place.parts) > 1 and place.name.startswith(TEMPORARY_PREFIX)
@@ -108,21 +108,21 @@ def _is_ours(path: str, further: list[str]) -> bool:
 
 
 def prepare_next(folder: DataFolder, plan: BuildPlan) -> DataFolder:
-    """Return the folder in which the next data set is made; what is there of another one goes.
+    """Return the folder in which the next data set is made, without files of any other one.
 
     The run that was making the other one, if it is still at work, is asked to begin again.
     """
     after = DataFolder(folder.address(NEXT_FOLDER))
     begun = _manifest(after)
     if begun is None or begun.identity != plan.new_manifest().identity:
-        folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it nothing there counts
+        folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it no other file counts
         folder.remove_tree(NEXT_FOLDER)
     after.require_folder()
     return after
 
 
 def resume_promotion(folder: DataFolder, patience_s: float = _PATIENCE_S) -> None:
-    """Carry on with a replacement that was begun; raises InputError while another run is at it."""
+    """Complete a replacement that was begun; raises InputError while another run does so."""
     if folder.is_local and folder.exists(_PROMOTION):
         with folder.locked(patience_s=patience_s):
             if folder.exists(_PROMOTION):

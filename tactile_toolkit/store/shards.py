@@ -24,7 +24,7 @@ DATA_FOLDER = "data"
 VIEWER_FOLDER = "viewer"
 """Repeats the rows for the Hub's page, see `tactile_toolkit.exchange.viewer`; copies may leave it out."""
 MOST_ROWS = 1 << 40
-"""Most rows that a shard is believed to have; more than any disk holds."""
+"""Largest number of rows that a shard may state; more than any disk holds."""
 
 _MANY_SHARDS = 8192
 
@@ -70,7 +70,7 @@ class ShardName(msgspec.Struct, frozen=True, order=True):
 
     @property
     def can_be_read_back(self) -> bool:
-        """Whether the name that is written says the same to who reads it."""
+        """Whether parsing the name gives the same shard."""
         return self.index < self.count and self.parse(f"{self}.parquet") == self
 
 
@@ -160,7 +160,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong: a path inside the folder, and what was found and expected there."""
+    """One thing that is wrong: a path inside the folder, and what was found and expected."""
 
     file: str
     problem: str
@@ -228,11 +228,11 @@ def files_of_split(files: list[ShardFile], split: str, where: str) -> list[Shard
     """Return the files of one split.
 
     Raises InputError when the split does not exist, and IntegrityError when some of its shards are absent:
-    fewer rows than there should be must not pass.
+    a part of the rows must not pass for all.
     """
     chosen = [file for file in files if file.split == split]
     if not chosen:
-        raise no_split(split, tuple(dict.fromkeys(file.split for file in files)), where)
+        raise unknown_split(split, tuple(dict.fromkeys(file.split for file in files)), where)
     names = [ShardName.parse(PurePosixPath(file.path).name) for file in chosen]
     counts = {name.count for name in names if name is not None}
     if len(counts) == 1 and None not in names and len(chosen) < max(counts):
@@ -243,8 +243,8 @@ def files_of_split(files: list[ShardFile], split: str, where: str) -> list[Shard
     return chosen
 
 
-def no_split(split: str, known: tuple[str, ...], where: str) -> InputError:
-    """Return the error for a split that is not there, among those that are."""
+def unknown_split(split: str, known: tuple[str, ...], where: str) -> InputError:
+    """Return the error for a split that does not exist; ``known`` are those that do."""
     if not known:
         return InputError(
             f"no Parquet files in {where!r}", next="give the folder or repository of a data set"

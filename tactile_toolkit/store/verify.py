@@ -84,7 +84,7 @@ def verify(
     checked = _each(check, {record.file: record for record in manifest.shards}, on_file, workers)
     findings += [finding for found, _ in checked for finding in found]
     findings += _repeated_ids(manifest.shards, [ids for _, ids in checked])
-    # Files for the Hub's page may be left out, as in the cache of who wanted the rows alone.
+    # Files for the Hub's page may be left out, as in a cache of the rows alone.
     files = {
         path: HubFile(path, 0, sha256)
         for path, sha256 in manifest.files.items()
@@ -141,7 +141,7 @@ def problem_of_place(folder: DataFolder, path: str) -> str:
     """Say why a path of a folder is not one of its own files; empty where it is one.
 
     A link may lead to another file of the folder, and from a snapshot of the Hub's cache to its contents.
-    What lies elsewhere is not read: the folder may be any user's.
+    Other files are not read: the folder may be any user's.
     """
     if not folder.exists(path):
         return "is missing"
@@ -221,11 +221,11 @@ def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
     # Compared by Arrow: how the element of a list is called does not count.
     if schema is not None and not stored.equals(schema):
-        there, expected = (
+        found, expected = (
             [f"{each.name}: {each.type}" for each in one if not any(map(each.equals, other))]
             for one, other in ((stored, schema), (schema, stored))
         )
-        differences = f"{there} there, {expected} expected" if there or expected else "the order of columns"
+        differences = f"{found} there, {expected} expected" if found or expected else "the order of columns"
         findings.append(Finding(path, f"schema differs: {differences}"))
     return findings, ids
 
