@@ -13,14 +13,13 @@ import stat
 import time
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from threading import RLock
 from typing import IO, Any, Generic, TypeVar
-from weakref import WeakSet
 
+from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.files import (
     TEMPORARY_PREFIX,
     atomic_file,
@@ -41,15 +40,10 @@ CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
 
 def cache_folder() -> Path:
     """Return the cache folder: ``$TACTILE_TOOLKIT_CACHE``, or ours in the user's cache folder."""
-    get = os.environ.get
-    return _cache_folder(get(CACHE_VARIABLE), get("XDG_CACHE_HOME"), get("HOME"))
-
-
-@lru_cache(maxsize=8)  # asked for with each block that is mapped
-def _cache_folder(named: str | None, user_cache: str | None, _home: str | None) -> Path:
+    named = os.environ.get(CACHE_VARIABLE)
     if named:
         return expanded(named, CACHE_VARIABLE)
-    return expanded(user_cache or "~/.cache", "XDG_CACHE_HOME") / "tactile-toolkit"
+    return expanded(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "XDG_CACHE_HOME") / "tactile-toolkit"
 
 
 # A folder is looked through by chance, once in the mean for so small a part of its limit that is written,
@@ -119,8 +113,8 @@ class DiskCache:
             _unwritable.add(path.parent)
             if self.warning:
                 problem = f"{str(path.parent)!r} cannot be written: {error.strerror or error}"
-                next_step = f"next: make room there, or let {CACHE_VARIABLE} name another folder"
-                message = f"{self.warning.format(problem=problem)}; {next_step}"
+                advice = f"make room there, or let {CACHE_VARIABLE} name another folder"
+                message = ToolkitError(self.warning.format(problem=problem), next=advice).message
                 warnings.warn(message, RuntimeWarning, stacklevel=2)
             return False
         return True
@@ -131,40 +125,36 @@ class DiskCache:
         Open maps stay valid, and what is being written stays.
         """
         remove_abandoned(folder)
-        files, held = [], 0
-        with os.scandir(folder) as entries:
-            for entry in entries:
-                with contextlib.suppress(OSError):  # other processes may remove some meanwhile
-                    facts = entry.stat(follow_symlinks=False)
-                    held += facts.st_size
-                    if not entry.name.startswith(TEMPORARY_PREFIX):
-                        # File systems are mounted without access times: mark_used sets them, and a file
-                        # never used again has that of its writing.
-                        used_ns = max(facts.st_atime_ns, facts.st_mtime_ns)
-                        files.append((used_ns, facts.st_size, entry.path))
-        if held + needed_bytes > self.limit_bytes:
-            wanted = self.limit_bytes - max(needed_bytes, self.limit_bytes // _ROOM_MADE)
-            for _, size, path in sorted(files):
-                if held <= wanted:
-                    break
-                self.drop(Path(path))
-                held -= size
+        files = sorted(_files(folder))
+        excess = sum(size for _, size, _ in files) + needed_bytes - self.limit_bytes
+        if excess > 0:
+            excess += max(0, self.limit_bytes // _ROOM_MADE - needed_bytes)
+            for _, size, path in files:
+                if excess > 0 and not path.name.startswith(TEMPORARY_PREFIX):
+                    self.drop(path)
+                    excess -= size
+
+
+def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
+    """Yield the files in a folder: seconds since the epoch at their last use, bytes, and path."""
+    for path in folder.rglob("*"):
+        with contextlib.suppress(OSError):  # other processes may remove some meanwhile
+            found = path.lstat()
+            if stat.S_ISREG(found.st_mode):
+                # File systems are mounted without access times: mark_used sets them, and a file never used
+                # again has that of its writing.
+                yield max(found.st_atime, found.st_mtime), found.st_size, path
 
 
 def cached_files() -> dict[str, list[tuple[Path, int, float]]]:
     """Return the files of each folder in the cache folder: path, bytes, and days since their last use."""
-    found: dict[str, list[tuple[Path, int, float]]] = {}
+    now_s = time.time()
     # The variable may name a folder that holds other things, too.
-    places = (cache_folder() / name for name in _FOLDERS)
-    for place in (each for each in places if each.is_dir()):
-        files = found.setdefault(place.name, [])
-        for path in sorted(place.rglob("*")):
-            with contextlib.suppress(OSError):  # other processes may remove some meanwhile
-                facts = path.lstat()
-                if stat.S_ISREG(facts.st_mode):
-                    unused_s = time.time() - max(facts.st_atime, facts.st_mtime)
-                    files.append((path, facts.st_size, unused_s / 86_400))
-    return found
+    return {
+        name: sorted((path, size, (now_s - used_s) / 86_400) for used_s, size, path in _files(folder))
+        for name in _FOLDERS
+        if (folder := cache_folder() / name).is_dir()
+    }
 
 
 def prune_cache(unused_days: float = 0.0) -> list[Path]:
@@ -185,42 +175,26 @@ def prune_cache(unused_days: float = 0.0) -> list[Path]:
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
-_MEMORY_CACHES: WeakSet[MemoryCache[Any, Any]] = WeakSet()
-
-
-def _clear_after_fork() -> None:
-    """Empty all memory caches of a forked process."""
-    # A lock that another thread held at the fork never opens again; open files would share their position.
-    for cache in list(_MEMORY_CACHES):
-        cache._begin()
-
+_LOCK = RLock()
+"""Held while a memory cache changes."""
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
-    os.register_at_fork(after_in_child=_clear_after_fork)
+    # What another thread held at the fork would never be let go of in the child.
+    os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release)
 
 
 class MemoryCache(Generic[K, V]):
     """Values by key, bounded by the sum of their sizes; without ``size_of`` each counts 1.
 
     The value kept last stays even where it alone is larger than the limit; a limit of 0 keeps none. Safe to
-    share between threads. A forked process starts with an empty cache; so does one that received it pickled.
+    share between threads. A process that received it pickled starts with an empty cache.
     """
 
-    def __init__(self, limit: int, size_of: Callable[[V], int] | None = None) -> None:
+    def __init__(self, limit: int, size_of: Callable[[V], int] = lambda _: 1) -> None:
         self.limit = limit
+        self.size = 0
         self._size_of = size_of
-        self._begin()
-        _MEMORY_CACHES.add(self)
-
-    def _begin(self) -> None:
-        self.lock = RLock()
         self._kept: OrderedDict[K, tuple[V, int]] = OrderedDict()
-        self._size = 0
-
-    @property
-    def size(self) -> int:
-        """Sum of the sizes of what is kept."""
-        return self._size
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -238,40 +212,37 @@ class MemoryCache(Generic[K, V]):
             return kept[0]
         return kept[0]
 
-    def put(self, key: K, value: V) -> None:
-        """Keep a value, and let go of those used longest ago while there are too many."""
-        with self.lock:
+    def put(self, key: K, value: V) -> V:
+        """Keep a value, and let go of those used longest ago while there are too many; returns it."""
+        with _LOCK:
             self.pop(key)
-            size = 1 if self._size_of is None else self._size_of(value)
+            size = self._size_of(value)
             self._kept[key] = value, size
-            self._size += size
-            while self._size > self.limit and len(self._kept) > min(self.limit, 1):
+            self.size += size
+            while self.size > self.limit and len(self._kept) > min(self.limit, 1):
                 self.pop(next(iter(self._kept)))
+        return value
 
     def get_or_make(self, key: K, make: Callable[[], V]) -> V:
         """Return what is kept under a key, or make it and keep it; of values made at once the first stays."""
         found = self.get(key)
         if found is None:
             made = make()  # outside the lock: threads wait for nothing but their own
-            with self.lock:
+            with _LOCK:
                 found = self.get(key)
-                if found is None:
-                    self.put(key, made)
-                    found = made
+                return self.put(key, made) if found is None else found
         return found
 
     def clear(self) -> None:
         """Let go of all values."""
-        with self.lock:
+        with _LOCK:
             self._kept.clear()
-            self._size = 0
+            self.size = 0
 
-    def pop(self, key: K) -> V | None:
-        """Let go of a value and return it; None where none is kept."""
-        with self.lock:
-            value, size = self._kept.pop(key, (None, 0))
-            self._size -= size
-            return value
+    def pop(self, key: K) -> None:
+        """Let go of a value, where it is kept."""
+        with _LOCK:
+            self.size -= self._kept.pop(key, (None, 0))[1]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (type(self), (self.limit, self._size_of))

@@ -190,15 +190,24 @@ def test_threads_get_one_value(tmp_path):
     assert len(set(map(id, found))) == 1
 
 
-def _fork_with_the_lock_held() -> None:
-    memory: MemoryCache[str, bytes] = MemoryCache(10, len)
-    memory.put("a", b"1")
-    with memory.lock:  # as if another thread held it at the fork
+def _fork_while_a_thread_fills_it() -> None:
+    memory: MemoryCache[int, bytes] = MemoryCache(10, len)
+    done = threading.Event()
+
+    def fill() -> None:
+        while not done.is_set():
+            memory.put(1, b"1")
+
+    thread = threading.Thread(target=fill)
+    thread.start()
+    for _ in range(50):
         child = os.fork()
         if child == 0:
-            os._exit(0 if memory.get("a") is None and memory.size == 0 else 1)
-    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
-    assert memory.get("a") == b"1"
+            memory.put(2, b"22")  # a lock that the thread held at the fork would never open here
+            os._exit(0 if memory.get(2) == b"22" and memory.size in (2, 3) else 1)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+    done.set()
+    thread.join()
 
 
 def test_a_copy_in_another_process_starts_empty():
@@ -206,7 +215,7 @@ def test_a_copy_in_another_process_starts_empty():
     memory.put("a", b"1")
     copy = pickle.loads(pickle.dumps(memory))
     assert (copy.limit, len(copy), copy.get("a")) == (10, 0, None)
-    run_forked(_fork_with_the_lock_held)
+    run_forked(_fork_while_a_thread_fills_it)
 
 
 @pytest.mark.parametrize("variable", [CACHE_VARIABLE, "XDG_CACHE_HOME"])
