@@ -41,36 +41,16 @@ def ragged_column(array: Any) -> RaggedColumn:
 
     Offsets may have 32 or 64 bits. Raises ValueError for nulls, and for inner lists of several widths.
     """
-    import pyarrow as pa
-
-    # A slice keeps the values of all rows, which are cut out here: Arrow imports `pyarrow.compute` for that,
-    # which takes longer than to unpack the first row group.
-    offsets = _numbers(array.offsets)
-    first, last = (int(offsets[0]), int(offsets[-1])) if len(offsets) else (0, 0)
-    inner = array.values.slice(first, last - first)
-    if pa.types.is_fixed_size_list(inner.type):
-        width = inner.type.list_size
-        flat = inner.values.slice(inner.offset * width, len(inner) * width)
-    else:
-        ends = _numbers(inner.offsets)
-        flat = inner.values.slice(int(ends[0]), int(ends[-1] - ends[0])) if len(ends) else inner.values
-        widths = np.unique(np.diff(ends))
-        if len(widths) > 1:
-            raise ValueError(f"inner lists of {widths[0]} and {widths[1]} values in one column")
-        # Without a row the width is unknown; that of corners and triangles does no harm.
-        width = int(widths[0]) if len(widths) else 3
-    nulls = array.null_count + inner.null_count + flat.null_count
-    if nulls:
-        raise ValueError(f"{nulls} null values where every row needs one")
-    offsets = offsets - first if first else offsets
-    values = _numbers(flat).reshape(-1, width)
-    values.setflags(write=False)
-    return RaggedColumn(values, offsets)
-
-
-def _numbers(array: Any) -> NDArray[Any]:
-    """View numbers without nulls as numpy; Arrow's ``to_numpy`` imports pandas, which takes half a second."""
-    return np.from_dlpack(array)
+    column = nested_column(array)
+    if column.nulls:
+        raise ValueError(f"{column.nulls} null values where every row needs one")
+    offsets, inner = column.levels
+    widths = [inner] if isinstance(inner, int) else np.unique(np.diff(inner)).tolist()
+    if len(widths) > 1:
+        raise ValueError(f"inner lists of {widths[0]} and {widths[1]} values in one column")
+    # Without a row the width is unknown; that of corners and triangles does no harm.
+    width = widths[0] if widths else 3
+    return RaggedColumn(column.values.reshape(-1, width), np.asarray(offsets))
 
 
 def vectors_type(value_type: Any, width: int = 3) -> Any:
@@ -114,13 +94,22 @@ class BytesColumn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NestedColumn:
-    """A column of lists in lists: rows of touches of frames of vectors, padded or ragged."""
+    """A column of lists in lists: rows of touches of frames of vectors, padded or ragged.
+
+    Attributes
+    ----------
+    levels : tuple of ndarray or int
+        Per level of nesting, from the rows inwards: where each list begins (one more than there are lists),
+        or the length that all lists share.
+    values : ndarray or BytesColumn
+        What the innermost lists hold, a view of Arrow's memory without nulls.
+    nulls : int
+        How many lists and values are null.
+    """
 
     levels: tuple[NDArray[Any] | int, ...]
-    """Per level of nesting, from the rows inwards: where each list begins (one more than there are lists), or
-    the length that all lists share."""
     values: Any
-    """What the innermost lists hold, an array or a BytesColumn; a view of Arrow's memory without nulls."""
+    nulls: int
 
     def inside(self, level: int, start: int, stop: int) -> tuple[int, int]:
         """Return the range of the next level that lists ``start`` to ``stop`` of a level cover."""
@@ -141,30 +130,50 @@ class NestedColumn:
         return np.diff(np.asarray(self.levels[level])).astype(np.int64)
 
 
-def _nested_column(array: Any) -> NestedColumn:
+def nested_column(array: Any) -> NestedColumn:
+    """View an Arrow array of lists at any depth as numpy."""
     import pyarrow as pa
 
     levels: list[NDArray[Any] | int] = []
+    nulls = array.null_count
+    # A slice keeps the values of all rows, which are cut out here: Arrow imports `pyarrow.compute` for that,
+    # which takes longer than to unpack the first row group.
     while list_depth(array.type)[0]:
         if pa.types.is_fixed_size_list(array.type):
             width = array.type.list_size
             levels.append(width)
             array = array.values.slice(array.offset * width, len(array) * width)
         else:
-            levels.append(array.offsets.to_numpy(zero_copy_only=True))
-            array = array.values
+            offsets = numpy_values(array.offsets)
+            first, last = (int(offsets[0]), int(offsets[-1])) if len(offsets) else (0, 0)
+            levels.append(offsets - first if first else offsets)
+            array = array.values.slice(first, last - first)
+        nulls += array.null_count
     if pa.types.is_struct(array.type):  # an image or clip: its bytes, and the name it once had
         array = array.flatten()[array.type.get_field_index("bytes")]
     is_large = pa.types.is_large_binary(array.type)
     if not is_large and not pa.types.is_binary(array.type):
-        return NestedColumn(tuple(levels), array.to_numpy(zero_copy_only=False))
+        return NestedColumn(tuple(levels), numpy_values(array), nulls)
     dtype = np.dtype(np.int64 if is_large else np.int32)
     # Byte strings have offsets as lists do, but pyarrow 26 does not hand them out.
     _, stored_offsets, data = array.buffers()
-    offsets = np.frombuffer(stored_offsets, dtype, len(array) + 1, array.offset * dtype.itemsize)
+    starts = np.frombuffer(stored_offsets, dtype, len(array) + 1, array.offset * dtype.itemsize)
     present = None if array.null_count == 0 else array.is_valid().to_numpy(zero_copy_only=False)
     blobs = memoryview(data).cast("B") if data is not None else memoryview(b"")
-    return NestedColumn(tuple(levels), BytesColumn(blobs, offsets, present))
+    return NestedColumn(tuple(levels), BytesColumn(blobs, starts, present), nulls)
+
+
+def numpy_values(array: Any) -> NDArray[Any]:
+    """Return the values of an Arrow array, read-only; where some are null, numbers become floats."""
+    import pyarrow as pa
+
+    # Arrow's `to_numpy` imports pandas, which takes half a second.
+    if array.null_count or not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
+        values: NDArray[Any] = array.to_numpy(zero_copy_only=False)
+    else:
+        values = np.from_dlpack(array)
+    values.setflags(write=False)
+    return values
 
 
 def list_depth(data_type: Any) -> tuple[int, Any]:
@@ -291,7 +300,6 @@ class RowGroup:
     first_row: int = 0
     mapped_bytes: int = 0
     _ragged: dict[str, RaggedColumn] = field(default_factory=dict, repr=False)
-    _nested: dict[str, NestedColumn] = field(default_factory=dict, repr=False)
     _flat: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
     _views: dict[str, Any] = field(default_factory=dict, repr=False)
 
@@ -326,15 +334,12 @@ class RowGroup:
 
     def nested(self, name: str) -> NestedColumn:
         """Return a column of nested lists, by dotted name."""
-        column = self._nested.get(name)
-        return self._nested.setdefault(name, _nested_column(self.arrow(name))) if column is None else column
+        return self.once(name, lambda: nested_column(self.arrow(name)))
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return a column of plain values as a numpy array."""
         column = self._flat.get(name)
-        if column is None:
-            column = self._flat.setdefault(name, self.arrow(name).to_numpy(zero_copy_only=False))
-        return column
+        return self._flat.setdefault(name, numpy_values(self.arrow(name))) if column is None else column
 
     def arrow(self, name: str) -> Any:
         """Return a column as an Arrow array, by dotted name, whether stored flat or as a struct's field.

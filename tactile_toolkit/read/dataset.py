@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import RowGroup, column_types, same_values
+from tactile_toolkit.read.columns import RowGroup, column_types, numpy_values, same_values
 from tactile_toolkit.read.order import StoredParts
-from tactile_toolkit.read.parquet import Shard, ShardedTable, values_of
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence
 from tactile_toolkit.wording import counted
 
@@ -262,7 +262,7 @@ class RecordDataset(LazySequence[T]):
         InputError
             When the data set has no such column.
         """
-        return self._column(name, values_of)
+        return self._column(name, numpy_values)
 
     def int_column(self, name: str) -> NDArray[np.int64]:
         """Read one column of integers, shape (len,), int64, without touching any other.

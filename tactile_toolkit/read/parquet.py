@@ -28,7 +28,14 @@ from numpy.typing import NDArray
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read.columns import RowGroup, column_types, plain_schema, plain_table, stored_class_names
+from tactile_toolkit.read.columns import (
+    RowGroup,
+    column_types,
+    numpy_values,
+    plain_schema,
+    plain_table,
+    stored_class_names,
+)
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.derived import MADE_OF
 from tactile_toolkit.store.files import locked, readable, resource_shortage
@@ -73,10 +80,9 @@ _UNPACKED = DiskCache(
     "process, all else is decoded again",
 )
 
-# A file of a block holds an Arrow stream, the checksum of that, and a mark. A disk may change what it holds,
-# and a file of another program may bear the name of one of ours: neither is served.
-_END = struct.Struct("<Q8s")
-_MARK = b"TTBLOCK2"
+# A file of a block holds an Arrow stream and the checksum of that. A disk may change what it holds, and a
+# file of another program may bear the name of one of ours: neither is served.
+_CHECKSUM = struct.Struct("<Q")
 
 # Blocks that this process has checked, with what the file was then.
 _checked: MemoryCache[str, tuple[int, ...]] = MemoryCache(1 << 16)
@@ -114,7 +120,7 @@ def write_block(stream: IO[bytes], file_name: str, table: Any) -> None:
         writer.write_table(table)
     content = sink.getvalue()
     stream.write(content)
-    stream.write(_END.pack(_checksum(content, file_name), _MARK))
+    stream.write(_CHECKSUM.pack(_checksum(content, file_name)))
 
 
 def _checksum(content: Any, file_name: str) -> int:
@@ -129,31 +135,26 @@ def _checksum(content: Any, file_name: str) -> int:
 def map_block(path: Path) -> tuple[Any, int]:
     """Map a block into memory, without a copy; its checksum is compared once in each process.
 
-    Returns the table and how many bytes are mapped. Nothing is mapped of a file that was cut: what lies
-    behind its end would end the process. The toolkit makes such files under another name and removes them,
-    which leaves maps valid, and never changes one. A file that another program cuts while it is mapped is
-    not noticed.
+    Returns the table and how many bytes are mapped. The toolkit makes such files under another name and
+    removes them, which leaves maps valid, and never changes one. A file that another program cuts while it is
+    mapped is not noticed.
 
     Raises OSError; ValueError when the file is not intact, or is of another program or another name.
     """
     import pyarrow as pa
 
-    with path.open("rb", buffering=0) as stream:
-        # Asked first: what takes the place of the file from here on is not what was checked.
-        facts = os.fstat(stream.fileno())
-        size = facts.st_size - _END.size
-        stream.seek(max(size, 0))
-        end = stream.read()
-    checksum, mark = _END.unpack(end) if len(end) == _END.size else (0, b"")
-    # From the map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
-    stored = pa.memory_map(str(path)).read_buffer() if mark == _MARK else None
-    if stored is None or len(stored) != facts.st_size:
-        raise ValueError(f"{facts.st_size:,} bytes that are not a block")
+    # Asked first: what takes the place of the file from here on is not what was checked.
+    found = _stat_key(path.stat())
+    # The map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
+    stored = pa.memory_map(str(path)).read_buffer()
+    size = len(stored) - _CHECKSUM.size
+    if size < 0:
+        raise ValueError(f"{len(stored)} bytes that are not a block")
     content = stored.slice(0, size)
-    if _checked.get(str(path)) != _stat_key(facts):
-        if _checksum(content, path.name) != checksum:
+    if _checked.get(str(path)) != found:
+        if _CHECKSUM.pack(_checksum(content, path.name)) != stored.slice(size):
             raise ValueError("the block does not match its checksum")
-        _checked.put(str(path), _stat_key(facts))
+        _checked.put(str(path), found)
     return pa.Table.from_batches([pa.ipc.open_stream(content).read_next_batch()]), size
 
 
@@ -174,21 +175,9 @@ def _locked_file(digest: str) -> Iterator[None]:
         yield
 
 
-@dataclass(frozen=True, eq=False)
-class _Footer:
-    """The footer of a Parquet file, and what follows from it."""
-
-    metadata: Any
-    # That of the metadata would hold them, and they it: megabytes that wait for the garbage collector.
-    schema: Any
-
-    @cached_property
-    def types(self) -> dict[str, Any]:
-        return column_types(self.schema)
-
-
-# Of a large shard, a footer takes some hundred kB.
-_FOOTERS: MemoryCache[tuple[str, int | None], _Footer] = MemoryCache(128)
+# Metadata and Arrow schema by content and stated rows; of a large shard they take some hundred kB. The schema
+# of the metadata would hold these, and they it: megabytes that wait for the garbage collector.
+_FOOTERS: MemoryCache[tuple[str, int | None], tuple[Any, Any]] = MemoryCache(128)
 
 
 @dataclass(frozen=True)
@@ -211,7 +200,7 @@ class Shard:
     size_bytes: int | None = field(default=None, repr=False, compare=False)
 
     @property
-    def _footer(self) -> _Footer:
+    def _footer(self) -> tuple[Any, Any]:
         return _FOOTERS.get((self.digest, self.rows)) or self._open()[1]
 
     @property
@@ -220,17 +209,17 @@ class Shard:
 
         Raises IntegrityError where the file has none, or is not of the size that the manifest states.
         """
-        return self._footer.metadata
+        return self._footer[0]
 
     @property
     def schema(self) -> Any:
         """The Arrow schema, extension types as what they are stored as."""
-        return self._footer.schema
+        return self._footer[1]
 
     @property
     def types(self) -> dict[str, Any]:
         """Arrow type of each column, and of each struct, by dotted name."""
-        return self._footer.types
+        return column_types(self.schema)
 
     @cached_property
     def class_names(self) -> tuple[str, ...] | None:
@@ -263,8 +252,8 @@ class Shard:
 
     def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Any:
         """Decode row groups, all columns or those named (a struct's fields by dotted name)."""
-        parquet, footer = self._open()
-        wanted = range(footer.metadata.num_row_groups) if groups is None else groups
+        parquet, (metadata, _) = self._open()
+        wanted = range(metadata.num_row_groups) if groups is None else groups
         for index in wanted if columns is None else ():  # a plain column is no larger than its rows
             self._require_bounded(index)
         with self._named_damage():
@@ -417,12 +406,12 @@ class Shard:
         versions = [(key, str(facts[key])) for key in VERSION_KEYS if key in facts]
         return open_checked(stream, metadata), (self.path, *versions), facts["size"]
 
-    def _open(self) -> tuple[Any, _Footer]:
+    def _open(self) -> tuple[Any, tuple[Any, Any]]:
         """Open the file and return its footer with it, once it is known to be the one that was met first."""
         key = (self.digest, self.rows)
         footer = _FOOTERS.get(key)
         with self._named_damage():
-            parquet, identity, size_bytes = self._opened(footer and footer.metadata)
+            parquet, identity, size_bytes = self._opened(footer and footer[0])
         if identity != self.identity:
             raise IntegrityError(
                 f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
@@ -435,9 +424,7 @@ class Shard:
             if stated not in (None, found[unit]):  # such as a shard of a set that is being replaced
                 problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
                 raise IntegrityError.in_file(self.path, problem)
-        footer = footer or _Footer(metadata, plain_schema(parquet.schema_arrow))
-        _FOOTERS.put(key, footer)
-        return parquet, footer
+        return parquet, footer or _FOOTERS.put(key, (metadata, plain_schema(parquet.schema_arrow)))
 
     @contextlib.contextmanager
     def _named_damage(self) -> Iterator[None]:
@@ -489,12 +476,6 @@ def _origin(path: str) -> tuple[str, str]:
     return repr(named[-1]), split
 
 
-def values_of(array: Any) -> NDArray[Any]:
-    """Return the values of an Arrow array; where some are null, numbers are floats and those NaN."""
-    values: NDArray[Any] = array.to_numpy(zero_copy_only=False)
-    return values
-
-
 @dataclass(frozen=True)
 class ShardedTable:
     """The rows of several shards, in their order, under one numbering; reads nothing until asked."""
@@ -516,12 +497,9 @@ class ShardedTable:
     def _columns(self) -> dict[str, NDArray[Any]]:
         return {}
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as paths; maps are opened again in the other process."""
-        return {"shards": self.shards}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
+        return type(self), (self.shards,)
 
     def __len__(self) -> int:
         return self._starts[-1]
@@ -563,7 +541,7 @@ class ShardedTable:
             found += [(shard, group) for group in groups.tolist()]
         return found
 
-    def column(self, name: str, convert: Callable[[Any], NDArray[Any]] = values_of) -> NDArray[Any]:
+    def column(self, name: str, convert: Callable[[Any], NDArray[Any]] = numpy_values) -> NDArray[Any]:
         """Read one plain column of all rows by dotted name, and only that column; kept for the next call.
 
         ``convert`` makes numpy's array of each Arrow array, along the first axis.
