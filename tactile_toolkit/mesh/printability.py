@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.mesh.mesh import MeshLike, as_mesh
-from tactile_toolkit.mesh.solid_check import ManifoldCheck, check_manifold
+from tactile_toolkit.mesh.solid_check import check_manifold
 
 WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
 """What a print may suffer from; the numbers behind them are those of :class:`PrintProfile`."""
@@ -120,15 +120,15 @@ class PrintReport:
     detail: str | None
     vertices: int
     faces: int
-    bodies: int
-    genus: int
-    volume_mm3: float
-    mass_g: float
-    size_mm: tuple[float, float, float]
-    thinnest_wall_mm: float
-    overhang_mm2: float
-    contact_mm2: float
-    warnings: tuple[str, ...]
+    bodies: int = 0
+    genus: int = 0
+    volume_mm3: float = math.nan
+    mass_g: float = math.nan
+    size_mm: tuple[float, float, float] = (math.nan,) * 3
+    thinnest_wall_mm: float = math.nan
+    overhang_mm2: float = math.nan
+    contact_mm2: float = math.nan
+    warnings: tuple[str, ...] = ()
 
     def to_row(self) -> dict[str, Any]:
         """Give the report as a flat row with the columns of :data:`REPORT_COLUMNS`.
@@ -169,9 +169,9 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     mesh = as_mesh(mesh)
     profile = PrintProfile() if profile is None else profile
     check = check_manifold(mesh)
-    counts = (len(mesh.vertices_m), len(mesh.faces))
+    counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
     if check.problem is not None:
-        return _report(check, *counts)
+        return PrintReport(False, check.status, check.problem, check.detail, *counts)
     vertices_mm = mesh.vertices_mm
     low, high = vertices_mm.min(axis=0), vertices_mm.max(axis=0)
     size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
@@ -192,8 +192,11 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
         "larger-than-plate": any(side > room for side, room in sides),
         "too-tall": size_mm[2] > profile.max_height_mm,
     }
-    return _report(
-        check,
+    return PrintReport(
+        True,
+        check.status,
+        None,
+        None,
         *counts,
         mass_g=check.volume_mm3 * profile.density_g_cm3 / 1000.0,
         size_mm=size_mm,
@@ -206,24 +209,11 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
 
 def unreadable(detail: str) -> PrintReport:
     """Report a file that no mesh could be read from, and why."""
-    return _report(ManifoldCheck(None, "NotTried", UNREADABLE, detail), 0, 0)
+    return PrintReport(False, "NotTried", UNREADABLE, detail, 0, 0)
 
 
 # Share of the height by which the middle section avoids the vertices that lie in the mid-plane.
 _OFF_VERTICES = 1e-7
-
-
-# NaN, so that reports stay columns of numbers.
-_NOT_MEASURED: dict[str, Any] = {
-    **dict.fromkeys(("mass_g", "thinnest_wall_mm", "overhang_mm2", "contact_mm2"), math.nan),
-    **{"size_mm": (math.nan,) * 3, "warnings": ()},
-}
-
-
-def _report(check: ManifoldCheck, vertices: int, faces: int, **measured: Any) -> PrintReport:
-    named = (check.problem is None, check.status, check.problem, check.detail)
-    counts = (vertices, faces, check.bodies, check.genus)
-    return PrintReport(*named, *counts, check.volume_mm3, **{**_NOT_MEASURED, **measured})
 
 
 def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile) -> float:
@@ -288,15 +278,11 @@ def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
 def section_area_mm2(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
     """Return the area that outlines enclose, turned as in :func:`thinnest_width_mm`."""
     area = 0.0
-    for outline in outlines_mm:  # not sum(), which rounds otherwise from Python 3.12 on
-        area += signed_area_mm2(outline)
+    for x, y in (
+        outline.T for outline in outlines_mm
+    ):  # not sum(), which rounds otherwise from Python 3.12 on
+        area += float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2
     return area
-
-
-def signed_area_mm2(outline_mm: NDArray[np.float64]) -> float:
-    """Return the area within a closed polygon, negative where it is turned clockwise, as holes are."""
-    x, y = outline_mm.T
-    return float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum()) / 2
 
 
 def _outline_points(

@@ -20,7 +20,8 @@ from tactile_toolkit.pictures.sheets import ACCENTS, INK, MUTED, hex_of
 
 _DPI = 144
 _MOST_BINS = 40
-_TITLE_PT, _LEAST_TITLE_PT = 13.0, 9.0
+_TITLE_PT = 13.0
+_LETTER_EM = 0.66  # of the font, most letters are narrower
 _TITLE_LEFT = 0.012
 _STYLE = {
     "axes.edgecolor": hex_of(MUTED),
@@ -165,7 +166,8 @@ def _plotted(
         canvas = FigureCanvasAgg(figure)
         # For letters that the font does not have it draws boxes, with a warning on stderr.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        _write_title(figure, title)
+        lines = textwrap.fill(title, int(72 * size[0] / (_LETTER_EM * _TITLE_PT)))
+        figure.suptitle(lines, x=_TITLE_LEFT, ha="left", fontsize=_TITLE_PT)
         for number, panel in enumerate(panels, start=1):
             fill(figure.add_subplot(rows, columns, number), panel)
         if legend:
@@ -173,19 +175,3 @@ def _plotted(
             figure.legend(curves, legend, loc="outside lower center", ncols=len(legend), frameon=False)
         canvas.draw()
         return np.asarray(canvas.buffer_rgba())[:, :, :3].copy()
-
-
-def _write_title(figure: Any, title: str) -> None:
-    """Write the heading so that all of it can be seen: smaller where it is long, then in several lines."""
-    text = figure.suptitle(title, x=_TITLE_LEFT, ha="left", fontsize=_TITLE_PT)
-    room_px = (1 - 2 * _TITLE_LEFT) * figure.bbox.width
-    size_pt = max(_LEAST_TITLE_PT, _TITLE_PT * min(1.0, room_px / _width_px(text)))
-    text.set_fontsize(size_pt)
-    letters = len(title)
-    while _width_px(text) > room_px and letters > 1:
-        letters = min(letters - 1, int(letters * room_px / _width_px(text)))
-        text.set_text(textwrap.fill(title, max(letters, 1)))
-
-
-def _width_px(text: Any) -> float:
-    return float(text.get_window_extent().width)

@@ -18,7 +18,6 @@ import numpy as np
 from scipy import fft, ndimage
 
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.printability import signed_area_mm2
 from tactile_toolkit.mesh.raster import highest_values, positions_in_runs
 from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.objects import Failure, PrintObject, Progress, require_scale, standing
@@ -38,29 +37,35 @@ _SAMPLES_PER_CELL = 8  # steps along an edge: it cannot pass through a cell unse
 class Outline:
     """What an object covers of the plate, its lower left corner at the origin.
 
-    Rings of shape (n, 2) are closed, in mm, holes turned the other way round; ``low_mm`` is where the lower
-    left corner is in the object's own frame.
+    ``section`` is a manifold3d.CrossSection in mm; ``low_mm`` is where the lower left corner is in the
+    object's own frame.
     """
 
-    rings: tuple[NDArray[np.float64], ...]
-    size_mm: tuple[float, float]
+    section: Any
     low_mm: tuple[float, float]
+
+    @property
+    def rings(self) -> list[NDArray[np.float64]]:
+        """Closed lines around it, shape (n, 2) each, mm; holes are turned the other way round."""
+        return [np.asarray(ring, np.float64) for ring in self.section.to_polygons()]
+
+    @property
+    def size_mm(self) -> tuple[float, float]:
+        """Width and depth."""
+        left, front, right, back = self.section.bounds()
+        return right - left, back - front
 
     @property
     def parts(self) -> int:
         """How many separate parts are seen from above."""
-        return sum(signed_area_mm2(ring) > 0 for ring in self.rings)
+        return len(self.section.decompose())
 
     def claimed(self) -> Outline:
         """Return what no other object may enter: of one part, the outline; of several, their convex hull.
 
         Parts that stand alone could not be distinguished from those of another object that stands among them.
         """
-        if self.parts <= 1:
-            return self
-        hull = self._section().hull()
-        rings = tuple(np.asarray(ring, np.float64) for ring in hull.to_polygons())
-        return Outline(rings, self.size_mm, self.low_mm)
+        return self if self.parts <= 1 else replace(self, section=self.section.hull())
 
     def grown(self, by_mm: float) -> Any:
         """Return everything within a distance of the outline, a manifold3d.CrossSection."""
@@ -68,21 +73,14 @@ class Outline:
 
         # Arcs become chords, which lie inside them: the polygon is drawn around the arc instead.
         around_mm = by_mm / math.cos(math.pi / _ARC_SEGMENTS)
-        round_joins = manifold3d.JoinType.Round
-        return self._section().offset(around_mm, round_joins, circular_segments=_ARC_SEGMENTS)
-
-    def _section(self) -> Any:
-        import manifold3d
-
-        return manifold3d.CrossSection([*self.rings], manifold3d.FillRule.Positive)
+        return self.section.offset(around_mm, manifold3d.JoinType.Round, circular_segments=_ARC_SEGMENTS)
 
 
 def outline_of(manifold: Any) -> Outline:
     """Return what a solid, a manifold3d.Manifold in mm, covers of the plate."""
     section = manifold.project()
-    left, front, right, back = section.bounds()
-    rings = tuple(np.asarray(ring, np.float64) - (left, front) for ring in section.to_polygons())
-    return Outline(rings, (right - left, back - front), (left, front))
+    left, front, _, _ = section.bounds()
+    return Outline(section.translate((-left, -front)), (left, front))
 
 
 def cells_of(spec: PlateSpec, outline: Outline) -> NDArray[np.bool_]:

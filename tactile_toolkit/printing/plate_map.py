@@ -45,6 +45,7 @@ _SUPERSAMPLING = 2  # drawn so many times larger: PIL's own lines have no smooth
 _MARGIN_PX = 60
 _LINE_HEIGHT = 1.25
 
+
 def draw_map(
     plate: Sequence[Placed], spec: PlateSpec, title: str, labels: Sequence[str], shared: Collection[int] = ()
 ) -> bytes:
@@ -60,7 +61,7 @@ def draw_map(
         if placed.outline.parts > 1:
             _draw_field(sheet, placed, spec)
     for placed in plate:
-        rings = [ring + (placed.x_mm, placed.y_mm) for ring in placed.outline.rings]
+        rings = placed.outline.section.translate((placed.x_mm, placed.y_mm)).to_polygons()
         sheet.area(rings, _FILLS[labels.index(placed.item.label) % len(_FILLS)])
     _name_objects(sheet, plate, spec, shared)
     return sheet.png()
