@@ -76,26 +76,22 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _show_tracebacks(wanted: bool) -> None:
-    if wanted:
-        os.environ[_DEBUG_VARIABLE] = "1"
-
-
-def _keep_token(token: str | None) -> None:
-    if token is not None:
-        os.environ["HF_TOKEN"] = token
+def _set_variable(option: typer.CallbackParam, value: Any) -> None:
+    """Hand an option to libraries and worker processes, by a variable of the environment."""
+    if value:
+        os.environ[{"debug": _DEBUG_VARIABLE, "token": "HF_TOKEN"}[str(option.name)]] = str(value)
 
 
 Debug = Annotated[
     bool,
-    typer.Option("--debug", callback=_show_tracebacks, is_eager=True, help="Show the traceback of an error."),
+    typer.Option("--debug", callback=_set_variable, is_eager=True, help="Show the traceback of an error."),
 ]
 Token = Annotated[
     str | None,
     typer.Option(
         "--token",
         metavar="TOKEN",
-        callback=_keep_token,
+        callback=_set_variable,
         help="Token of the Hugging Face Hub, in place of HF_TOKEN.",
     ),
 ]
@@ -359,11 +355,10 @@ def _annotation(name: str, rule: Rule, shown: Any, default: Any) -> Any:
 
 
 class _Output:
-    """A standard stream that ends the command when it takes no more.
+    """A standard stream that ends the command when it takes no more: a closed pipe quietly, as other tools.
 
-    A closed pipe does so quietly, as it ends other tools; a full device with a message. Caught here, because
-    click would end with another exit code, and because the same errors of a file, or of a connection to the
-    Hub, mean something else.
+    Caught here, because click would end with another exit code, and because the same errors of a file, or of
+    a connection to the Hub, mean something else.
     """
 
     def __init__(self, stream: Any) -> None:

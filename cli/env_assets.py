@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from dataclasses import asdict
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,11 +12,11 @@ from typing import Annotated, Any
 import typer
 
 from cli.application import OptionsOf, command, new_app, run
-from cli.export import add_export
 from cli.folders import add_verify, cache, show
 from cli.making import add_subsets
 from cli.options import DryRun, Json, LocalOut, Overwrite, local_place
 from cli.output import Sink
+from cli.products import add_export
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit.checked_fields import switch, text
@@ -160,7 +161,4 @@ add_subsets(app, KIND)
 command(app)(show)
 command(app)(cache)
 
-
-def main() -> None:
-    """Run the command line."""
-    run(app)
+main = partial(run, app)

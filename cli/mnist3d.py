@@ -11,7 +11,7 @@ from cli.folders import Geometry, add_shared
 from cli.making import generate_set, least_to_most, print_made, print_skipped
 from cli.options import Limit, Making, Out, PerClass
 from cli.output import Sink, bytes_text
-from cli.pictures import preview_digits
+from cli.products import preview_digits
 from mnist3d.kind import KIND
 from mnist3d.spec import SOURCES, SPLITS, SolidSpec, SourceOptions, SplitSpec
 from tactile_toolkit.checked_fields import choice
@@ -136,7 +136,4 @@ _GEOMETRY = Geometry(
 
 add_shared(app, KIND, preview_digits, print_folder=_print_made, geometry=_GEOMETRY)
 
-
-def main() -> None:
-    """Run the command line."""
-    run(app)
+main = partial(run, app)

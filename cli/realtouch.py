@@ -2,26 +2,43 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable
+from dataclasses import MISSING, asdict, dataclass, fields
+from functools import partial
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
 from cli.folders import add_shared
-from cli.making import least_to_most, print_converted, print_unfinished
-from cli.options import Json, OneSplit, Revision, Split, TouchSet, Workers, process_count
+from cli.making import least_to_most, make_with_progress, print_converted, print_unfinished
+from cli.options import (
+    Json,
+    Limit,
+    OneSplit,
+    PerClass,
+    Revision,
+    Split,
+    TouchSet,
+    Work,
+    Workers,
+    parse_ids,
+    place_of_data,
+    process_count,
+)
 from cli.output import Sink
-from cli.pictures import preview_touches
-from cli.touch_conversions import add_conversions, announce_fetching
+from cli.products import preview_touches
 from realtouch.kind import KIND
-from tactile_toolkit.checked_fields import switch
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.wording import counted
+from tactile_toolkit.checked_fields import choice, integer, switch, text
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.touch.contact import contact_height_option, size_option
+from tactile_toolkit.wording import counted, listed
 
 if TYPE_CHECKING:
     from realtouch.summary import Summary
     from realtouch.verification import TouchVerification
-
+    from tactile_toolkit.store.manifest import Manifest
 
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
 
@@ -197,10 +214,282 @@ def _print_summary(sink: Sink, split: str, summary: Summary) -> None:
     sink.table((split, summary.kind), rows)
 
 
-add_conversions(app)
+_SKIPPED_SHOWN = 20
+
+FormerOut = Annotated[str | None, typer.Argument(metavar="OUT", hidden=True, parser=place_of_data)]
+
+
+def _out() -> Any:
+    return text(name="--out -o", metavar="DIR", read=place_of_data, help="Folder to write; required.")
+
+
+def _frame() -> Any:
+    return choice(
+        "contact_end",
+        ("contact_end", "contact_start", "peak", "median", "best"),
+        help="Frame of a clip: last or first of the contact, of the deepest press, least like the median, "
+        "or with the best contact score.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class ToSingle:
+    """Make a data set of single images from one of clips: a frame of each clip, with its pose.
+
+    Example: realtouch to-single real-seq --frame peak --out touches
+    """
+
+    frame: str = _frame()
+
+
+@dataclass(frozen=True, slots=True)
+class Resize:
+    """Write the same data set with images or clips of another size.
+
+    Example: realtouch resize real-single-320x240 --size 64x64 --out small
+    """
+
+    size: tuple[int, int] = size_option(MISSING)
+    quality: int = integer(95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100.")
+
+
+@dataclass(frozen=True, slots=True)
+class Frames:
+    """Write touches as plain image files with an index in CSV and Parquet.
+
+    Example: realtouch frames real-single-64x64 --format jpeg --out pictures
+
+    Example: realtouch frames real-seq --frame best --difference grey --out changes
+    """
+
+    kind: str = choice(
+        "png",
+        ("png", "jpeg"),
+        name="--format",
+        help="png: exact pixels; jpeg: the stored JPEGs, unchanged.",
+    )
+    frame: str = _frame()
+    difference: str | None = choice(
+        None,
+        ("grey", "absolute"),
+        optional=True,
+        help="Write the difference from the median of the clip or round: grey (128 means no change) or "
+        "absolute.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Select:
+    """Write selected rounds and touches of a data set; images are copied byte for byte.
+
+    Example: realtouch select real-single-64x64 --contact --labels 3,5 --out touched
+    """
+
+    contact: bool = switch(False, help="Only touches in contact with an object.")
+    min_height_mm: float | None = contact_height_option()
+    recalibrate_z: bool = switch(
+        True,
+        name="--recalibrate/--as-recorded",
+        help="Take the deepest touch of each round as the height of the plate, if that is not known.",
+    )
+    objects: tuple[Any, ...] = text(
+        (),
+        name="--ids",
+        metavar="3,17,40-60",
+        read=parse_ids,
+        help="Only the objects with these ids.",
+    )
+    labels: tuple[str, ...] = text((), metavar="3,7", read=listed, help="Only the objects of these classes.")
+    per_class: PerClass = None
+
+
+@dataclass(frozen=True, slots=True)
+class Export:
+    """Write touches for other libraries; stored JPEGs are copied, never encoded again.
+
+    Example: realtouch export real-single-64x64 --split train --format flat --out flat
+
+    Example: realtouch export real-seq --split train --format lerobot --out robots
+    """
+
+    layout: str = choice(
+        MISSING,
+        ("flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"),
+        name="--format",
+        help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
+        "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
+        "anytouch: list files.",
+    )
+    frame: str = _frame()
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Options that name columns; those of our own exports are found without. Fields of `ImportColumns`."""
+
+    image: str = text(
+        "file",
+        name="--image-column",
+        metavar="NAME",
+        help="Column of the paths of the images; for tars, their file extension.",
+    )
+    label: str | None = text(
+        name="--label-column",
+        metavar="NAME",
+        help="Column of the classes, numbers or names: label_name or label by default.",
+    )
+    round: str | None = text(
+        name="--round-column", metavar="NAME", help="Column that names the round of each image."
+    )
+    object: str | None = text(
+        name="--object-column", metavar="NAME", help="Column with the number of the object."
+    )
+    position: tuple[str, ...] | None = text(
+        name="--position-columns",
+        metavar="X,Y",
+        read=lambda words: tuple(listed(words)),
+        help="Columns of the intended position, in m, cell frame.",
+    )
+    pose: tuple[str, ...] | None = text(
+        name="--pose-columns",
+        metavar="X,Y,Z,QX,QY,QZ,QW",
+        read=lambda words: tuple(listed(words)),
+        help="Columns of the pose of the gel, in m, cell frame; or one column of lists.",
+    )
+    split_in: str | None = text(name="--split-column", metavar="NAME", help="Column of the split.")
+
+
+def _add(
+    name: str,
+    options_of: type,
+    function: Callable[..., Manifest],
+    nouns: str = KIND.nouns,
+) -> None:
+    """Add a command: print what will be fetched, convert with progress, print what was made.
+
+    ``options_of`` declares its options, named as the parameters of its function; the docstring is the help.
+    """
+
+    def convert(
+        *,
+        source: TouchSet,
+        former_out: FormerOut = None,
+        out: str | None = _out(),
+        options: Any,
+        split: Split = None,
+        limit: Limit = None,
+        work: Work,
+        sink: Sink,
+    ) -> None:
+        if former_out is not None:
+            sink.warn(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
+        place = _required(out or former_out)
+        make = partial(function, source, place, **_arguments(options), split=split, limit=limit)
+        announce_fetching(sink, source, split)
+        print_made = partial(print_converted, nouns=nouns)
+        make_with_progress(sink, "converting", nouns, make, work, place, print_made, KIND.nouns)
+
+    convert.__doc__ = options_of.__doc__
+    convert.__annotations__["options"] = options_of
+    command(app, name)(convert)
+
+
+def _arguments(options: Any) -> dict[str, Any]:
+    """Return what a function takes; InputError for options that would have no effect."""
+    found = {each.name: getattr(options, each.name) for each in fields(options)}
+    if isinstance(options, Resize):
+        found["width"], found["height"] = found.pop("size")
+    if isinstance(options, Select):
+        height_mm = found.pop("min_height_mm")
+        if not options.contact and (height_mm is not None or not options.recalibrate_z):
+            raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
+        found["min_height_m"] = None if height_mm is None else height_mm / 1000
+    return found
+
+
+def _required(out: str | None) -> str:
+    if out is None:
+        raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
+    return out
+
+
+def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
+    """Print what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
+    from tactile_toolkit.catalog.kinds import place_of
+    from tactile_toolkit.hub.repository import hub_name
+    from tactile_toolkit.store.files import expanded
+
+    place = place_of(name)
+    # A folder called USER/NAME that is here comes before the repository of that name, as in `load`.
+    if hub_name(place) is None or expanded(place).exists():
+        return
+    part = f"the files of split {split!r}" if split else "the files of all splits (--split takes one)"
+    sink.info(f"{place}: fetching from the Hub what is not here yet of {part}")
+
+
+def import_touches(
+    *,
+    source: Annotated[
+        str, typer.Argument(metavar="DIR", help="Folder of images and a CSV table, or of tars.")
+    ],
+    file_format: Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"] = choice(
+        MISSING,
+        ("folder", "webdataset", "replay", "fota", "sparsh", "anytouch"),
+        name="--format",
+        help="Layout of the images.",
+    ),
+    out: str | None = _out(),
+    columns: Columns,
+    table: str | None = text(metavar="FILE", help="The table; by default the only CSV file in the folder."),
+    classes: list[str] | None = text(
+        metavar="A,B", read=listed, help="Names of the classes, in order; by default those found."
+    ),
+    split: str | None = text(
+        metavar="NAME",
+        help="Split, if no column names it; by default that of tars called SPLIT-000000.tar, or train.",
+    ),
+    work: Work,
+    sink: Sink,
+) -> None:
+    """Make a data set of touches from images and a table of labels and poses; images are not changed.
+
+    Images that cannot be used are left out and listed with the reason. Columns that this program writes are
+    found by their names.
+
+    Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
+    """
+    from realtouch.exchange.importing import import_images
+    from realtouch.exchange.items import ImportColumns
+
+    place = _required(out)
+    named = ImportColumns(*asdict(columns).values())
+    make = partial(
+        import_images, source, place, file_format, named, table=table, classes=classes or (), split=split
+    )
+    make_with_progress(sink, "importing", KIND.nouns, make, work, place, _print_imported, "touches")
+
+
+def _print_imported(sink: Sink, manifest: Manifest, out: str, _elapsed_s: float | None) -> None:
+    from realtouch.exchange.importing import NOT_IMPORTED
+    from tactile_toolkit.store.shards import add_up
+
+    skipped = [item for record in manifest.shards for item in record.skipped]
+    for item in skipped[:_SKIPPED_SHOWN]:
+        sink.info(f"left out: {item.message} ({item.reason})")
+    fields = add_up(list(manifest.statistics().values())).get(NOT_IMPORTED, {})
+    if fields:
+        counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
+        sink.info(f"fields that were not imported, and of how many touches: {counts}")
+    print_converted(sink, manifest, out, nouns="touches")
+
+
+_add("to-single", ToSingle, lazy("realtouch.convert.api:to_single"))
+_add("resize", Resize, lazy("realtouch.convert.api:resize"))
+_add("frames", Frames, lazy("realtouch.convert.api:frames"))
+_add("select", Select, lazy("realtouch.convert.api:select"))
+# A row is a touch, or an episode of LeRobot.
+_add("export", Export, lazy("realtouch.exchange.api:export"), nouns="rows")
+command(app, "import")(import_touches)
 add_shared(app, KIND, preview_touches)
 
-
-def main() -> None:
-    """Run the command line."""
-    run(app)
+main = partial(run, app)

@@ -11,7 +11,7 @@ from cli.folders import Geometry, add_shared
 from cli.making import generate_set, least_to_most, print_made
 from cli.options import Limit, Making, Out
 from cli.output import Sink, bytes_text
-from cli.pictures import preview_scenes
+from cli.products import preview_scenes
 from starstruck_gen.kind import KIND
 from starstruck_gen.options import SceneOptions, scene_counts
 from tactile_toolkit.checked_fields import choice, integer, text
@@ -144,7 +144,4 @@ _GEOMETRY = Geometry(
 
 add_shared(app, KIND, preview_scenes, print_folder=_print_made, geometry=_GEOMETRY)
 
-
-def main() -> None:
-    """Run the command line."""
-    run(app)
+main = partial(run, app)

@@ -1,5 +1,7 @@
 """Where every command starts, with nothing imported yet: Ctrl-C during the imports ends it quietly, too."""
 
+from functools import partial
+
 
 def _run(name: str) -> None:
     try:
@@ -10,26 +12,8 @@ def _run(name: str) -> None:
         raise SystemExit(130) from None  # as `cli.application.EXIT_INTERRUPTED`
 
 
-def env_assets() -> None:
-    """Run ``env-assets``."""
-    _run("env_assets")
-
-
-def mnist3d() -> None:
-    """Run ``mnist3d``."""
-    _run("mnist3d")
-
-
-def realtouch() -> None:
-    """Run ``realtouch``."""
-    _run("realtouch")
-
-
-def starstruck() -> None:
-    """Run ``starstruck``."""
-    _run("starstruck")
-
-
-def tactile_sim() -> None:
-    """Run ``tactile-sim``."""
-    _run("tactile_sim")
+env_assets = partial(_run, "env_assets")
+mnist3d = partial(_run, "mnist3d")
+realtouch = partial(_run, "realtouch")
+starstruck = partial(_run, "starstruck")
+tactile_sim = partial(_run, "tactile_sim")

@@ -16,7 +16,7 @@ from cli.folders import add_shared
 from cli.making import generate_set, print_made
 from cli.options import Chosen, LocalOut, Making, Out, local_place
 from cli.output import Sink, bytes_text
-from cli.pictures import preview_touches
+from cli.products import preview_touches
 from tactile_sim.kind import KIND
 from tactile_sim.spec import SENSOR_NOISE, PairsSpec, PictureOptions, TouchPlan, TrainConfig
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
@@ -303,7 +303,4 @@ def evaluate(
 
 add_shared(app, KIND, preview_touches, print_folder=_print_made)
 
-
-def main() -> None:
-    """Run the command line."""
-    run(app)
+main = partial(run, app)

@@ -65,8 +65,8 @@ def server(root) -> Iterator[HubServer]:
 
 RUN = """
 import sys
-import cli.hub_commands
-cli.hub_commands._LARGE_BYTES = {large}
+import cli.folders
+cli.folders._LARGE_BYTES = {large}
 from cli.{command} import main
 sys.argv = [{command!r}, *{arguments!r}]
 code = 0

@@ -103,7 +103,7 @@ def test_one_split_alone(clips, tmp_path, capsys):
 
 def test_what_is_fetched_is_told(capsys):
     from cli.output import Sink
-    from cli.touch_conversions import announce_fetching
+    from cli.realtouch import announce_fetching
 
     announce_fetching(Sink(), "real-seq", None)
     announce_fetching(Sink(), "someone/touches", "test")
