@@ -20,7 +20,7 @@ from tactile_toolkit.pictures.sheets import ACCENTS, INK, MUTED, hex_of
 
 _DPI = 144
 _MOST_BINS = 40
-_TITLE_PT = 13.0
+_TITLE_PT, _LEAST_TITLE_PT = 13.0, 9.0
 _LETTER_EM = 0.66  # of the font, most letters are narrower
 _TITLE_LEFT = 0.012
 _STYLE = {
@@ -166,8 +166,11 @@ def _plotted(
         canvas = FigureCanvasAgg(figure)
         # For letters that the font does not have it draws boxes, with a warning on stderr.
         warnings.filterwarnings("ignore", message="Glyph .* missing from")
-        lines = textwrap.fill(title, int(72 * size[0] / (_LETTER_EM * _TITLE_PT)))
-        figure.suptitle(lines, x=_TITLE_LEFT, ha="left", fontsize=_TITLE_PT)
+        # A long heading is smaller, then in several lines.
+        room_pt = 72 * size[0] / _LETTER_EM
+        title_pt = min(_TITLE_PT, max(_LEAST_TITLE_PT, room_pt / max(len(title), 1)))
+        lines = textwrap.fill(title, int(room_pt / title_pt))
+        figure.suptitle(lines, x=_TITLE_LEFT, ha="left", fontsize=title_pt)
         for number, panel in enumerate(panels, start=1):
             fill(figure.add_subplot(rows, columns, number), panel)
         if legend:
