@@ -20,7 +20,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 T = TypeVar("T")
 
 _SCHEME = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]*)://(?P<rest>.*)", re.DOTALL)
-_FOLDED = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
+_LOST_SLASH = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
 _LOCAL_SCHEMES = ("file", "local")
 _WEB_SCHEMES = ("http", "https")
 _OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
@@ -71,29 +71,20 @@ def normalize_uri(place: str) -> str:
     Raises InputError for an address that names no bucket, is of the web, or holds a key or a signature.
     """
     match, scheme = _SCHEME.fullmatch(place), scheme_of(place)
-    if match is None:
-        if _FOLDED.match(place):
-            raise InputError(
-                f"{place!r} is an address of which a slash was lost, as pathlib.Path does it",
-                next="give it as text, or write ./ before it where a local folder is meant",
-            )
+    if match is None and not _LOST_SLASH.match(place):
         return place
-    rest = match["rest"].rstrip("/")
-    bucket, *parts = rest.split("/")
-    if not scheme:
-        if not match["rest"].startswith("/"):
-            expected = f"{match['scheme']}:///FOLDER"
-            raise InputError(
-                f"{place!r} is not the address of a file; expected {expected}", next="write it so"
-            )
+    rest = match["rest"].rstrip("/") if match else ""
+    if match and not scheme and match["rest"].startswith("/"):
         return rest or "/"
+    bucket, *parts = rest.split("/")
     is_plain = rest.isprintable() and "?" not in rest and not {".", ".."} & {bucket, *parts}
-    if not bucket or "@" in bucket or scheme in _WEB_SCHEMES or not is_plain:
+    if not scheme or not bucket or "@" in bucket or scheme in _WEB_SCHEMES or not is_plain:
         raise InputError(
-            f"{redact(place)!r} is not the address of a data set; expected a folder, s3://BUCKET/FOLDER or "
-            "the like, of plain names ('.', '..' and control characters are none), without a user, a key or "
-            "a signature, and not of the web",
-            next="write it so, and give credentials as the store's own tools take them, such as AWS_PROFILE",
+            f"{redact(place)!r} is not the address of a data set; expected a folder, file:///FOLDER, "
+            "s3://BUCKET/FOLDER or the like, of plain names ('.', '..' and control characters are none), "
+            "without a user, a key or a signature, and not of the web",
+            next="write it so, as text (pathlib.Path drops a slash; a local folder of that name is ./NAME), "
+            "and give credentials as the store's own tools take them, such as AWS_PROFILE",
         )
     return f"{scheme}://{rest}"
 

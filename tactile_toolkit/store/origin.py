@@ -25,6 +25,11 @@ _SHA256_DIGITS = 64
 _STORED_NAMES = {"repo_id": "repository", "metadata_files": "labels"}
 
 
+def kind_of(digest: str) -> str:
+    """Return the kind of a digest, in a word for messages."""
+    return "sha256" if len(digest) == _SHA256_DIGITS else "git-sha1"
+
+
 def digest_like(stream: IO[bytes], digest: str) -> str:
     """Return the digest of an open file, of the same kind as another, in hexadecimal digits."""
     if len(digest) == _SHA256_DIGITS:

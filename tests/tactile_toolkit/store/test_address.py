@@ -37,16 +37,16 @@ def test_one_form_of_each_place(given, place):
 @pytest.mark.parametrize(
     ("address", "words"),
     [
-        ("s3://", "'s3://' is not the address of a data set; expected a folder, s3://BUCKET/FOLDER"),
+        ("s3://", "'s3://' is not the address of a data set; expected a folder, file:///FOLDER, s3://"),
         ("s3:///set", "is not the address of a data set"),
-        ("file://set", "expected file:///FOLDER; next: write it so"),
+        ("file://set", "expected a folder, file:///FOLDER, s3://"),
         ("s3://a/../b", "'s3://a/../b' is not the address of a data set"),
         ("s3://a/./b", "of plain names ('.', '..' and control characters are none)"),
         ("s3://a/b\0", "is not the address of a data set"),
         ("s3://KEY:SECRET@bucket/set", "'s3://...@bucket/set' is not the address"),
         ("s3://bucket/set?X-Amz-Signature=SECRET", "'s3://bucket/set?...' is not the address"),
         ("https://KEY:SECRET@host/set", "'https://...@host/set' is not the address"),
-        ("s3:/bucket/set", "'s3:/bucket/set' is an address of which a slash was lost"),
+        ("s3:/bucket/set", "'s3:/bucket/set' is not the address of a data set"),
         ("http://host/set?X-Amz-Signature=SECRET", "and not of the web"),
     ],
 )

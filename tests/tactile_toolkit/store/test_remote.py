@@ -370,7 +370,7 @@ def test_verify_brings_each_shard_once(folder, s3):  # noqa: F811
     folder.write_bytes(first, folder.read_bytes(second))
     folder.remove(third)
     found = {finding.file: finding.problem for finding in verify(folder, SCHEMA, workers=2).findings}
-    assert found[first].startswith("has the digest")
+    assert found[first].startswith("sha256 is")
     assert found[third] == "is missing"
 
 

@@ -157,7 +157,7 @@ def test_a_copy_is_compared_with_all_that_the_hub_said(tmp_path):
     flipped = hashlib.sha256(b"c0ntent").hexdigest()
     assert {finding.file: finding.problem for finding in found.findings} == {
         "images/cut": "has 4 bytes, expected 7",
-        "images/flipped": f"has the digest {flipped}, expected {digest}",
+        "images/flipped": f"sha256 is {flipped}, expected {digest}",
         "images/gone": "is missing",
         "data/strange.bin": "is not listed in .download.json; next: remove it",
     }
