@@ -37,7 +37,7 @@ PAGES = (
 NOT_RUN = ("docs/operators.md", "docs/install.md")
 """Pages whose code needs clusters, or installs."""
 
-NEEDED = {"dev": "grain", "env": "tactile_mnist", "sim": "jax", "simulators": "mujoco", "torch": "torchdata"}
+NEEDED = {"dev": "grain", "env": "tactile_mnist", "simulators": "mujoco", "torch": "torchdata"}
 """A package of each extra that blocks name."""
 
 

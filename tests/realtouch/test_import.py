@@ -140,7 +140,7 @@ def test_no_card_claims_that_images_of_others_are_ours_to_license(
     assert "mported" in card.split("\n# ")[1].split("\n")[0]
     for words in ("CC BY", "cc-by", "Schneider", "GelSight", "Franka", "MNIST", "gel pad", "120 x 120"):
         assert words not in card, words
-    assert croissant["license"].startswith("The terms of the images that were imported")
+    assert croissant["license"].startswith("The terms of the imported images")
     assert "citeAs" not in croissant
     assert check_card(DataFolder(str(out))) == []
 
