@@ -142,7 +142,7 @@ def test_numbers_are_those_of_the_data(folders):
     assert "3 rounds, 12 touches" in card_of(folders["single"])
     assert "one image per\ntouch, 64 x 48 pixels" in card_of(folders["single"])
     assert "| train | 3 | 12 | 4 | 3 | 75.0 % | 0 | 1 |" in card_of(folders["single"])
-    assert "12 pictures of touches" in card_of(folders["frames"])
+    assert "12 images of touches" in card_of(folders["frames"])
     assert "no `manifest.json`" in card_of(folders["synthetic"])
     assert "Synthetic touches" in card_of(folders["synthetic"])
 
