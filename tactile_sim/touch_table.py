@@ -18,10 +18,11 @@ from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.files import expanded
 
-_PLACES = ("x_m", "y_m")
+_POSITIONS = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")
 _POSES = ("object_x_m", "object_y_m", "object_turn_rad")
-_COLUMNS = (*_PLACES, *_NUMBERS, *_POSES)
+_ENDINGS = (".csv", ".parquet", ".npz")
+_COLUMNS = (*_POSITIONS, *_NUMBERS, *_POSES)
 # Memory that reading takes for each row, in whatever columns, with the numbers of rounds and objects.
 _BYTES_PER_ROW = 512
 # More is a wrong unit or column; sines are right up to a million turns.
@@ -99,18 +100,16 @@ class TouchTable:
             The file is not there, is not such a table, or holds values as above.
         """
         file = expanded(path)
-        readers = {".csv": _read_csv, ".parquet": _read_parquet, ".npz": _read_npz}
-        reader = readers.get(file.suffix.lower())
-        if reader is None:
-            raise InputError(f"given touches in {str(path)!r}: expected a file {', '.join(readers)}")
+        if file.suffix.lower() not in _ENDINGS:
+            raise InputError(f"given touches in {str(path)!r}: expected a file {', '.join(_ENDINGS)}")
         try:
-            return cls(**reader(file))
+            return cls(**_read_columns(file))
         except InputError as error:
             raise InputError(f"given touches in {str(path)!r}: {error}") from error
         except Exception as error:  # pyarrow, zipfile and numpy raise many kinds
             raise InputError(
                 f"given touches in {str(path)!r} cannot be read ({error}); expected an intact "
-                f"{file.suffix.lower()} file with columns {', '.join(_PLACES)}"
+                f"{file.suffix.lower()} file with columns {', '.join(_POSITIONS)}"
             ) from error
 
     @cached_property
@@ -131,7 +130,7 @@ class TouchTable:
         # None stands for every object, and for every round.
         key = (None if self.object_id is None else object_id, None if self.round is None else number)
         rows = self._rows.get(key, [])
-        places = np.stack([getattr(self, name)[rows] for name in _PLACES], axis=1)
+        places = np.stack([getattr(self, name)[rows] for name in _POSITIONS], axis=1)
         if self.object_x_m is None:
             return places, None
         return places, np.stack([getattr(self, name)[rows] for name in _POSES], axis=1)
@@ -145,7 +144,7 @@ class TouchTable:
 
     @property
     def _held(self) -> list[str]:
-        return [name for name in _COLUMNS if name in _PLACES or getattr(self, name) is not None]
+        return [name for name in _COLUMNS if name in _POSITIONS or getattr(self, name) is not None]
 
     @cached_property
     def _rows(self) -> dict[tuple[int | None, int | None], list[int]]:
@@ -184,52 +183,34 @@ def _column(name: str, value: Any) -> NDArray[Any]:
     return found.astype(np.int64) if name in _NUMBERS else numbers
 
 
-def _read_csv(file: Path) -> Mapping[str, Any]:
-    from pyarrow import csv
+def _read_columns(file: Path) -> Mapping[str, Any]:
+    """Read a table whose columns are those of touches; InputError for other columns, or too many rows."""
+    size_bytes = file.stat().st_size
+    if file.suffix.lower() == ".npz":
+        with zipfile.ZipFile(file) as archive:
+            require_plain_archive(archive)
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+            # Integers of a byte become numbers of eight, and are copied.
+            require_unpackable(8 * unpacked, f"a table of {unpacked:,} bytes", size_bytes)
+        with np.load(file, allow_pickle=False) as stored:
+            _require_columns(stored.files)
+            return dict(stored)
+    from pyarrow import csv, parquet
 
-    with file.open(encoding="utf-8-sig") as stream:
-        names = stream.readline(4096).replace('"', "").strip().split(",")
-    _require_columns(names)
+    if file.suffix.lower() == ".csv":
+        table = csv.read_csv(file)
+    else:
+        rows = parquet.read_metadata(file).num_rows
+        require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", size_bytes)
+        table = parquet.read_table(file)
+    _require_columns(table.column_names)
     # What is missing becomes NaN, which is refused by its row.
-    table = csv.read_csv(
-        file, convert_options=csv.ConvertOptions(column_types=dict.fromkeys(names, "float64"))
-    )
-    _require_size(table.num_rows, file)
-    return {name: table.column(name).to_numpy() for name in names}
-
-
-def _read_parquet(file: Path) -> Mapping[str, Any]:
-    from pyarrow import parquet, types
-
-    with parquet.ParquetFile(file) as source:
-        names = source.schema_arrow.names
-        _require_columns(names)
-        for name, kind in zip(names, source.schema_arrow.types, strict=True):
-            if not (types.is_integer(kind) or types.is_floating(kind)):
-                raise InputError(f"column {name} holds {kind}; expected numbers")
-        _require_size(source.metadata.num_rows, file)
-        table = source.read()
-    return {name: table.column(name).to_numpy() for name in names}
-
-
-def _read_npz(file: Path) -> Mapping[str, Any]:
-    with zipfile.ZipFile(file) as archive:
-        require_plain_archive(archive)
-        size_bytes = sum(entry.file_size for entry in archive.infolist())
-        # Integers of a byte become numbers of eight, and are copied.
-        require_unpackable(8 * size_bytes, f"a table of {size_bytes:,} bytes", file.stat().st_size)
-    with np.load(file, allow_pickle=False) as stored:
-        _require_columns(stored.files)
-        return dict(stored)
+    return {name: table.column(name).to_numpy() for name in table.column_names}
 
 
 def _require_columns(names: Sequence[str]) -> None:
-    if len(set(names)) < len(names) or not set(_PLACES) <= set(names) <= set(_COLUMNS):
+    if len(set(names)) < len(names) or not set(_POSITIONS) <= set(names) <= set(_COLUMNS):
         raise InputError(
             f"its columns are {', '.join(names)[:200]}; expected x_m, y_m and of these, each once: "
             f"{', '.join(_COLUMNS[2:])}"
         )
-
-
-def _require_size(rows: int, file: Path) -> None:
-    require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", file.stat().st_size)

@@ -69,7 +69,7 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
     lists = [name for name in home.sizes() if name.endswith(_LIST_END) and table in (None, name)]
     if not lists:
         raise InputError(f"{home.address()!r} holds no lists (*{_LIST_END}){f' {table!r}' if table else ''}")
-    sizes, number = cache(home.sizes), 0
+    sizes = cache(home.sizes)
     for each in lists:
         for line in home.read_bytes(each).decode(errors="replace").splitlines():
             image, _, rest = line.partition(",")
@@ -84,5 +84,4 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
             except ItemError as error:
                 problem = error
             values = {"label": label, "round_id": folder.removeprefix(f"{split}-"), "split": split}
-            yield Item(number, name, f"{home.address()}/{name}", 0, size, values, problem)
-            number += 1
+            yield Item(name, f"{home.address()}/{name}", 0, size, values, problem)

@@ -31,7 +31,7 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
                 raise ItemError("columns", "the line has more values than the table has columns")
         except ItemError as error:
             problem = error
-        yield Item(number, name, f"{home.address()}/{name}", 0, size, values, problem)
+        yield Item(name, f"{home.address()}/{name}", 0, size, values, problem)
 
 
 def _table_name(home: DataFolder, table: str | None) -> str:

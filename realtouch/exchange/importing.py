@@ -9,7 +9,7 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from os import PathLike, fspath
 from pathlib import Path, PurePosixPath
 from typing import Any, get_args
@@ -21,7 +21,7 @@ from realtouch.card import write_card
 from realtouch.convert.plan import KIND
 from realtouch.exchange.api import ImportLayout, format_of
 from realtouch.exchange.flat import require_intact
-from realtouch.exchange.items import ImportColumns, Item, contents_of
+from realtouch.exchange.items import NUMBERED, ImportColumns, Item, contents_of
 from realtouch.poses import bad_pose
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.run.processes import Runner, runner_for
@@ -49,7 +49,7 @@ _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
 _POSE = "gel_pose_cell_frame"
 _OF_ROUND = ("label", "object_id")
-_NUMBERED = "label"
+_SPLIT_FOLDERS = ("fota", "sparsh")  # formats of which a folder holds one split, and is named so
 _ORIENTATION = 0x0112
 _TURNED = range(2, 9)
 _MOST_FIELDS = 100
@@ -76,15 +76,14 @@ def import_images(
     Parameters
     ----------
     source : str or path
-        Folder of images with a CSV table, or of the tars of a WebDataset (or one tar); also an address such
-        as ``s3://BUCKET/FOLDER``, which is listed once and read as it is needed.
+        Folder of images with a CSV table, or of the tars of a WebDataset (or one tar), or what
+        :func:`realtouch.export` wrote; also an address such as ``s3://BUCKET/FOLDER``.
     out : str or path
         Folder to write, outside the source.
     layout : "folder", "webdataset", "replay", "fota", "sparsh" or "anytouch"
-        As :func:`realtouch.export` writes them; of ``"fota"`` and ``"sparsh"`` the folder of one split, whose
-        name is that of the split. In tars, the fields are those of the JSON file of each sample, and the text
-        of other files by their endings, such as ``cls``. Of ``"replay"`` (extra ``zarr``), an episode is a
-        round, a frame is a touch, and its pixels become a PNG.
+        As :func:`realtouch.export` writes them; ``"fota"`` and ``"sparsh"`` have a folder for each split. In
+        tars, the fields are those of the JSON file of each sample, and the text of other files by their
+        endings, such as ``cls``. Of ``"replay"`` (extra ``zarr``), an episode is a round, a frame is a touch.
     columns : ImportColumns, optional
         Which columns hold what; those of our own exports are found without.
     table : str, optional
@@ -123,7 +122,8 @@ def import_images(
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
     _refuse_inside(folder, home)
     chosen = columns or ImportColumns()
-    items = [_with_used_fields(item, chosen) for item in read(home, chosen, table)]
+    found = (item for each in _folders(home, layout) for item in read(each, chosen, table))
+    items = [item.used(number, chosen) for number, item in enumerate(found)]
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected images")
     known = dict.fromkeys(name for item in items for name in item.fields)
@@ -138,21 +138,14 @@ def import_images(
     )
 
 
-def _with_used_fields(item: Item, chosen: ImportColumns) -> Item:
-    """Return an item with the names of all of its fields, and the values of those that may be used."""
-    fields = tuple(name for name, value in item.values.items() if name and value not in (None, ""))
-    used = {*chosen.found_in(fields).names(), *([] if chosen.label else [_NUMBERED])}
-    values = {name: item.values[name] for name in item.values if name in used}
-    odd = [name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value)]
-    problem = item.problem
-    if odd and problem is None:
-        problem = ItemError("json", f"its field {odd[0]!r} holds text that is not Unicode")
-    return replace(item, values={} if odd else values, problem=problem, fields=fields)
-
-
-def _is_unicode(text: str) -> bool:
-    """Return whether a text can be stored: JSON may hold one half of a surrogate pair without the other."""
-    return text.encode(errors="ignore").decode() == text
+def _folders(home: DataFolder, layout: str) -> list[DataFolder]:
+    """Return the folders to read: those of an export of ours, and one for each split where formats do so."""
+    if layout in home.entries():
+        home = DataFolder(home.address(layout))
+    splits = [name for name, size in home.entries().items() if size is None]
+    if layout in _SPLIT_FOLDERS and splits and not home.sizes():
+        return [DataFolder(home.address(split)) for split in splits]
+    return [home]
 
 
 def _refuse_inside(folder: DataFolder, home: DataFolder) -> None:
@@ -239,7 +232,7 @@ def _class_names(items: Sequence[Item], column: str | None) -> tuple[str, ...]:
     """Return the classes in the data: numbers count from 0, ten at least; names stay as they are."""
     numbered: dict[str, str] = {}  # our exports have name and number, which keeps the order
     for item in items:
-        number = "" if column == _NUMBERED else _text(item.values, _NUMBERED)
+        number = "" if column == NUMBERED else _text(item.values, NUMBERED)
         numbered.setdefault(_text(item.values, column), number if number.isdecimal() else "")
     numbered.pop("", None)
     matches = [_NUMBER.fullmatch(name) for name in numbered]
@@ -329,7 +322,7 @@ class _ImportShard:
         """Read the touches; those that cannot be used are left out and listed."""
         rows, skipped = [], []
         used = {*self.columns.names(), self.columns.image}
-        used |= {_NUMBERED} if self.columns.label == f"{_NUMBERED}_name" else set()
+        used |= {NUMBERED} if self.columns.label == f"{NUMBERED}_name" else set()
         others = Counter[str]()
         contents = _images((item for _, items in self.rounds for item in items), self.layout)
         for name, items in self.rounds:

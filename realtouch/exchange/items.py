@@ -19,6 +19,9 @@ from tactile_toolkit.store.names import is_remote, problem_of_name
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 from tactile_toolkit.wording import did_you_mean
 
+NUMBERED = "label"
+"""The field of our own exports that numbers the classes."""
+
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 HERE = re.compile(r"^(?:\./+)+")
 """What a path may begin with to no effect."""
@@ -101,19 +104,30 @@ class Item:
     ``fields`` names all fields of the source that have a value.
     """
 
-    number: int
     name: str
     path: str
     start: int
     size: int
     values: Mapping[str, Any] = field(repr=False)
     problem: ItemError | None = None
+    number: int = 0
     fields: tuple[str, ...] = field(default=(), repr=False)
 
-    def __post_init__(self) -> None:
-        if self.problem is None and self.size > MAX_IMAGE_BYTES:
+    def used(self, number: int, columns: ImportColumns) -> Item:
+        """Return the item with its number among all, the names of its fields, and the values in use."""
+        fields = tuple(name for name, value in self.values.items() if name and value not in (None, ""))
+        wanted = {*columns.found_in(fields).names(), *([] if columns.label else [NUMBERED])}
+        values = {name: self.values[name] for name in self.values if name in wanted}
+        problem = self.problem
+        for name, value in values.items():
+            # JSON may hold one half of a surrogate pair without the other, which cannot be stored.
+            if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
+                problem = problem or ItemError("json", f"its field {name!r} holds text that is not Unicode")
+                values = {}
+                break
+        if problem is None and self.size > MAX_IMAGE_BYTES:
             problem = ItemError("image", f"{self.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
-            object.__setattr__(self, "problem", problem)
+        return replace(self, number=number, values=values, problem=problem, fields=fields)
 
 
 def contents_of(items: Iterable[Item]) -> Iterator[bytes | Exception]:

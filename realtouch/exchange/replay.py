@@ -149,7 +149,7 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
                     values |= dict(zip(names, values.pop(name), strict=True))
             name = f"episode-{episode:06d}"
             values.setdefault("round_id", name)
-            yield Item(number, f"{name}_{number - start:06d}.png", f"{path}#{pixels}", number, size, values)
+            yield Item(f"{name}_{number - start:06d}.png", f"{path}#{pixels}", number, size, values)
         start = int(end)
 
 

@@ -86,21 +86,21 @@ def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
 
 def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
-    split, number = home.address().rstrip("/").rpartition("/")[2], 0
+    split = home.address().rstrip("/").rpartition("/")[2]
     names = [name for name in home.sizes() if name.endswith(".pkl")]
     if not names:
         raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
     for name in names:
         stem = name.removesuffix(".pkl")
         beside = table or f"{stem}.csv"
-        found = read_table(home, beside)[1] if table or home.exists(beside) else None
-        count = 0
+        found: Any = read_table(home, beside)[1] if table or home.exists(beside) else None
         with home.open(name) as stream:
-            for start, size in _places(stream, name):
-                values = {"split": split, **(found[count] if found and count < len(found) else {})}
-                yield Item(number, f"{stem}_{count:06d}", f"{home.address()}/{name}", start, size, values)
-                number, count = number + 1, count + 1
-        if found is not None and len(found) != count:  # else they would be of other images
+            places = list(_places(stream, name))
+        lines = [{}] * len(places) if found is None else found
+        if len(lines) != len(places):  # else they would be of other images
             raise InputError(
-                f"{beside!r} has {len(found):,} lines; expected {count:,}, one for each image of {name!r}"
+                f"{beside!r} has {len(lines):,} lines; expected {len(places):,}, as {name!r} has images"
             )
+        for count, ((start, size), line) in enumerate(zip(places, lines, strict=True)):
+            values = {"split": split, **line}
+            yield Item(f"{stem}_{count:06d}", f"{home.address()}/{name}", start, size, values)

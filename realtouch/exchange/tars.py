@@ -37,18 +37,17 @@ def items_of_tars(home: DataFolder, columns: ImportColumns, table: str | None) -
     """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
     if table is not None:
         raise InputError("--table is about folders of images; a WebDataset has JSON files")
-    number, seen, known = 0, set[str](), dict[str, None]()
+    seen, known = set[str](), dict[str, None]()
     for folder, name in _tars(home):
         for key, members in groupby(_members(folder, name), key=lambda each: each[0]):
-            item = _sample(folder.address(name), number, key, list(members), columns)
+            item = _sample(folder.address(name), key, list(members), columns)
             if key in seen:
                 problem = ItemError("duplicate", f"the key {key!r} stands in an earlier sample")
                 item = replace(item, problem=problem)
             seen.add(key)
             known |= dict.fromkeys(item.values)
-            number += 1
             yield item
-    if number:
+    if seen:
         require_columns(list(known), columns.found_in(known).names(), home.address())
 
 
@@ -91,7 +90,7 @@ def _is_image(ending: str) -> bool:
     return ending.lower().rpartition(".")[2] in IMAGE_ENDINGS
 
 
-def _sample(path: str, number: int, key: str, members: Sequence[_Member], columns: ImportColumns) -> Item:
+def _sample(path: str, key: str, members: Sequence[_Member], columns: ImportColumns) -> Item:
     """Put the files of one key together."""
     wanted = None if columns.image in (None, "file") else str(columns.image).lower()
     named = problem_of_name(key)
@@ -110,7 +109,7 @@ def _sample(path: str, number: int, key: str, members: Sequence[_Member], column
         elif not _is_image(ending):
             values.setdefault(ending, content.decode(errors="replace").strip())
     _, _, start, size, _ = images[0] if images else ("", "", 0, 0, b"")
-    return Item(number, key, path, start, size, values, problem)
+    return Item(key, path, start, size, values, problem)
 
 
 def _fields(content: bytes) -> dict[str, Any]:

@@ -6,7 +6,7 @@ import csv
 import json
 import shutil
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 
 import realtouch
 from cli.realtouch import app
+from realtouch.exchange.api import ImportLayout
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
@@ -54,6 +55,23 @@ def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> Non
     assert folder_bytes(tmp_path / "again") == folder_bytes(back)
     again = realtouch.export(back, tmp_path / "flat", "flat")
     assert again.split_table()["train"]["rows"] == 15
+
+
+@pytest.mark.parametrize("layout", [each for each in get_args(ImportLayout) if each != "folder"])
+def test_what_an_export_wrote_is_imported_by_its_own_path(
+    layout: Any, single_folder: Path, tmp_path: Path
+) -> None:
+    if layout == "replay":
+        pytest.importorskip("zarr", reason="needs zarr, of the extra zarr")
+    split = "train" if layout == "replay" else None  # it holds one
+    exported = ("export", single_folder, "--format", layout, *(("--split", split) if split else ()))
+    assert call("realtouch", *exported, "--out", tmp_path / "there", "-w", 1) == 0
+    words = ("import", tmp_path / "there", "--format", layout, "--out", tmp_path / "back", "-w", 1)
+    assert call("realtouch", *words) == 0
+    for each in (split,) if split else ("train", "test"):
+        before, after = realtouch.load(single_folder, each), realtouch.load(tmp_path / "back", each)
+        assert after.touch_counts.tolist() == before.touch_counts.tolist()
+        np.testing.assert_array_equal(after.labels, before.labels)
 
 
 def test_a_shard_holds_no_more_touches_than_a_worker_can(
