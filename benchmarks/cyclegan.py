@@ -24,6 +24,8 @@ import realtouch
 from tactile_sim import center_view
 from tactile_sim.learned.evaluation import add_noise_per_object, two_sample_test
 from tactile_sim.learned.networks import (
+    CycleganDepth,
+    CycleganOptics,
     Generator,
     GeneratorWeights,
     initialise,
@@ -32,7 +34,6 @@ from tactile_sim.learned.networks import (
     weights_of,
     write_weights,
 )
-from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics
 from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
 from tactile_sim.noise import SensorNoise
 from tactile_sim.optics import TaximOptics

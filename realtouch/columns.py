@@ -5,7 +5,7 @@ T is the number of touches of the round.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
@@ -186,40 +186,12 @@ def stored_value(row: Row, name: str) -> Any:
         raise damaged(row, name, f"a value that cannot be read ({error})") from error
 
 
-class Info(Mapping[str, Any]):
-    """A mapping that cannot be written to; pickles and copies, other than Python's own."""
-
-    __slots__ = ("_values",)
-
-    def __init__(self, values: Mapping[str, Any]) -> None:
-        self._values = dict(values)
-
-    def __getitem__(self, name: str) -> Any:
-        return self._values[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._values)
-
-    def __len__(self) -> int:
-        return len(self._values)
-
-    def __or__(self, other: Mapping[str, Any]) -> dict[str, Any]:
-        return self._values | dict(other)
-
-    def copy(self) -> dict[str, Any]:
-        """Return a copy that can be written to."""
-        return dict(self._values)
-
-    def __repr__(self) -> str:
-        return f"Info({self._values!r})"
-
-
 def has_info(row: Row) -> bool:
     """Return whether a round has metadata."""
     return row.has("info") or any(name.startswith("info.") for name in row.group.names)
 
 
-def read_info(row: Row) -> Info:
+def read_info(row: Row) -> dict[str, Any]:
     """Read the metadata of a round; InputError when the data set does not store it.
 
     Raises IntegrityError for a pose that is not one, or one name for a value and for a group of values.
@@ -239,17 +211,16 @@ def read_info(row: Row) -> Info:
         if not isinstance(group, dict) or last in group:
             raise damaged(row, name, "the name of a value and of a group of values; expected one of them")
         group[last] = stored_value(row, name)
-    return Info(_with_poses(row, nested, "info"))
+    return {key: _with_poses(row, value, f"info.{key}") for key, value in nested.items()}
 
 
-def _with_poses(row: Row, values: dict[str, Any], name: str) -> Any:
+def _with_poses(row: Row, value: Any, name: str) -> Any:
     """Put poses in place of groups of a position and a quaternion."""
-    if values.keys() == {"position", "quaternion"}:
-        return _pose(row, values, name)
-    return {
-        key: _with_poses(row, value, f"{name}.{key}") if isinstance(value, dict) else value
-        for key, value in values.items()
-    }
+    if not isinstance(value, dict):
+        return value
+    if value.keys() == {"position", "quaternion"}:
+        return _pose(row, value, name)
+    return {key: _with_poses(row, each, f"{name}.{key}") for key, each in value.items()}
 
 
 def _pose(row: Row, values: dict[str, Any], name: str) -> Any:

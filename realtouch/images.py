@@ -6,7 +6,6 @@ import html
 import operator
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from typing import Any
 
@@ -19,6 +18,7 @@ from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
 from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized, room_for
 
 # Long enough that taking a run costs nothing, short enough that threads end together.
@@ -121,18 +121,9 @@ def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None
 
     Each takes a run of pieces at a time: neighbours share pages of the array that they are written to.
     """
-    threads = min(threads, count)
     length = max(1, min(_LONGEST_RUN, count // max(1, 4 * threads)))
-
-    def run(start: int) -> None:
-        for piece in range(start, min(start + length, count)):
-            work(piece)
-
-    if threads <= 1:
-        deque(map(run, range(0, count, length)), maxlen=0)
-        return
-    with ThreadPoolExecutor(threads) as pool:
-        deque(pool.map(run, range(0, count, length)), maxlen=0)
+    runs = (range(start, min(start + length, count)) for start in range(0, count, length))
+    deque(in_threads(lambda run: deque(map(work, run), maxlen=0), runs, max(1, threads)), maxlen=0)
 
 
 MOST_TILES = 32

@@ -288,22 +288,18 @@ def find_damage(
     start = 0
     for shard in shards:
         unreadable = set()
-        for index, first in enumerate(shard.group_starts[:-1]):
-            damage: list[Damage] = []
-            try:
-                rows = shard.group_starts[index + 1] - first
-                for block in range(-(-rows // shard.block_rows[index])):
-                    group = shard.block(index, block)  # unpacked into the cache, where it is read from later
-                    for row in range(len(group.table)):
-                        damage += check_round(Row(group, row), expected_touches, class_names=names)
-            except IntegrityError as error:
+        for each in readable_rows([shard]):
+            if isinstance(each, Damage):
+                index = shard.group_starts.index(int(each.row or 0))
                 unreadable.add(index)
-                damage = [unreadable_rows(shard, index, error)]
-                lost[start + first : start + shard.group_starts[index + 1]] = True
-            for each in damage:
-                row_number = start + int(each.row or 0)
-                found.append((row_number, each))
-                lost[row_number] |= each.touch is None
+                lost[start + shard.group_starts[index] : start + shard.group_starts[index + 1]] = True
+                damage = [each]
+            else:
+                damage = check_round(each, expected_touches, class_names=names)
+            for one in damage:
+                row_number = start + int(one.row or 0)
+                found.append((row_number, one))
+                lost[row_number] |= one.touch is None
         if unreadable:
             shard = PartialShard(shard.path, shard.rows, shard.failures, lost=frozenset(unreadable))
         files.append(shard)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import Any, Self
@@ -93,9 +93,9 @@ class TouchRound(Record):
         return self._once("object_id", lambda: int_value(self._row, "object_id"))
 
     @property
-    def info(self) -> Mapping[str, Any]:
-        """Metadata such as ``gel_id`` and notes, unflattened; pairs of position and quaternion are poses."""
-        return self._once("info", lambda: read_info(self._row))
+    def info(self) -> dict[str, Any]:
+        """Metadata such as ``gel_id`` and notes, unflattened, with poses; a dict of the caller."""
+        return dict(self._once("info", lambda: read_info(self._row)))
 
     @property
     def pos_in_cell_m(self) -> NDArray[np.floating]:

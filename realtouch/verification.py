@@ -95,29 +95,37 @@ def verify(
     """
     place = place_of(name)
     folder = folder_named(place) if isinstance(place, str) else None
+    manifest = None if folder is None else read_manifest(folder)
+    # Files of a folder of ours are held against its manifest and card, others against what the Hub said.
+    has_checksums = folder is not None and (manifest is not None or read_record(folder) is not None)
     findings: list[Damage] = []
-    has_checksums = False
-    if folder is not None:
-        manifest = read_manifest(folder)
-        # Files of a folder of ours are held against its manifest and card, others against what the Hub said.
-        has_checksums = manifest is not None or read_record(folder) is not None
-        if has_checksums:
-            for finding in verify_files(folder, check_card=check_card, workers=workers).findings:
-                findings.append(Damage(finding.file, None, None, "", finding.problem))
-        if manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
-            return _verify_index(folder, manifest, findings, on_progress, decode=not quick)
-    if not isinstance(place, str):
-        parts: tuple[str, ...] = ("train",)  # files come without a split
-    else:
+    if folder is not None and has_checksums:
+        listed = verify_files(folder, check_card=check_card, workers=workers).findings
+        findings += [Damage(each.file, None, None, "", each.problem) for each in listed]
+    if folder is not None and manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
+        return _verify_index(folder, manifest, findings, on_progress, decode=not quick)
+    parts: Sequence[str] = ("train",)  # files come without a split
+    if isinstance(place, str):
         parts = (split,) if split is not None else splits_of(place, revision=revision)
-    splits: list[list[Shard]] = []
-    unprotected: list[str] = []
+    splits = []
     for part in parts:
-        found = open_shards(place, part, revision=revision)
-        splits.append(agreeing_files(found, str(name), findings))
+        splits.append(agreeing_files(open_shards(place, part, revision=revision), str(name), findings))
         findings += _lacking_columns(splits[-1])
-        if not has_checksums:
-            unprotected += [shard.path for shard in splits[-1] if _is_unprotected(shard, place)]
+    shards = [shard for files in splits for shard in files]
+    unprotected = () if has_checksums else (each.path for each in shards if _is_unprotected(each, place))
+    return _verify_rounds(splits, findings, tuple(unprotected), workers, on_progress, decode=not quick)
+
+
+def _verify_rounds(
+    splits: Sequence[Sequence[Shard]],
+    findings: list[Damage],
+    unprotected: tuple[str, ...],
+    workers: int,
+    on_progress: Callable[[int, int], None],
+    *,
+    decode: bool,
+) -> TouchVerification:
+    """Check every round, and add what is wrong to the findings."""
     total = sum(len(shard) for files in splits for shard in files)
     rounds = touches = 0
     seen: dict[str, str] = {}
@@ -125,10 +133,10 @@ def verify(
         check = partial(
             check_round,
             expected_touches=modal_touch_count(files),
-            decode=not quick,
+            decode=decode,
             class_names=stated_class_names(files),
         )
-        # In the order of the rows, whoever comes first: findings do not depend on the number of workers.
+        # In the order of the rows: findings do not depend on the number of workers.
         for row, problems in in_threads(partial(_checked, check), readable_rows(files), workers):
             findings += problems
             if isinstance(row, Row):
@@ -137,7 +145,7 @@ def verify(
                 with suppress(InputError, IntegrityError):
                     touches += touch_total(row)
                 on_progress(rounds, total)
-    return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
+    return TouchVerification(rounds, touches, tuple(findings), unprotected)
 
 
 def _is_unprotected(shard: Shard, place: Place) -> bool:

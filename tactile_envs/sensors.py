@@ -61,7 +61,7 @@ class _Optics:
             optics = TaximOptics()
             self._shades = optics.shades
         else:
-            from tactile_sim.learned.rendering import CycleganOptics
+            from tactile_sim.learned.networks import CycleganOptics
 
             optics = CycleganOptics()
             self._shades = partial(optics.shades, size_px=size)

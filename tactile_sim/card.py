@@ -14,7 +14,7 @@ from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
 from tactile_toolkit.cards.card import Card, first_rows
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
-from tactile_toolkit.pictures.sheets import PAPER, draw_text
+from tactile_toolkit.pictures.sheets import Sheet, Tile, in_rows, sheet
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
@@ -22,39 +22,25 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import height_text, missed_text
 from tactile_toolkit.touch.jpeg import decode_image
 
-TILE_PX = 96
+_TILE_PX = 96
 """Width of pictures in sheets, about."""
 
-_TITLE_PX = 18
 
-
-def sheet_png(columns: Sequence[tuple[str, NDArray[Any]]]) -> bytes:
-    """Draw columns of pictures under their titles: uint8 colours (n, H, W, 3), or depth images (n, H, W).
-
-    Where objects were left out of a set, its two kinds of pictures differ in number: shorter columns end in
-    white.
-    """
-    from PIL import Image, ImageDraw
-
-    strips = []
-    for title, pictures in columns:
-        tiles = [tile(picture, TILE_PX, 2 * TILE_PX) for picture in pictures]  # titles need the room
-        head = Image.new("RGB", (tiles[0].shape[1], _TITLE_PX), PAPER)
-        draw_text(ImageDraw.Draw(head), (3, 2), title, 11)
-        strips.append(np.concatenate([np.asarray(head), *tiles]))
-    return png_bytes(np.concatenate(_filled(strips, 0), axis=1))
-
-
-def tile(picture: NDArray[Any], least_px: int = 1, most_px: int = TILE_PX) -> NDArray[np.uint8]:
-    """Return a picture, uint8 colours (H, W, 3) or depth (H, W), in a white frame; its width between both.
+def sheet_png(rows: Sequence[tuple[str, Any]]) -> bytes:
+    """Draw rows of pictures with a word for each: uint8 colours (H, W, 3), or depth (H, W).
 
     Every n-th pixel, or each n times: as a data set holds it, nothing is smoothed.
     """
+    groups = [(word, [Tile(_shown(picture)) for picture in pictures]) for word, pictures in rows]
+    columns, tiles, words = in_rows(groups, max(len(tiles) for _, tiles in groups))
+    return png_bytes(sheet(tiles, Sheet(columns, row_labels=words, gap_px=2, margin_px=2)))
+
+
+def _shown(picture: NDArray[Any]) -> NDArray[np.uint8]:
     if picture.ndim == 2:
-        picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)[..., None].repeat(3, axis=2)
-    times, step = -(-least_px // picture.shape[1]), max(1, picture.shape[1] // most_px)
-    shown = picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)
-    return np.pad(shown, ((1, 1), (1, 1), (0, 0)), constant_values=255)
+        picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+    times, step = -(-_TILE_PX // picture.shape[1]), max(1, picture.shape[1] // _TILE_PX)
+    return picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)
 
 
 _COLUMNS_SHOWN = 8
@@ -145,8 +131,9 @@ def _limits(spec: Mapping[str, Any], touches: int, met: int) -> list[str]:
 def _touches_sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first touches of the first rounds, a round a row, as PNG."""
     rounds = islice(first_rows(facts, ["sensor_image"]), _ROUNDS_SHOWN)
-    shown = [row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds]
-    return _rows_png([[decode_image(each["bytes"]) for each in images] for images in shown])
+    shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)
+    rows = [("", [decode_image(each["bytes"]) for each in images]) for images in shown]
+    return sheet_png(rows) if rows else None
 
 
 def _pairs_sheet(facts: FolderFacts) -> bytes | None:
@@ -156,22 +143,8 @@ def _pairs_sheet(facts: FolderFacts) -> bytes | None:
         block = next(split.shards[0].blocks(0, ["sensor_image"]))
         decode: Any = decode_depth if split.split == "depth" else decode_image
         images = block.table.column(0)[:_COLUMNS_SHOWN].to_pylist()
-        rows.append([decode(each["bytes"]) for each in images])
-    return _rows_png(rows)
-
-
-def _rows_png(rows: Sequence[Sequence[NDArray[Any]]]) -> bytes | None:
-    """Draw rows of pictures, which may differ in length; None without rows."""
-    strips = [np.concatenate([tile(picture) for picture in row], axis=1) for row in rows]
-    return png_bytes(np.concatenate(_filled(strips, 1))) if strips else None
-
-
-def _filled(strips: Sequence[NDArray[np.uint8]], axis: int) -> list[NDArray[np.uint8]]:
-    """Return strips of one length along an axis, the shorter ones filled with white at their end."""
-    longest = max(strip.shape[axis] for strip in strips)
-    widths = np.zeros((len(strips), 3, 2), int)
-    widths[:, axis, 1] = [longest - strip.shape[axis] for strip in strips]
-    return [np.pad(strip, width, constant_values=255) for strip, width in zip(strips, widths, strict=True)]
+        rows.append((split.split, [decode(each["bytes"]) for each in images]))
+    return sheet_png(rows)
 
 
 def _write_pairs_card(folder: DataFolder, manifest: Manifest) -> None:

@@ -92,7 +92,7 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
     if name not in OPTICS:
         raise InputError(f"no optics {name!r}; expected one of {', '.join(OPTICS)}")
     if name == "cyclegan":  # needs torch
-        return lazy("tactile_sim.learned.rendering:CycleganOptics")(weights)  # type: ignore[no-any-return]
+        return lazy("tactile_sim.learned.networks:CycleganOptics")(weights)  # type: ignore[no-any-return]
     if weights is not None:
         raise InputError(f"weights were given, but the optics are {name!r}", next="--optics cyclegan")
     return DepthOptics() if name == "depth" else TaximOptics()

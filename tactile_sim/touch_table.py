@@ -199,13 +199,23 @@ def _read_columns(file: Path) -> Mapping[str, Any]:
 
     if file.suffix.lower() == ".csv":
         table = csv.read_csv(file)
+        _require_numbers(table.schema, len(table), size_bytes)
     else:
-        rows = parquet.read_metadata(file).num_rows
-        require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", size_bytes)
-        table = parquet.read_table(file)
-    _require_columns(table.column_names)
+        with parquet.ParquetFile(file) as source:
+            _require_numbers(source.schema_arrow, source.metadata.num_rows, size_bytes)
+            table = source.read()
     # What is missing becomes NaN, which is refused by its row.
     return {name: table.column(name).to_numpy() for name in table.column_names}
+
+
+def _require_numbers(schema: Any, rows: int, size_bytes: int) -> None:
+    from pyarrow import types
+
+    _require_columns(schema.names)
+    for each in schema:
+        if not (types.is_integer(each.type) or types.is_floating(each.type)):
+            raise InputError(f"column {each.name} holds {each.type}; expected numbers")
+    require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", size_bytes)
 
 
 def _require_columns(names: Sequence[str]) -> None:

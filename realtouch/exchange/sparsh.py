@@ -99,7 +99,8 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
         lines = [{}] * len(places) if found is None else found
         if len(lines) != len(places):  # else they would be of other images
             raise InputError(
-                f"{beside!r} has {len(lines):,} lines; expected {len(places):,}, as {name!r} has images"
+                f"{beside!r} has {len(lines):,} lines; expected {len(places):,}, one for each image of "
+                f"{name!r}"
             )
         for count, ((start, size), line) in enumerate(zip(places, lines, strict=True)):
             values = {"split": split, **line}

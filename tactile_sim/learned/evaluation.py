@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import nn
 
 from tactile_sim.card import sheet_png
-from tactile_sim.learned.batches import by_taxim
+from tactile_sim.learned.cyclegan import by_taxim
 from tactile_sim.learned.networks import (
     Generator,
     depth_channels,

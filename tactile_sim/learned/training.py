@@ -19,7 +19,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -31,8 +31,7 @@ import pyarrow as pa
 import torch
 
 from tactile_sim.card import sheet_png
-from tactile_sim.learned.batches import Batches, by_taxim
-from tactile_sim.learned.cyclegan import LOSSES, CycleGan
+from tactile_sim.learned.cyclegan import LOSSES, Batches, CycleGan, by_taxim
 from tactile_sim.learned.networks import (
     depth_channels,
     picture_channels,
@@ -138,7 +137,7 @@ def train(
     _require_trainable(pairs, data, config)
     if tensorboard:
         _require_tensorboard(folder)
-    with _processes(device, deterministic=deterministic) as place, _alone(folder, place):
+    with _processes(device, deterministic=deterministic) as place, _locked(folder, place):
         if place.rank == 0:
             _claim(folder, {"config": config.to_dict(), "pairs": data.identity}, resume=resume)
         place.wait()
@@ -366,25 +365,22 @@ class _Run:
 
 
 @contextmanager
-def _alone(folder: DataFolder, place: _Place) -> Iterator[None]:
+def _locked(folder: DataFolder, place: _Place) -> Iterator[None]:
     """Hold the folder, so that no other training writes there; InputError where one is at work."""
     # Object stores know no locks; the other processes of torchrun belong to the first.
     if place.rank or not folder.is_local:
         yield
         return
     folder.require_folder()
-    lock = locked(Path(folder.address()), patience_s=0)
-    try:
-        lock.__enter__()
-    except BlockingIOError as error:
-        raise InputError(
-            f"another training is at work in {folder.address()!r}; nothing was changed",
-            next="wait for it, or choose another folder (--out)",
-        ) from error
-    try:
+    with ExitStack() as held:
+        try:
+            held.enter_context(locked(Path(folder.address()), patience_s=0))
+        except BlockingIOError as error:
+            raise InputError(
+                f"another training is at work in {folder.address()!r}; nothing was changed",
+                next="wait for it, or choose another folder (--out)",
+            ) from error
         yield
-    finally:
-        lock.__exit__(None, None, None)
 
 
 @contextmanager

@@ -83,16 +83,18 @@ class Avi:
         self.starts, self.sizes = entries[:, 2] + (bases[0] + _CHUNK.size), entries[:, 3]
         ends = self.starts + self.sizes
         # A small file whose frames overlap would decode to any amount of pixels.
-        apart = (self.starts[1:] >= ends[:-1]).all()
-        if self.starts[0] < movie[0] or not apart or ends[-1] > sum(movie):
-            raise ValueError("an AVI whose index has frames outside of the stream or over one another")
+        fits = (self.starts >= np.append(movie[0], ends[:-1])) & (ends <= sum(movie))
+        if not fits.all():
+            found = f"frame {fits.argmin()} of {len(self)} outside of it or over another"
+            raise ValueError(f"an AVI whose index has {found}; expected that of the stream")
 
     def frame(self, number: int) -> memoryview:
         """Return the JPEG of one frame; ValueError where the stream has no frame of that size there."""
         start, size = int(self.starts[number]), int(self.sizes[number])
         name, stated = _CHUNK.unpack_from(self.data, start - _CHUNK.size)
         if name not in self._names or stated != size:
-            raise ValueError("an AVI whose index names a frame where the stream has none of that size")
+            where = f"frame {number} of {len(self)} where the stream has no frame of that size"
+            raise ValueError(f"an AVI whose index names {where}")
         return self.data[start : start + size]
 
 

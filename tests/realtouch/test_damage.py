@@ -98,7 +98,7 @@ def no_avi(row: dict[str, Any]) -> None:
 
 def bad_frame(row: dict[str, Any]) -> None:
     data = bytearray(row["sensor_video"][1]["bytes"])
-    index = Avi(memoryview(bytes(data))).index()
+    index = Avi(memoryview(bytes(data)))
     start = int(index.starts[6])
     data[start : start + int(index.sizes[6])] = bytes(int(index.sizes[6]))
     row["sensor_video"][1]["bytes"] = bytes(data)

@@ -17,8 +17,14 @@ pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra e
 
 from tactile_sim.generation import optics_of  # noqa: E402
 from tactile_sim.learned import networks as files  # noqa: E402
-from tactile_sim.learned.networks import Generator, generator_of, initialise, weights_of  # noqa: E402
-from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics  # noqa: E402
+from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
+    CycleganDepth,
+    CycleganOptics,
+    Generator,
+    generator_of,
+    initialise,
+    weights_of,
+)
 from tactile_sim.optics import make_optics  # noqa: E402
 from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402

@@ -37,14 +37,19 @@ pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
 from tactile_sim.card import sheet_png  # noqa: E402
-from tactile_sim.learned.batches import Batch, by_taxim  # noqa: E402
-from tactile_sim.learned.cyclegan import CycleGan  # noqa: E402
+from tactile_sim.learned.cyclegan import (  # noqa: E402
+    Batch,
+    CycleGan,
+    by_taxim,
+)
 from tactile_sim.learned.evaluation import (  # noqa: E402
     SmallCNN,
     balanced_accuracy,
     evaluate,
 )
-from tactile_sim.learned.networks import (  # noqa: E402
+from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
+    CycleganDepth,
+    CycleganOptics,
     GeneratorWeights,
     noisy_channels,
     picture_channels,
@@ -52,7 +57,6 @@ from tactile_sim.learned.networks import (  # noqa: E402
     shades_of,
     write_weights,
 )
-from tactile_sim.learned.rendering import CycleganDepth, CycleganOptics  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.spec import TrainConfig  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
@@ -224,13 +228,13 @@ def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pai
     assert not (tmp_path / "out").exists()
 
 
-def test_a_sheet_takes_columns_of_any_lengths():
+def test_a_sheet_takes_rows_of_any_lengths():
     """Objects that bound no solid are left out of the depth images alone."""
     touches, depth = np.zeros((3, 8, 8, 3), np.uint8), np.zeros((1, 8, 8), np.float32)
     sheet = decode_image(sheet_png([("touch", touches), ("depth", depth)]))
-    middle = sheet.shape[1] // 2
-    assert sheet[-20:, :middle].min() == 0
-    assert sheet[-20:, middle:].min() == 255
+    middle = sheet.shape[0] // 2
+    assert sheet[:middle, -20:].min() == 0
+    assert sheet[middle:, -20:].min() == 255
 
 
 def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_path):
@@ -463,7 +467,7 @@ def test_the_start_learns_where_relief_belongs(pairs, tmp_path):
     found = CycleganDepth(tmp_path / "touch_to_depth.npz").images(by_taxim(data)(depth), (32, 32))
     assert np.corrcoef(found.ravel(), depth.ravel())[0, 1] > 0.7
     log = pq.read_table(tmp_path / "losses.parquet")
-    assert log["touch_start"][-1].as_py() < log["touch_start"][0].as_py()
+    assert log["touch_pretrain"][-1].as_py() < log["touch_pretrain"][0].as_py()
 
 
 def test_relief_is_free_only_near_the_contact():
@@ -478,8 +482,10 @@ def test_relief_is_free_only_near_the_contact():
         made["touch"][(..., *place)] = 1
         return {name: float(loss) for name, loss in model.background_losses(made, depth, batch).items()}
 
-    assert error(30, 32) == error(28, 28) == {"touch_level": 0, "depth_level": 0}  # that touch met something
-    assert error(30, 33)["touch_level"] == error(0, 0)["touch_level"] > 0
+    assert (
+        error(30, 32) == error(28, 28) == {"touch_background": 0, "depth_background": 0}
+    )  # that touch met something
+    assert error(30, 33)["touch_background"] == error(0, 0)["touch_background"] > 0
 
 
 def test_noise_in_training_is_that_of_generated_touches():
@@ -500,8 +506,8 @@ def test_errors_weigh_what_the_settings_say():
     networks = CycleGan(config, "cpu")
     for name, weight in {"cycle": (3.0, 4.0), "identity": (5.0, 5.0), "level": (6.0, 6.0)}.items():
         assert [networks._weight(f"{side}_{name}", 2) for side in ("touch", "depth")] == [*weight]
-    assert [networks._weight("touch_start", step) for step in (0, 1, 2)] == [3.0, 2.25, 1.5]
-    assert [networks._weight("depth_start", step) for step in (0, 1, 2)] == [4.0, 3.0, 2.0]
+    assert [networks._weight("touch_pretrain", step) for step in (0, 1, 2)] == [3.0, 2.25, 1.5]
+    assert [networks._weight("depth_pretrain", step) for step in (0, 1, 2)] == [4.0, 3.0, 2.0]
 
 
 def test_noise_is_laid_over_touches_alone():

@@ -118,7 +118,7 @@ def test_files_that_cannot_be_are_refused(tmp_path, monkeypatch):
         ("torn.npz", b"PK", "cannot be read"),
         ("other.csv", b"x_m,q,p,o,n,m\n0,0,0,0,0,0\n", "its columns are x_m, q, p, o, n, m; expected x_m"),
         ("half.csv", b"x_m\n0\n", "its columns are x_m; expected"),
-        ("hole.csv", b"x_m,y_m\n0.0,\n", "row 0; expected metres"),
+        ("hole.csv", b"x_m,y_m\n0.0,\n0.0,0.0\n", "row 0; expected metres"),
         ("empty.csv", b"x_m,y_m\n", "expected"),
     ):
         file = tmp_path / name

@@ -238,8 +238,7 @@ def test_cycle_gan(provider, own_statistics):
 def test_cycle_gan_with_weights_of_ones_own(provider, own_statistics, tmp_path):
     """What `tactile-sim train` writes, of any size, renders as `tactile-sim generate` does with it."""
     pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
-    from tactile_sim.learned.networks import Generator, initialise, weights_bytes, weights_of
-    from tactile_sim.learned.rendering import CycleganOptics
+    from tactile_sim.learned.networks import CycleganOptics, Generator, initialise, weights_bytes, weights_of
 
     network, file = Generator(filters=4, blocks=2), tmp_path / "depth_to_touch.npz"
     initialise(network, seed=5)
