@@ -98,33 +98,30 @@ def load(
     ----------
     name : str, path, or sequence of them
         A short name (see :data:`realtouch.opening.SHORT_NAMES`), any repository of the Hub
-        (``USER/NAME[@REVISION]``), a local folder, a Parquet file, or several Parquet files that belong
-        together; files and folders of the Hub as ``hf://datasets/USER/NAME[@REVISION]/PATH``. Local data of
-        the same name comes first.
+        (``USER/NAME[@REVISION]``, ``hf://datasets/USER/NAME[@REVISION]/PATH``), a local folder, a Parquet
+        file, or several that belong together. Local data of the same name comes first.
     split : str, optional
         Split to open; only its shards are fetched. May be left out where there is only one.
     streaming : bool
-        Give an iterable that reads as it goes and keeps nothing, instead of a data set with random access.
+        Give an iterable that reads as it goes and keeps nothing.
     revision : str, optional
         Branch, tag or commit of a Hub repository.
     on_error : "raise" or "skip"
-        ``"raise"``: what is damaged raises when it is asked for. ``"skip"``: everything is checked once now
-        (as by ``realtouch verify``, decoding every image and frame); files and rows that cannot be read and
-        damaged rounds are left out of the data set, damaged touches out of its ``touches()``, and all of them
-        are listed in ``skipped``. A stream checks each round when it comes to it.
+        ``"raise"``: what is damaged raises when it is asked for. ``"skip"``: everything is checked now, as by
+        ``realtouch verify``; damaged files and rounds are left out of the data set, damaged touches out of
+        its ``touches()``, and listed in ``skipped``. A stream checks each round when it comes to it.
 
     Returns
     -------
-    TouchSeqDataset, TouchSingleDataset or TouchStream
-        By what the data set holds. No row is read until it is asked for.
+    TouchSeqDataset, TouchSingleDataset or TouchStream; no row is read until it is asked for
 
     Raises
     ------
     InputError
         No such folder or split, several splits and none named, or no data set of touches.
     IntegrityError
-        A file is damaged, a column has a wrong type, or files do not belong together: some hold clips and
-        others images, or their classes are named otherwise. With ``"skip"`` only when no file is left.
+        A file is damaged, a column has a wrong type, or files hold clips and images, or other classes. With
+        ``"skip"`` only when no file is left.
     HubError
         The repository cannot be reached or does not exist.
     """

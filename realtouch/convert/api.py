@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import operator
 from collections.abc import Iterable, Mapping
+from functools import partial
 from os import PathLike
 from typing import Any, Literal, SupportsIndex, Unpack
 
@@ -58,8 +59,7 @@ def to_single(
     Parameters
     ----------
     source : str or path
-        Data set as :func:`realtouch.load` opens it by one name; its files are fetched where they are on the
-        Hub.
+        Data set as :func:`realtouch.load` opens it by one name.
     out : str or path
         Folder to write, outside the source.
     frame : str
@@ -72,8 +72,7 @@ def to_single(
     workers : int or Runner
         Number of local processes, 1 by default, or a runner of another kind.
     overwrite : bool
-        Start again in a folder that holds another data set of this toolkit. That set comes back when the new
-        one fails before its first shard is finished.
+        Start again in a folder that holds another data set of this toolkit.
     on_progress : callable
         Called after each shard.
 
@@ -86,14 +85,10 @@ def to_single(
     ------
     InputError
         The source or an option cannot be used, or the folder to write holds the source.
-    IntegrityError
-        A file of the source cannot be read, or every round is damaged: nothing is left behind then.
-    HubError
-        The source is on the Hub and cannot be fetched.
-    SpecMismatchError
-        The folder holds a data set of another specification.
-    StorageError
-        The folder cannot be written. What was finished stays.
+    IntegrityError, HubError
+        A file of the source cannot be read or fetched, or every round is damaged.
+    SpecMismatchError, StorageError
+        The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """
     method = require_method(frame)
 
@@ -205,36 +200,35 @@ def select(
     if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
         raise InputError(f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}")
     chosen: dict[str, Any] = {
+        "contact": contact,
+        "min_height_m": None if min_height_m is None else float(min_height_m),
+        "recalibrate_z": recalibrate_z,
         "labels": [str(label) for label in labels],
         "objects": [_object_ids(each) for each in objects],
         **({} if require_limit(per_class, "per_class") is None else {"per_class": per_class}),
     }
+    return convert(source, out, partial(_selection, chosen), **job)
 
-    def plan(opened: Source, limit: int | None) -> Conversion:
+
+def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> Conversion:
+    options = {**chosen, "limit": limit}
+    if options["min_height_m"] is None:
         rule = ContactHeight.of(column_types(opened.schema))
-        default_m = rule.min_height_m if contact else MIN_CONTACT_HEIGHT_M
-        height_m = default_m if min_height_m is None else float(min_height_m)
-        options = {
-            "contact": contact,
-            "min_height_m": height_m,
-            "recalibrate_z": recalibrate_z,
-            **chosen,
-            "limit": limit,
-        }
-        choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
-        if contact and not any(map(len, choices.values())):
-            highest_m = max(
-                float(dataset_of(shards).touches().heights_m().max(initial=-math.inf))
-                for shards in opened.shards.values()
-            )
-            raise InputError(
-                f"no touch that was chosen of {opened.name!r} counts as contact (it does where "
-                f"{height_text(height_m)}); the highest of all touches is {1e3 * highest_m:.1f} mm above it",
-                next="a smaller --min-height-mm, or fewer filters",
-            )
-        return Conversion(opened, "select", options, KeepTouches(contact), choices)
+        options["min_height_m"] = rule.min_height_m if options["contact"] else MIN_CONTACT_HEIGHT_M
+    choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
+    if options["contact"] and not any(choices.values()):
+        raise _no_contact(opened, options["min_height_m"])
+    return Conversion(opened, "select", options, KeepTouches(options["contact"]), choices)
 
-    return convert(source, out, plan, **job)
+
+def _no_contact(source: Source, height_m: float) -> InputError:
+    heights_m = [dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
+    return InputError(
+        f"no touch that was chosen of {source.name!r} counts as contact (it does where "
+        f"{height_text(height_m)}); the highest of all touches is "
+        f"{1e3 * max(each.max(initial=-math.inf) for each in heights_m):.1f} mm above it",
+        next="a smaller --min-height-mm, or fewer filters",
+    )
 
 
 def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list[RowChoice]:

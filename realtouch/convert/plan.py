@@ -370,11 +370,15 @@ _PREFIXES = ("", "meta_")
 """Of the columns ``file`` and ``sha256`` of an index, which name up to two files for each row."""
 
 
-def with_files(index: pa.Table, files: dict[str, bytes]) -> Made:
-    """Return the files of a shard with its index, in each row of which they are named."""
-    for prefix, (path, content) in zip(_PREFIXES, files.items(), strict=False):
-        for name, value in (("file", path), ("sha256", sha256_hex(content))):
-            index = index.append_column(f"{prefix}{name}", pa.array([value] * len(index), pa.string()))
+def with_files(
+    index: pa.Table, files: Mapping[str, bytes], named: Sequence[Sequence[str]] | None = None
+) -> Made:
+    """Return the files of a shard with its index, which names up to two for each row: by default all."""
+    digests = {path: sha256_hex(content) for path, content in files.items()}
+    columns = [[path] * len(index) for path in files] if named is None else named
+    for prefix, paths in zip(_PREFIXES, columns, strict=False):
+        for name, values in (("file", paths), ("sha256", [digests[path] for path in paths])):
+            index = index.append_column(f"{prefix}{name}", pa.array(values, pa.string()))
     return index, files
 
 

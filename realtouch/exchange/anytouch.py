@@ -12,14 +12,13 @@ from itertools import groupby
 
 import pyarrow as pa
 
-from realtouch.convert.plan import Made, write_changed
+from realtouch.convert.plan import Made, with_files, write_changed
 from realtouch.exchange.flat import IMAGE, as_jpeg, background_of, plan_rows
 from realtouch.exchange.items import HERE, ImportColumns, Item, size_below
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER, _IMAGES, _FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
@@ -31,21 +30,17 @@ _LEFT_OUT = "-1"
 def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
     """Return the touches of each round as numbered images, and their median as the background."""
     files: dict[str, bytes] = {}
-    named: list[tuple[str, str]] = []
+    paths: list[str] = []
+    backgrounds: list[str] = []
     stored = zip(rows["round_id"].to_pylist(), rows["touch"].to_pylist(), rows[IMAGE], strict=True)
     for name, touches in groupby(stored, key=lambda each: each[0]):
         home = f"{_FOLDER}/{_IMAGES}/{shard.split}-{name}/{_FRAMES}"
         images = {f"{home}/{touch:010d}.jpg": as_jpeg(image.as_py()["bytes"]) for _, touch, image in touches}
         background = f"{home}/{_BACKGROUND}"
         files |= {**images, background: background_of(list(images.values()), list(images))}
-        named += [(path, background) for path in images]
-    index = rows.drop_columns([IMAGE])
-    for place, prefix in enumerate(("", "meta_")):
-        paths = [pair[place] for pair in named]
-        sums = [sha256_hex(files[path]) for path in paths]
-        for name, values in (("file", paths), ("sha256", sums)):
-            index = index.append_column(f"{prefix}{name}", pa.array(values, pa.string()))
-    return index, files
+        paths += images
+        backgrounds += [background] * len(images)
+    return with_files(rows.drop_columns([IMAGE]), files, [paths, backgrounds])
 
 
 def _write_lists(folder: DataFolder, manifest: Manifest) -> dict[str, str]:

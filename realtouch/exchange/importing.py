@@ -76,24 +76,21 @@ def import_images(
     Parameters
     ----------
     source : str or path
-        Folder of images with a CSV table, or of the tars of a WebDataset (or one tar), or what
-        :func:`realtouch.export` wrote; also an address such as ``s3://BUCKET/FOLDER``.
+        Folder of images or tars, one tar, or what :func:`realtouch.export` wrote; or an address of a store.
     out : str or path
         Folder to write, outside the source.
     layout : "folder", "webdataset", "replay", "fota", "sparsh" or "anytouch"
-        As :func:`realtouch.export` writes them; ``"fota"`` and ``"sparsh"`` have a folder for each split. In
-        tars, the fields are those of the JSON file of each sample, and the text of other files by their
-        endings, such as ``cls``. Of ``"replay"`` (extra ``zarr``), an episode is a round, a frame is a touch.
+        As :func:`realtouch.export` writes them; ``"fota"`` and ``"sparsh"`` have a folder for each split. Of
+        ``"replay"`` (extra ``zarr``), an episode is a round, a frame is a touch.
     columns : ImportColumns, optional
         Which columns hold what; those of our own exports are found without.
     table : str, optional
         The table, below the folder; the only CSV file there by default.
     classes : sequence of str, optional
-        Names of the classes in order. By default those in the data, as they are written there; the numbers
-        from 0 to at least 9 where all are numbers below 10,000 without leading zeros.
+        Names of the classes in order; by default those in the data, or the numbers from 0 to at least 9.
     split : str, optional
-        Split of touches where no column states it. By default the one in the name of a tar such as
-        ``test-000000.tar``, which :func:`realtouch.export` writes, else ``train``.
+        Split of touches where no column states it; by default that of a tar called ``test-000000.tar``, else
+        ``train``.
     workers, overwrite, on_progress
         As for :func:`realtouch.to_single`.
 
@@ -107,45 +104,35 @@ def import_images(
     ------
     InputError
         Source, table, a column or an option cannot be used, or no image can.
-    IntegrityError
-        A tar is damaged or cut short.
-    SpecMismatchError
-        The folder holds a data set of another specification.
-    StorageError
-        The folder cannot be written. What was finished stays.
-    RemoteError
-        A store cannot be reached, or refuses.
+    IntegrityError, SpecMismatchError, StorageError
+        A tar is damaged; or as :func:`realtouch.to_single`.
     """
     home, folder = DataFolder(fspath(source)), DataFolder(fspath(out))
-    read = format_of(layout, get_args(ImportLayout)).items
+    format_of(layout, get_args(ImportLayout))
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
     _refuse_inside(folder, home)
     chosen = columns or ImportColumns()
-    found = (item for each in _folders(home, layout) for item in read(each, chosen, table))
-    items = [item.used(number, chosen) for number, item in enumerate(found)]
-    if not items:
-        raise InputError(f"{home.address()!r} holds nothing to import; expected images")
+    items = _items(home, layout, chosen, table)
     known = dict.fromkeys(name for item in items for name in item.fields)
     plan = _plan(items, chosen.found_in(known), tuple(classes), split, layout)
     return build(
-        folder,
-        plan,
-        runner_for(workers),
-        overwrite=overwrite,
-        on_progress=on_progress,
-        write_card=write_card,
+        folder, plan, runner_for(workers), overwrite=overwrite, on_progress=on_progress, write_card=write_card
     )
 
 
-def _folders(home: DataFolder, layout: str) -> list[DataFolder]:
-    """Return the folders to read: those of an export of ours, and one for each split where formats do so."""
-    if layout in home.entries():
-        home = DataFolder(home.address(layout))
-    splits = [name for name, size in home.entries().items() if size is None]
-    if layout in _SPLIT_FOLDERS and splits and not home.sizes():
-        return [DataFolder(home.address(split)) for split in splits]
-    return [home]
+def _items(home: DataFolder, layout: str, columns: ImportColumns, table: str | None) -> list[Item]:
+    """Read what a folder holds: of an export of ours below the name of the format, and in all splits."""
+    folders = [DataFolder(home.address(layout)) if layout in home.entries() else home]
+    splits = [name for name, size in folders[0].entries().items() if size is None]
+    if layout in _SPLIT_FOLDERS and splits and not folders[0].sizes():
+        folders = [DataFolder(folders[0].address(split)) for split in splits]
+    read = format_of(layout, get_args(ImportLayout)).items
+    found = (item for folder in folders for item in read(folder, columns, table))
+    items = [item.used(number, columns) for number, item in enumerate(found)]
+    if not items:
+        raise InputError(f"{home.address()!r} holds nothing to import; expected images")
+    return items
 
 
 def _refuse_inside(folder: DataFolder, home: DataFolder) -> None:

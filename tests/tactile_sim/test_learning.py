@@ -504,7 +504,7 @@ def test_errors_weigh_what_the_settings_say():
         touch_cycle_weight=3.0, depth_cycle_weight=4.0, identity_weight=5.0, background_weight=6.0,
     )  # fmt: skip
     networks = CycleGan(config, "cpu")
-    for name, weight in {"cycle": (3.0, 4.0), "identity": (5.0, 5.0), "level": (6.0, 6.0)}.items():
+    for name, weight in {"cycle": (3.0, 4.0), "identity": (5.0, 5.0), "background": (6.0, 6.0)}.items():
         assert [networks._weight(f"{side}_{name}", 2) for side in ("touch", "depth")] == [*weight]
     assert [networks._weight("touch_pretrain", step) for step in (0, 1, 2)] == [3.0, 2.25, 1.5]
     assert [networks._weight("depth_pretrain", step) for step in (0, 1, 2)] == [4.0, 3.0, 2.0]
