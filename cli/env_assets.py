@@ -128,7 +128,7 @@ def list_environments(
 
     Example: env-assets list Minecraft
     """
-    from env_assets.published.ids import overview
+    from env_assets.published.packages import overview
     from tactile_envs.config import IDS
 
     found = overview(words or ())

@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
-from numbers import Integral
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
@@ -25,6 +24,7 @@ from starstruck_gen.dataset import SceneMeshDataset
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.catalog.locate import find_shards, splits_of
+from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
@@ -162,14 +162,9 @@ class AssetProvider:
     ) -> None:
         if cache_meshes is not None:
             warnings.warn("cache_meshes has no effect", DeprecationWarning, stacklevel=2)
-        given: list[tuple[str, Any, int]] = [("seed", seed, 0), ("workers", workers, 1)]
-        if per_class is not None:
-            given.append(("per_class", per_class, 1))
-        for name, number, least in given:
-            if not (isinstance(number, Integral) and int(number) >= least):
-                raise InputError(
-                    f"{name} of the AssetProvider is {number!r}; expected an integer of at least {least}"
-                )
+        for name, number, least in (("seed", seed, 0), ("workers", workers, 1), ("per_class", per_class, 1)):
+            if number is not None:
+                checked_integer(number, f"{name} of the AssetProvider", least)
         self._root = expanded(fspath(root)).absolute()
         self._places = _checked_places(places or {})
         self._revision = revision

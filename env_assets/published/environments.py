@@ -22,14 +22,16 @@ import numpy as np
 from env_assets.checks import require_fitting_meshes
 from env_assets.meshes import LazyMesh, MeshView
 from env_assets.provider import FOREIGN, KINDS, meshes_at
-from env_assets.published.ids import (
+from env_assets.published.packages import (
     SPARSE_SINGLE_BROKEN,
     TOUCHES,
     PublishedEnvironment,
     published_environment,
+    published_package,
+    require_drawing,
+    require_sensor,
     takes_recorded_noise,
 )
-from env_assets.published.packages import published_package, require_drawing, require_sensor
 from env_assets.published.sensors import learned_sensor, render_fast, require_renderer
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
@@ -38,6 +40,7 @@ from tactile_toolkit.store.shards import ShardName
 
 if TYPE_CHECKING:
     from env_assets.provider import AssetSource
+    from env_assets.published.datasets import StoredMeshDataset
 
 
 def make(
@@ -211,7 +214,7 @@ def _simulated(
             ]
             own = MeshView(points, tuple(own.label_names))
         meshes = _fitting(environment, MeshView.of(own), None, where, settings)
-    found = {"dataset": _points(environment, meshes), "smallest_dimension_up": False}
+    found = {"dataset": meshes, "smallest_dimension_up": False}
     if takes_recorded_noise(settings):
         rounds = _required(provider, environment).touches(TOUCHES, "train")
         folder = noise_folder(rounds, f"{TOUCHES!r}, split 'train',")
@@ -251,14 +254,14 @@ def _recorded(
         )
     if "mesh_dataset" not in settings:
         printed = _meshes(environment, source, f"printed_{split}", settings)
-        unknown = np.setdiff1d(rounds.column("object_id"), printed.column("id"))
+        unknown = np.setdiff1d(rounds.column("object_id"), printed.records.column("id"))
         if len(unknown):
             raise InputError(
                 f"{where} holds touches of {len(unknown)} objects without a mesh, such as object "
                 f"{unknown[0]}",
                 next="give the printed digits (splits printed_train and printed_test of MNIST 3D)",
             )
-        found["mesh_dataset"] = _points(environment, printed)
+        found["mesh_dataset"] = printed
     return found
 
 
@@ -276,7 +279,7 @@ def _required(provider: AssetSource | None, environment: PublishedEnvironment) -
 
 def _meshes(
     environment: PublishedEnvironment, provider: AssetSource, split: str, settings: Mapping[str, Any]
-) -> MeshView:
+) -> StoredMeshDataset:
     """Ask a provider for meshes; of what is not made here the source is named."""
     name = environment.family.assets
     # Meshes that are not made here may be of any number of classes, in any order.
@@ -303,9 +306,9 @@ def _fitting(
     kind: str | None,
     where: str,
     settings: Mapping[str, Any],
-) -> MeshView:
-    """Return a view of meshes that fit an environment; those of a ``kind`` must be what its name says."""
-    from env_assets.published.datasets import CELL_SIZE_M
+) -> StoredMeshDataset:
+    """Hand meshes that fit an environment to the package; those of a ``kind`` must be what its name says."""
+    from env_assets.published.datasets import CELL_SIZE_M, StoredMeshDataset
 
     # The registration wants some objects turned: they arrive so, as its own turn fails.
     view = dataclasses.replace(view, flat=bool(settings.get("smallest_dimension_up", False)))
@@ -318,15 +321,8 @@ def _fitting(
         found = "meshes of one volume"
     if found:
         raise InputError(f"{where} has {found}; expected at least two", next="give more meshes")
-    return view
-
-
-def _points(environment: PublishedEnvironment, meshes: MeshView) -> Any:
-    """Hand meshes that fit to the package."""
-    from env_assets.published.datasets import StoredMeshDataset
-
     # The registration keeps the one mesh of a tool; all others are read again for each episode.
-    return StoredMeshDataset(meshes, "full" if environment.family.assets == "wrench" else 0)
+    return StoredMeshDataset(view, "full" if environment.family.assets == "wrench" else 0)
 
 
 def noise_folder(rounds: Any, where: str) -> Path:

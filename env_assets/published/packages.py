@@ -1,17 +1,24 @@
-"""The published packages that environments come from, and which of their sensors can run here.
+"""The published packages: what each of their environments stands for, and what it needs on this machine.
 
 Packages are imported when first asked for, with a way to render: they import OpenGL whatever renders their
-touches.
+touches. Settings (step limit, cell, sensor) are read from the package's own registration.
 """
 
 from __future__ import annotations
 
+import difflib
 import os
 import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
 from importlib import import_module
-from typing import Any
+from importlib.metadata import version
+from typing import Any, Literal
 
+from env_assets.provider import FOREIGN
 from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.wording import did_you_mean
 
 KEPT_AS = "tactile_mnist/"
 """What stands before the package's ids in gymnasium's registry where `tactile_envs` has the plain ones."""
@@ -92,3 +99,200 @@ def require_sensor(sensor: str, backend: str) -> None:
             next="install the extra `env` (Taxim with JAX) or `torch` (CycleGAN), or choose another "
             "`sensor_backend` in `config`",
         ) from error
+
+
+Assets = Literal["mnist3d", "starstruck", "wrench", "abc", "minecraft"]
+Task = Literal["classification", "volume", "pose"]
+
+SPARSE_SINGLE_BROKEN = ("0.7.1",)
+"""Versions of ap-gym whose own wrapper for sparse rewards fails with a single environment."""
+
+TOUCHES = "real-single"
+"""Data set of the recorded touches: the published one of 256 touches a round, 320 x 240 pixels."""
+
+
+@dataclass(frozen=True, slots=True)
+class Family:
+    """Environments that share assets and task; the rest of an id is sensor, split and variant.
+
+    ``recorded``: touches are recorded ones of the real sensor instead of simulated ones.
+    """
+
+    assets: Assets
+    task: Task
+    recorded: bool = False
+
+    @property
+    def environment(self) -> str:
+        """Name in ``tactile_mnist`` of the class of one environment; of several with ``Vector`` in it."""
+        kinds = {"classification": "Classification", "volume": "VolumeEstimation", "pose": "PoseEstimation"}
+        return f"Tactile{'RealSnap' if self.recorded else ''}{kinds[self.task]}{{}}Env"
+
+    @property
+    def log_wrapper(self) -> str:
+        """Name in ``ap_gym`` of the wrapper that the registration puts around it."""
+        kind = "Classification" if self.task == "classification" else "Regression"
+        return f"Active{kind}{{}}LogWrapper"
+
+    @property
+    def config(self) -> str:
+        """Name in ``tactile_mnist`` of the class of its settings."""
+        return "TactileRealSnapConfig" if self.recorded else "TactilePerceptionConfig"
+
+
+FAMILIES: dict[str, Family] = {
+    "TactileMNIST": Family("mnist3d", "classification"),
+    "TactileMNISTSnap": Family("mnist3d", "classification"),
+    "TactileMNISTVolume": Family("mnist3d", "volume"),
+    "TactileMNISTVolumeSnap": Family("mnist3d", "volume"),
+    "TactileMNISTCenterOfMass": Family("mnist3d", "pose"),
+    "TactileMNISTCenterOfMassSnap": Family("mnist3d", "pose"),
+    "TactileMNISTRealSnap": Family("mnist3d", "classification", recorded=True),
+    "TactileMNISTVolumeRealSnap": Family("mnist3d", "volume", recorded=True),
+    "Starstruck": Family("starstruck", "classification"),
+    "Toolbox": Family("wrench", "pose"),
+    "ABCVolume": Family("abc", "volume"),
+    "ABCCenterOfMass": Family("abc", "pose"),
+    "Minecraft": Family("minecraft", "classification"),
+    "MinecraftPose": Family("minecraft", "pose"),
+}
+"""Families of tactile-mnist 0.13.0, by the first word of an id."""
+
+
+@dataclass(frozen=True)
+class PublishedEnvironment:
+    """One registered id; ``spec`` is its registration in gymnasium, settings included."""
+
+    spec: Any
+
+    @property
+    def words(self) -> list[str]:
+        """The parts of the id."""
+        return str(self.spec.id).split("-")
+
+    @property
+    def family(self) -> Family:
+        """Assets and task."""
+        return FAMILIES[self.words[0]]
+
+    @property
+    def split(self) -> str:
+        """Split of the objects; ids without one, such as Minecraft's, have one set, which is called train."""
+        return "test" if "test" in self.words else "train"
+
+    @property
+    def sparse(self) -> bool:
+        """Whether the reward is withheld until the episode ends."""
+        return "sparse" in self.words
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Settings of the registration, by the names of the package's config class."""
+        return dict(self.spec.kwargs["default_config"])
+
+
+def published_environment(env_id: str) -> PublishedEnvironment:
+    """Look up an environment by the id of its registration, with or without ``tactile_mnist:`` in front.
+
+    Raises InputError when there is none.
+    """
+    published = {each.spec.id: each for each in published_environments()}
+    name = env_id.removeprefix("tactile_mnist:")
+    if name in published:
+        return published[name]
+    if name in published_package("gymnasium").registry:
+        raise InputError(
+            f"{env_id!r} is not an environment of tactile-mnist (families {', '.join(FAMILIES)})",
+            next="make it with `ap_gym.make`",
+        )
+    close = difflib.get_close_matches(name, published, n=3) or ["TactileMNIST-Depth-train-v0"]
+    raise InputError(
+        f"no environment {env_id!r} is registered", next=f"choose one such as {', '.join(close)}"
+    )
+
+
+def published_environments() -> list[PublishedEnvironment]:
+    """List all ids that the package registers, in its order."""
+    published_package("tactile_mnist")
+    registry = published_package("gymnasium").registry
+    # `tactile_envs` registers environments of the same names, of other settings.
+    return [
+        PublishedEnvironment(spec)
+        for name, spec in registry.items()
+        if name.removeprefix(KEPT_AS).split("-")[0] in FAMILIES and "default_config" in spec.kwargs
+    ]
+
+
+def takes_recorded_noise(settings: dict[str, Any]) -> bool:
+    """Return whether the noise of the sensor is drawn from recorded touches, as in ``-DR`` environments."""
+    return getattr(settings.get("sensor_noise"), "real_base_depth_dataset", None) is not None
+
+
+@dataclass(frozen=True, slots=True)
+class EnvironmentState:
+    """One registered id.
+
+    ``state`` is ``ready`` where the toolkit makes the assets, ``touches`` where recorded ones are fetched,
+    ``meshes`` where the user gives some, ``sensor`` where packages are missing; ``note`` explains it.
+    """
+
+    id: str
+    task: str
+    split: str
+    sensor: str
+    assets: str
+    sparse: bool
+    state: str
+    note: str
+
+
+def overview(words: Sequence[str] = ()) -> list[EnvironmentState]:
+    """List the registered ids that hold all of these words, in the package's order.
+
+    InputError: none does. MissingExtraError: the package is not installed.
+    """
+    published = published_environments()
+    found = [each for each in published if set(words) <= set(each.words)]
+    if not found:
+        known = {word for each in published for word in each.words}
+        strange = [word for word in words if word not in known]
+        near = did_you_mean(strange[0], known) if strange else ""
+        raise InputError(
+            f"no environment has {' and '.join(map(repr, strange or words))} in its id{near}",
+            next=f"choose fewer words, or others such as {', '.join(FAMILIES)}, Depth, CycleGAN, DR or test",
+        )
+    return [_state(each) for each in found]
+
+
+def _state(environment: PublishedEnvironment) -> EnvironmentState:
+    family, settings = environment.family, environment.settings
+    sensor = str(settings.get("sensor_type", "taxim"))
+    state, note = "ready", ""
+    if environment.sparse and version("ap_gym") in SPARSE_SINGLE_BROKEN:
+        note = "sparse: give num_envs, ap-gym cannot reset a single one"
+    if family.assets in FOREIGN:
+        state = "meshes"
+        note = (
+            f"meshes: {family.assets} are {FOREIGN[family.assets]}; give env_assets.make(ID, assets=FOLDER) "
+            "meshes of your own, or a provider with a place for them"
+        )
+    elif family.recorded or takes_recorded_noise(settings):
+        state = "touches"
+        note = f"touches: recorded ones are read, from places={{{TOUCHES!r}: ...}} of the provider"
+    missing = "" if family.recorded and sensor == "direct" else _missing_for(sensor)
+    if missing:
+        state, note = "sensor", f"sensor: {missing}"
+    assets = TOUCHES if family.recorded else family.assets
+    words = (environment.spec.id, family.task, environment.split, sensor, assets)
+    return EnvironmentState(*words, environment.sparse, state, note)
+
+
+# Hundreds of ids share three sensors, and a failing import is tried again each time.
+@cache
+def _missing_for(sensor: str) -> str:
+    """State what is missing here for a sensor; empty where nothing is."""
+    try:
+        require_sensor(sensor, "auto")
+    except InputError as error:
+        return str(error)
+    return ""

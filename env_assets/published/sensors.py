@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from env_assets.published.ids import PublishedEnvironment
-from env_assets.published.packages import published_package
+from env_assets.published.packages import PublishedEnvironment, published_package
 from tactile_sim.pressing import Pressable, render_touch
 from tactile_sim.sensor import center_view
 from tactile_toolkit.errors import InputError

@@ -84,8 +84,8 @@ def _require_whole(spec: WrenchSpec, body: Any, tidy: Any) -> None:
     for piece in (tidy, _grown(tidy, -spec.chamfer_mm)):
         if piece.num_contour() != 1:
             raise InputError(
-                f"a chamfer of {spec.chamfer_mm:g} mm cuts this wrench into {piece.num_contour()} parts; "
-                "next: choose a smaller chamfer_mm, or a larger handle_mm, head_mm or second_head_mm"
+                f"a chamfer of {spec.chamfer_mm:g} mm cuts this wrench into {piece.num_contour()} parts",
+                next="choose a smaller chamfer_mm, or a larger handle_mm, head_mm or second_head_mm",
             )
     lost = body - tidy
     for place_mm, opening_mm, turned_deg in _jaws(spec):
@@ -182,7 +182,7 @@ def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: fl
     mesh = Mesh((vertices_mm / MM_PER_M).astype(np.float32), np.concatenate(faces).astype(np.int32))
     verdict = check_manifold(mesh)
     if verdict.problem is not None:
-        raise InputError(_too_large(chamfer_mm, str(verdict.detail)))
+        raise _too_large(chamfer_mm, str(verdict.detail))
     return mesh
 
 
@@ -197,7 +197,7 @@ def _moved_in(line: Line, by_mm: float) -> Line:
     moved = line + by_mm * (before + left) / (1.0 + (before * left).sum(axis=1, keepdims=True))
     sides = np.roll(moved, -1, axis=0) - moved
     if ((sides * along).sum(axis=1) <= 0).any():
-        raise InputError(_too_large(by_mm, "a side of the outline vanishes"))
+        raise _too_large(by_mm, "a side of the outline vanishes")
     return np.asarray(moved)
 
 
@@ -225,5 +225,6 @@ def _sides(lines: Sequence[Line], levels: int) -> list[NDArray[np.int64]]:
     return triangles
 
 
-def _too_large(chamfer_mm: float, why: str) -> str:
-    return f"a chamfer of {chamfer_mm:g} mm is too large for this wrench ({why}); next: choose a smaller one"
+def _too_large(chamfer_mm: float, why: str) -> InputError:
+    what = f"a chamfer of {chamfer_mm:g} mm is too large for this wrench ({why})"
+    return InputError(what, next="choose a smaller one")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
+from functools import partial
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -99,15 +99,13 @@ def choose_rows(
             kept = [chosen[kinds == label][:per_class] for label in np.unique(kinds)]
             chosen = np.sort(np.concatenate([chosen[:0], *kept]))
         found.append((split, rows, chosen[:limit]))
-    missing = [pair for pair, there in zip(ranges or (), seen, strict=True) if not there]
-    if missing:
-        low, high = missing[0]
-        what = f"id {low}" if low == high else f"an id from {low} to {high}"
-        more = f" ({len(missing)} of the ids and ranges are not there)" if len(missing) > 1 else ""
-        raise InputError(
-            f"no object with {what} in what was chosen{more}",
-            next="look at the ids of the split, or name another --split",
-        )
+    for (low, high), is_there in zip(ranges or (), seen, strict=True):
+        if not is_there:
+            what = f"id {low}" if low == high else f"an id from {low} to {high}"
+            raise InputError(
+                f"no object with {what} in what was chosen",
+                next="look at the ids of the split, or name another --split",
+            )
     if not any(len(chosen) for _, _, chosen in found):
         raise InputError(
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
@@ -190,7 +188,8 @@ def check_rows(
     parts = list(_parts(shards, limit))
     total, done = sum(part.rows for part in parts), 0
     results: dict[int, list[CheckedRow[T]]] = {}
-    for number, found in runner_for(workers).run(_CheckPart(check, tuple(columns)), list(enumerate(parts))):
+    check_part = partial(_check_part, check, tuple(columns))
+    for number, found in runner_for(workers).run(check_part, list(enumerate(parts))):
         results[number] = found
         done += parts[number].rows
         on_progress(done, total)
@@ -218,22 +217,21 @@ def _parts(shards: Sequence[tuple[str, Shard]], limit: int | None) -> Iterator[_
                 yield _Part(split, shard, group, rows)
 
 
-@dataclass(frozen=True, slots=True)
-class _CheckPart(Generic[T]):
-    check: Callable[[Row], T]
-    columns: tuple[str, ...]
-
-    def __call__(self, numbered: tuple[int, _Part]) -> tuple[int, list[CheckedRow[T]]]:
-        number, part = numbered
-        return number, list(islice(self._rows(part), part.rows))
-
-    def _rows(self, part: _Part) -> Iterator[CheckedRow[T]]:
-        file = Path(part.shard.path).name
-        for block in part.shard.blocks(part.group):
-            nulls = null_fields(block.table, self.columns)
-            for index, row_id in enumerate(block.table["id"].to_pylist()):
-                # In data sets of others it may be null, or a text.
-                known_id = row_id if isinstance(row_id, int) else None
-                null_field = nulls.get(index, "")
-                found = None if null_field else self.check(Row(block, index))
-                yield CheckedRow(part.split, file, block.first_row + index, known_id, found, null_field)
+def _check_part(
+    check: Callable[[Row], T], columns: Sequence[str], numbered: tuple[int, _Part]
+) -> tuple[int, list[CheckedRow[T]]]:
+    number, part = numbered
+    file = Path(part.shard.path).name
+    checked: list[CheckedRow[T]] = []
+    for block in part.shard.blocks(part.group):
+        nulls = null_fields(block.table, columns)
+        for index, row_id in enumerate(block.table["id"].to_pylist()[: part.rows - len(checked)]):
+            # In data sets of others it may be null, or a text.
+            known_id = row_id if isinstance(row_id, int) else None
+            null_field = nulls.get(index, "")
+            found = None if null_field else check(Row(block, index))
+            row = block.first_row + index
+            checked.append(CheckedRow(part.split, file, row, known_id, found, null_field))
+        if len(checked) == part.rows:
+            break
+    return number, checked

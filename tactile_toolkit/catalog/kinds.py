@@ -11,7 +11,7 @@ from typing import Any
 
 from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.hub.repository import HubRepository, HubSnapshot, cached_snapshot, commit_of
+from tactile_toolkit.hub.repository import HubRepository, cached_snapshot, commit_of
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
 from tactile_toolkit.mesh.columns import class_names
 from tactile_toolkit.read.dataset import RecordDataset
@@ -137,19 +137,14 @@ def local_sets(folder: Path) -> list[LocalSet]:
 
 def published_set(name: str) -> PublishedSet | None:
     """Return a published set by its short name or its repository; None for any other name."""
-    return next((entry for _, entry in _named(name)), None)
+    entries = (entry for kind in kinds() for entry in kind.published)
+    return next((each for each in entries if name in (each.name, each.repo_id, *each.aliases)), None)
 
 
 def kind_that_published(name: str) -> DatasetKind | None:
     """Return the kind of a published set, by its short name or its repository; None for any other name."""
-    return next((kind for kind, _ in _named(name)), None)
-
-
-def _named(name: str) -> Iterator[tuple[DatasetKind, PublishedSet]]:
-    for kind in kinds():
-        for entry in kind.published:
-            if name in (entry.name, entry.repo_id, *entry.aliases):
-                yield kind, entry
+    entry = published_set(name)
+    return next((kind for kind in kinds() if entry in kind.published), None)
 
 
 def place_of(name: str | os.PathLike[str]) -> str:
@@ -189,14 +184,13 @@ def states(sets: Sequence[PublishedSet]) -> list[SetState]:
 
 
 def _state(entry: PublishedSet) -> SetState:
-    snapshot: HubSnapshot | None = None
+    commit, size_bytes, licence = commit_of(entry.repo_id, "main"), None, entry.licence
     with suppress(ToolkitError):
         found = HubRepository(entry.repo_id).snapshot
-        snapshot = None if found.is_cache else found
-    commit = snapshot.commit if snapshot else commit_of(entry.repo_id, "main")
+        if not found.is_cache:
+            size_bytes = sum(file.size_bytes for file in found.files.values())
+            commit, licence = found.commit, licence or found.licence
     here = cached_snapshot(entry.repo_id, commit).files if commit else {}
     splits = tuple(dict.fromkeys(file.split for file in shard_files(here)))
-    size_bytes = sum(file.size_bytes for file in snapshot.files.values()) if snapshot else None
-    licence = entry.licence or (snapshot.licence if snapshot else None)
     local_bytes = sum(file.size_bytes for file in here.values())
     return SetState(entry, local_bytes, splits, size_bytes, licence)

@@ -55,7 +55,7 @@ def find_shards(
             raise unknown_split(str(split), (str(found),), name)
         return find_files([name], revision=revision, streaming=streaming)
     repository = HubRepository(place.repo_id, place.revision)
-    files = _shards_below(repository, place.path)
+    files = repository_shards(repository, place.path)
     chosen = _split_of([file.split for file in files], split, name)
     paths = [file.path for file in hub_split(repository, files, chosen)]
     return _hub_shards(repository, paths, streaming)
@@ -191,19 +191,15 @@ def hub_split(repository: HubRepository, files: list[ShardFile], split: str) -> 
         raise not_cached(repository.repo_id, f"split {split!r}") from error
 
 
-def repository_shards(repository: HubRepository) -> list[ShardFile]:
-    """Sort the Parquet files of a repository by split."""
-    files = shard_files(repository.files())
+def repository_shards(repository: HubRepository, folder: str = "") -> list[ShardFile]:
+    """Sort the Parquet files of a repository, or of a folder in it, by split."""
+    inside = f"{folder}/" if folder else ""
+    files = [file for file in shard_files(repository.files()) if file.path.startswith(inside)]
     if repository.manifest is None:
         return files
     # An upload removes nothing that it was not asked to: shards of an older layout may lie next to these.
     listed = {record.shard.data_path for record in repository.manifest.shards}
     return [file for file in files if file.path in listed]
-
-
-def _shards_below(repository: HubRepository, folder: str) -> list[ShardFile]:
-    inside = f"{folder}/" if folder else ""
-    return [file for file in repository_shards(repository) if file.path.startswith(inside)]
 
 
 def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
@@ -214,7 +210,7 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
     elif isinstance(place, str) or _is_file(place):
         splits = (_split_in_name(place) or _USUAL_SPLIT,)
     else:
-        files = _shards_below(HubRepository(place.repo_id, place.revision), place.path)
+        files = repository_shards(HubRepository(place.repo_id, place.revision), place.path)
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
         raise unknown_split("", (), name)
@@ -271,14 +267,10 @@ def _refuse_unfinished(folder: DataFolder, manifest: Manifest, split: str) -> No
 
 def _folder_files(folder: DataFolder) -> list[ShardFile]:
     nested = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER)]
-    return shard_files([*nested, *folder.names()]) or shard_files(_numbered(folder))
-
-
-def _numbered(folder: DataFolder) -> list[str]:
-    """List the numbered Parquet files of folders that are called as their split."""
-    if not folder.is_local:
-        return []
-    # As the Hub's branch refs/convert/parquet has them: default/train/0000.parquet.
+    found = shard_files([*nested, *folder.names()])
+    if found or not folder.is_local:
+        return found
+    # In folders called as their split: default/train/0000.parquet of the Hub's branch refs/convert/parquet.
     root = Path(folder.address())
-    found = [file for pattern in ("[!.]*/*.parquet", "[!.]*/[!.]*/*.parquet") for file in root.glob(pattern)]
-    return [file.relative_to(root).as_posix() for file in found if file.stem.isdigit()]
+    files = [file for pattern in ("[!.]*/*.parquet", "[!.]*/[!.]*/*.parquet") for file in root.glob(pattern)]
+    return shard_files(file.relative_to(root).as_posix() for file in files if file.stem.isdigit())
