@@ -202,14 +202,7 @@ def preview_touches(
 class Page:
     """Where a page goes, and how it is made."""
 
-    out: Path = text(
-        Path("gallery"),
-        name="--out -o",
-        metavar="SITE",
-        shown="gallery",
-        read=local_place,
-        help="Folder to write; it appears only when it is complete.",
-    )
+    out: LocalOut = Path("gallery")
     workers: Workers = 0
     overwrite: bool = switch(
         False, panel=JOB, help="Replace an existing gallery; other files are never replaced."

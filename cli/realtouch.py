@@ -16,6 +16,7 @@ from cli.options import (
     Json,
     Limit,
     OneSplit,
+    Out,
     PerClass,
     Revision,
     Split,
@@ -219,10 +220,6 @@ _SKIPPED_SHOWN = 20
 FormerOut = Annotated[str | None, typer.Argument(metavar="OUT", hidden=True, parser=place_of_data)]
 
 
-def _out() -> Any:
-    return text(name="--out -o", metavar="DIR", read=place_of_data, help="Folder to write; required.")
-
-
 def _frame() -> Any:
     return choice(
         "contact_end",
@@ -374,7 +371,9 @@ def _add(
         *,
         source: TouchSet,
         former_out: FormerOut = None,
-        out: str | None = _out(),
+        out: str | None = text(
+            name="--out -o", metavar="DIR", read=place_of_data, help="Folder to write; required."
+        ),
         options: Any,
         split: Split = None,
         limit: Limit = None,
@@ -383,7 +382,9 @@ def _add(
     ) -> None:
         if former_out is not None:
             sink.warn(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
-        place = _required(out or former_out)
+        place = out or former_out
+        if place is None:
+            raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
         make = partial(function, source, place, **_arguments(options), split=split, limit=limit)
         announce_fetching(sink, source, split)
         print_made = partial(print_converted, nouns=nouns)
@@ -405,12 +406,6 @@ def _arguments(options: Any) -> dict[str, Any]:
             raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
         found["min_height_m"] = None if height_mm is None else height_mm / 1000
     return found
-
-
-def _required(out: str | None) -> str:
-    if out is None:
-        raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
-    return out
 
 
 def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
@@ -438,7 +433,7 @@ def import_touches(
         name="--format",
         help="Layout of the images.",
     ),
-    out: str | None = _out(),
+    out: Out,
     columns: Columns,
     table: str | None = text(metavar="FILE", help="The table; by default the only CSV file in the folder."),
     classes: list[str] | None = text(
@@ -461,12 +456,11 @@ def import_touches(
     from realtouch.exchange.importing import import_images
     from realtouch.exchange.items import ImportColumns
 
-    place = _required(out)
     named = ImportColumns(*asdict(columns).values())
     make = partial(
-        import_images, source, place, file_format, named, table=table, classes=classes or (), split=split
+        import_images, source, out, file_format, named, table=table, classes=classes or (), split=split
     )
-    make_with_progress(sink, "importing", KIND.nouns, make, work, place, _print_imported, "touches")
+    make_with_progress(sink, "importing", KIND.nouns, make, work, out, _print_imported, "touches")
 
 
 def _print_imported(sink: Sink, manifest: Manifest, out: str, _elapsed_s: float | None) -> None:
