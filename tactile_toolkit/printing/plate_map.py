@@ -185,7 +185,7 @@ def _name_objects(sheet: _Sheet, plate: Sequence[Placed], spec: PlateSpec, share
         else:
             left_out += 1
     if left_out:
-        words = f"{left_out:,} without words, as there is no room: plates.csv lists them"
+        words = f"{left_out:,} without words, for want of space: plates.csv lists them"
         sheet.text((spec.width_mm / 2, 0), words, _SMALL_PX, "ma", (0, 44))
 
 
