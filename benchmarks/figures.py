@@ -56,7 +56,7 @@ _DIGIT = (
     "mnist3d/surface.py",
     "mnist3d/lattice.py",
     "mnist3d/columns.py",
-    "mnist3d/generation.py",
+    "mnist3d/make.py",
 )
 BENCHMARKS = {
     "pipeline": Benchmark(
@@ -85,7 +85,7 @@ BENCHMARKS = {
     "native_environments": Benchmark(("tactile_envs",)),
     "touches": Benchmark(("tactile_sim", "env_assets/published/sensors.py")),
     "training_order": Benchmark(("realtouch/torch.py", "tactile_toolkit/touch", *_READ)),
-    "scale": Benchmark((*_STORE, "mnist3d/generation.py")),
+    "scale": Benchmark((*_STORE, "mnist3d/make.py")),
 }
 
 SHOWN = (

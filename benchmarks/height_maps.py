@@ -24,7 +24,7 @@ import numpy as np
 from figures import tell
 
 import env_assets
-from mnist3d.dataset import MeshRecord
+from mnist3d.loader import MeshRecord
 from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 
 

@@ -76,7 +76,7 @@ def fabricate_groups(folder: Path, groups: int) -> None:
     import pyarrow as pa
 
     from mnist3d import SolidSpec
-    from mnist3d.generation import DigitMaking, GenerateSpec
+    from mnist3d.make import DigitMaking, GenerateSpec
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.making import plan_build
     from tactile_toolkit.store.parquet import encode_parquet
@@ -104,7 +104,7 @@ def fabricate(folder: Path, shards: int) -> None:
     import pyarrow.parquet as pq
 
     from mnist3d.columns import REPORT_FILE
-    from mnist3d.generation import GenerateSpec, generate
+    from mnist3d.make import GenerateSpec, generate
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.store.derived import write_small_columns
     from tactile_toolkit.store.folder import DataFolder
@@ -249,7 +249,7 @@ def merging(folder: Path) -> dict[str, float]:
 
 
 def planning_digits(_: Path) -> dict[str, float]:
-    from mnist3d.generation import DigitMaking, GenerateSpec
+    from mnist3d.make import DigitMaking, GenerateSpec
     from mnist3d.sources.synthetic import SyntheticSource
     from mnist3d.splits import SplitSpec
     from tactile_toolkit.making import plan_build

@@ -38,7 +38,7 @@ from figures import tell
 from plain_digit import NAME, plain_row
 
 from mnist3d.columns import PARQUET_STYLE, digit_schema
-from mnist3d.generation import GenerateSpec, generate, make_row
+from mnist3d.make import GenerateSpec, generate, make_row
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.store.parquet import encode_parquet
 

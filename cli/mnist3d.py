@@ -50,8 +50,9 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from mnist3d.generation import GenerateSpec, chosen_source, forecast
-    from mnist3d.generation import generate as make
+    from mnist3d.make import DigitMaking, GenerateSpec, chosen_source
+    from mnist3d.make import generate as make
+    from tactile_toolkit.making import forecast
     from tactile_toolkit.run.threads import prepare_batch_process
 
     spec = GenerateSpec(
@@ -71,7 +72,7 @@ def generate(
         out,
         splits,
         what="making digits",
-        forecast=partial(forecast, spec, out, splits),
+        forecast=partial(forecast, DigitMaking.of(spec, splits), out, splits),
         make=partial(make, spec, out, splits),
         print_made=_print_made,
     )

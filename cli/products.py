@@ -116,8 +116,8 @@ def preview_digits(
     ],
     kind: tuple[str, ...] = choice(
         (),
-        ("sheet", "object", "steps", "histogram", "distributions", "all"),
-        help="What to draw; may be repeated. Of a data set: sheet, histogram and distributions.",
+        ("sheet", "object", "steps", "all"),
+        help="What to draw; may be repeated. Of a data set: sheet.",
     ),
     rows: Rows,
     images: Path | None = text(
@@ -131,11 +131,9 @@ def preview_digits(
     pictures: Pictures,
     sink: Sink,
 ) -> None:
-    """Write pictures of digits as PNG, without a screen: sheets, single objects, steps, plots.
+    """Write pictures of digits as PNG, without a screen: sheets, single objects, steps.
 
     Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
-
-    Plots need the extra `pictures`.
     """
     from mnist3d.previews import DigitPreviewSpec, plan_previews
 
@@ -150,19 +148,18 @@ def preview_scenes(
     ],
     kind: tuple[str, ...] = choice(
         (),
-        ("sheet", "scene", "histogram", "all"),
-        help="What to draw; may be repeated. By default sheet and histogram.",
+        ("sheet", "scene", "all"),
+        help="What to draw; may be repeated. By default sheet.",
     ),
     rows: Rows,
     pictures: Pictures,
     sink: Sink,
 ) -> None:
-    """Write pictures of scenes as PNG, without a screen: sheets, single scenes, class counts.
+    """Write pictures of scenes as PNG, without a screen: sheets and single scenes.
 
     Examples: starstruck preview scenes;  starstruck preview scenes --ids 17 --out scene.png
 
-    A single scene shows the positions that were rejected while it was made, and an oblique view. Plots
-    need the extra `pictures`.
+    A single scene shows the positions that were rejected while it was made, and an oblique view.
     """
     from starstruck_gen.previews import plan_previews
     from tactile_toolkit.pictures.previews import PreviewSpec

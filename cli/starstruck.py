@@ -49,9 +49,10 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from starstruck_gen.make import PUBLISHED_SIZES, GenerateSpec, forecast
+    from starstruck_gen.make import PUBLISHED_SIZES, GenerateSpec, SceneMaking
     from starstruck_gen.make import generate as make
-    from starstruck_gen.sampling import SPLITS
+    from starstruck_gen.sampling import SPLITS, require_feasible
+    from tactile_toolkit.making import forecast
     from tactile_toolkit.run.threads import limit_threads
 
     spec = GenerateSpec(scene.spec(), scenes or PUBLISHED_SIZES, seed, limit)
@@ -62,6 +63,7 @@ def generate(
         limit_threads()
     # Before anything is made or forecast, which may take minutes.
     with sink.progress("trying whether the fullest scene has room", "failed layouts") as on_failure:
+        require = partial(require_feasible, spec.scene, spec.seed, on_failure)
         generate_set(
             sink,
             KIND,
@@ -69,7 +71,7 @@ def generate(
             out,
             splits,
             what="making scenes",
-            forecast=partial(forecast, spec, out, splits, on_failure=on_failure),
+            forecast=partial(forecast, SceneMaking(spec), out, splits, require=require),
             make=partial(make, spec, out, splits, on_failure=on_failure),
             print_made=_print_made,
         )

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from env_assets.meshes import MeshView, mesh_bounds_m, mesh_files
 from env_assets.wrench.kind import KIND as WRENCH
 from env_assets.wrenches import WrenchDataset
-from mnist3d.dataset import MeshDataset
 from mnist3d.kind import KIND as DIGITS
-from starstruck_gen.dataset import SceneMeshDataset
+from mnist3d.loader import MeshDataset
 from starstruck_gen.kind import KIND as SCENES
+from starstruck_gen.loader import SceneMeshDataset
 from tactile_toolkit.catalog.kinds import kind_of_meshes
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.checked_fields import checked_integer

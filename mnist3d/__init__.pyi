@@ -1,12 +1,12 @@
 """The public names: type checkers read this list, and the package imports each on first use."""
 
-from mnist3d.dataset import (
+from mnist3d.loader import (
     MeshDataset as MeshDataset,
     MeshRecord as MeshRecord,
     MeshStream as MeshStream,
     load as load,
 )
-from mnist3d.generation import GenerateSpec as GenerateSpec, generate as generate
+from mnist3d.make import GenerateSpec as GenerateSpec, generate as generate
 from mnist3d.solid import solidify as solidify
 from mnist3d.sources import DigitCatalog as DigitCatalog, DigitImage as DigitImage, DigitSource as DigitSource
 from mnist3d.spec import SPLITS as SPLITS, SolidSpec as SolidSpec, SplitSpec as SplitSpec

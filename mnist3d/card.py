@@ -12,22 +12,28 @@ import numpy as np
 from mnist3d.columns import REPORT_FILE, DigitRow, digit_schema
 from mnist3d.kind import KIND
 from mnist3d.sources.folder import FolderSource
-from tactile_toolkit.cards.card import Card, between, bibtex, first_rows, markdown_table, write_table_card
+from tactile_toolkit.cards.card import (
+    Card,
+    between,
+    bibtex,
+    card_words,
+    first_rows,
+    markdown_table,
+    tiles_png,
+    write_table_card,
+)
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.catalog.choose import short_name
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.pictures.render import relief
-from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
-from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.pictures.sheets import Tile
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.derived import read_report, report_columns
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.wording import printable
-
-_MEASURES = ("size_z_mm", "volume_mm3", "thinnest_wall_mm")
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,25 +68,22 @@ def summarise(folder: DataFolder, manifest: Manifest) -> list[SplitSummary]:
     """
     import pyarrow.compute as pc
 
-    columns = ["split", "label", "bodies", "warnings", *_MEASURES]
+    measures = ["size_z_mm", "volume_mm3", "thinnest_wall_mm"]
+    columns = ["split", "label", "bodies", "warnings", *measures]
     report, summaries = read_report(folder, REPORT_FILE, columns), []
     for split, entry in manifest.split_table().items():
         rows = report.filter(pc.equal(report["split"], split))
         labels = rows["label"].to_numpy().astype(np.int64)
-        height_mm, volume_mm3, wall_mm = (_spread(rows[name].to_numpy()) for name in _MEASURES)
         summaries.append(
             SplitSummary(
                 split,
-                entry["rows"],
-                entry["shards"],
-                entry["bytes"],
-                entry["skipped"],
-                tuple(np.bincount(labels, minlength=len(KIND.class_names)).tolist()),
-                height_mm,
-                volume_mm3,
-                wall_mm,
-                _counts(rows["bodies"]),
-                _counts(pc.list_flatten(rows["warnings"])),
+                **entry,
+                per_class=tuple(np.bincount(labels, minlength=len(KIND.class_names)).tolist()),
+                height_mm=_spread(rows["size_z_mm"].to_numpy()),
+                volume_mm3=_spread(rows["volume_mm3"].to_numpy()),
+                thinnest_wall_mm=_spread(rows["thinnest_wall_mm"].to_numpy()),
+                bodies=_counts(rows["bodies"]),
+                warnings=_counts(pc.list_flatten(rows["warnings"])),
             )
         )
     return summaries
@@ -111,12 +114,12 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     """
     # From the manifest, never from defaults: the card may be written again by a later version.
     spec = manifest.spec["source_spec"] if is_copy(manifest) else manifest.spec
-    words = _OF_COPIES if spec is None else words_of(str(spec["source"]["name"]))
+    words = words_of("copy" if spec is None else str(spec["source"]["name"]))
     # Those of a folder of pictures are not the digits of MNIST 3D.
-    is_own = words.name == FolderSource.name
+    is_own = words["name"] == FolderSource.name
     if is_copy(manifest):
         title = "3D digits" if is_own else "MNIST 3D"
-        write_table_card(folder, manifest, KIND, title, COLUMNS, words.licence, **words.terms())
+        write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
         return
     facts = folder_facts(folder, manifest, digit_schema())
     summaries = summarise(folder, manifest)
@@ -127,14 +130,14 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         title=printable(short_name(folder.address())) if is_own else "MNIST 3D",
         columns=COLUMNS,
         picture=("digits.png", _sheet(facts), "The first digit of each class that is there, seen from above"),
-        licence=words.licence,
+        licence=words["licence"],
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
         figures={
             "per class": [between(min(s.per_class), max(s.per_class)) for s in summaries],
             "left out": [s.skipped for s in summaries],
         },
         values={
-            "source_text": words.describe(spec["source"]),
+            "source_text": describe_source(words, spec["source"]),
             "split_rule": _split_rule(spec),
             "solid_text": (
                 f"{solid['profile']} profile, {solid['half_thickness_mm']:g} mm half thickness, "
@@ -145,7 +148,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
             "report_columns": ", ".join(f"`{name}`" for name in report_columns(folder, REPORT_FILE)),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
             "limits": _limits(manifest, summaries, words),
-            **words.terms(),
+            **_terms(words),
         },
     ).write(folder, facts, manifest, KIND)
 
@@ -159,7 +162,7 @@ def _sheet(facts: FolderFacts) -> bytes | None:
             break
     rows = [first[label] for label in sorted(first)]
     tiles = [Tile(relief(row.array(VERTICES), row.array(FACES), _PITCH_M)) for row in rows]
-    return png_bytes(sheet(tiles, Sheet(5, margin_px=8))) if tiles else None
+    return tiles_png(tiles, 5)
 
 
 def _split_rule(spec: Mapping[str, Any]) -> str:
@@ -193,14 +196,14 @@ def _print_table(summaries: list[SplitSummary]) -> str:
     return markdown_table(header, rows)
 
 
-def _limits(manifest: Manifest, summaries: list[SplitSummary], words: SourceWords) -> str:
+def _limits(manifest: Manifest, summaries: list[SplitSummary], words: Mapping[str, str]) -> str:
     rows = sum(s.rows for s in summaries)
     pieces = sum(count for s in summaries for bodies, count in s.bodies.items() if bodies > 1)
     warned = sum(count for s in summaries for count in s.warnings.values())
     in_one = "None of the digits is in several pieces"
     in_pieces = f"{pieces:,} of {rows:,} digits are in several pieces that print apart" if pieces else in_one
     lines = [
-        words.limit,
+        words["limit"],
         f"{in_pieces}; `--join-bodies` makes bridges.",
         f"The print profile raises {warned:,} warnings; each names what to look at; the digit may print.",
         "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
@@ -210,88 +213,26 @@ def _limits(manifest: Manifest, summaries: list[SplitSummary], words: SourceWord
     return "\n".join(f"- {line}" for line in lines)
 
 
-@dataclass(frozen=True)
-class SourceWords:
-    """What a card says about a source of digits: where it is from, its terms, its limits, whom to cite."""
-
-    name: str  # as in the manifest
-    text: str  # what it is; fields of its fingerprint in braces
-    licence: str  # the Hub's word for the licence of meshes made of it
-    licence_text: str
-    limit: str
-    citation_end: str
-
-    def describe(self, fingerprint: Mapping[str, Any]) -> str:
-        """Fill the text with the fingerprint of the source."""
-        fields = dict(fingerprint)
-        if self.name == "mnist":  # which comes in parts
-            fields["images"] = sum(part["images"] for part in fields["parts"])
-            fields["marks"] = ", ".join(f"`{part['images_sha256']:.12}`" for part in fields["parts"])
-        return f"`{self.name}`: {self.text.format(**fields)}"
-
-    def terms(self) -> dict[str, str]:
-        """Return whose the meshes are."""
-        citation = (
-            "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the "
-            f"handwriting of HWD+ (Beaulac and Rosenthal 2022){self.citation_end}."
-        )
-        cited = ("tactile_mnist", *(["mnist"] if self.name == "mnist" else []), "hwd_plus")
-        return {
-            "licence_text": self.licence_text,
-            "citation_text": citation,
-            "bibtex": bibtex(*cited),
-        }
+def words_of(name: str) -> dict[str, str]:
+    """Return the words about a source of digits; those of one that a user brought along claim nothing."""
+    known = card_words("digit_words.toml")
+    return {"name": name, **known.get(name, known["other"])}
 
 
-_SOURCES = (
-    SourceWords(
-        "synthetic",
-        "strokes drawn by the toolkit, seed {seed}, {count:,} digits, drawing version {drawing_version}",
-        "mit",
-        "MIT, as the toolkit: no one's handwriting is in it.",
-        "The strokes are drawn by a program. They vary like handwriting, but were not written by people.",
-        "; this copy stands in for it with drawn digits",
-    ),
-    SourceWords(
-        "hwdplus",
-        "the high-resolution digits of HWD+, array of shape {shape}, dtype `{dtype}`, fingerprint "
-        "`{images_sample_sha256:.12}`",
-        "other",
-        "The digits carry the terms of HWD+: see its authors' page before passing the meshes on.",
-        "97 writers, 14 images of each digit by each: the same hand returns, unless splits divide whole "
-        "writers.",
-        ", as this copy was",
-    ),
-    SourceWords(
-        "mnist",
-        "{images:,} images of 28 x 28 pixels, fingerprint {marks}",
-        "cc-by-sa-3.0",
-        "CC BY-SA 3.0, as MNIST.",
-        "Images of 28 x 28 pixels are enlarged first: outlines are smoother than any pen draws.",
-        "; this copy is made from MNIST (LeCun et al. 1998)",
-    ),
-    SourceWords(
-        "folder",
-        "{images:,} pictures of a folder, ink {ink}, fingerprint `{sha256:.12}`",
-        "other",
-        "The meshes carry the terms of the pictures that they were made from.",
-        "The pictures are a collection of their maker; nothing is known of how they were gathered.",
-        "; this copy is made from other pictures, whose makers want to be named too",
-    ),
-)
-_OF_COPIES = SourceWords(
-    "", "", "other", "The terms of the data set that these rows come from: see its page.", "", ""
-)
+def describe_source(words: Mapping[str, str], fingerprint: Mapping[str, Any]) -> str:
+    """Write what a source is, with its fingerprint."""
+    fields = dict(fingerprint)
+    if words["name"] == "mnist":  # which comes in parts
+        fields["images"] = sum(part["images"] for part in fields["parts"])
+        fields["marks"] = ", ".join(f"`{part['images_sha256']:.12}`" for part in fields["parts"])
+    return f"`{words['name']}`: {words['text'].format(**fields)}"
 
 
-def words_of(name: str) -> SourceWords:
-    """Return the words about a source; those of one that a user brought along claim nothing."""
-    known = {words.name: words for words in _SOURCES}
-    return known.get(name) or SourceWords(
-        name,
-        "a source of its maker's own; its fingerprint is in the specification below",
-        "other",
-        "The meshes carry the terms of the images that they were made from.",
-        "Nothing is known here of how the images were gathered.",
-        "; this copy is made from other images, whose makers want to be named too",
+def _terms(words: Mapping[str, str]) -> dict[str, str]:
+    """Return whose the meshes are."""
+    citation = (
+        "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the "
+        f"handwriting of HWD+ (Beaulac and Rosenthal 2022){words['citation_end']}."
     )
+    cited = ("tactile_mnist", *(["mnist"] if words["name"] == "mnist" else []), "hwd_plus")
+    return {"licence_text": words["licence_text"], "citation_text": citation, "bibtex": bibtex(*cited)}

@@ -43,28 +43,32 @@ _SENTENCES = {
     "bad-dtype": "the image has dtype {}; expected grey levels (integers, floats or bool)",
     "not-finite": "{} pixels of the image are NaN or infinite; expected grey levels from 0 to 255",
     "bad-range": "grey levels run from {} to {}; expected 0 to 255, or floats from 0 to 1",
-    "too-small": "the image has {} x {} px, which make {:g} mm; expected {} px or more; next: "
-    "solidify(..., resample=True) draws it again with 500",
+    "too-small": "the image has {} x {} px, which make {:g} mm; expected {} px or more",
     "unclear-ink": "{}: the ink cannot be distinguished from the paper, found {:.0%} of the margin light and "
-    "the rest dark, expected nearly all of it to be paper; next: give dark or light (--ink, ink=), or crop "
-    "the image",
+    "the rest dark, expected nearly all of it to be paper",
     "one-level": "the image has one grey level only ({}); expected dark ink on light paper",
     "no-ink": "no pixel is dark enough to be ink; expected a digit",
     "all-ink": "ink covers {:.0%} of the margin of the image, which would make a slab; expected a digit on "
-    "paper, with less than {:.0%} of the margin ink; next: give ink='light' if the ink is the lighter part, "
-    "or leave room around the digit",
+    "paper, with less than {:.0%} of the margin ink",
     "only-specks": "no piece of ink is as large as {} mm^2 (min_speck_mm2); expected a digit",
     "topology": "no lattice keeps the {} bodies and {} holes of the ink; the finest has {} and {}",
-    "layers": "the layers of the ink, stacked, have {} bodies and {} holes; the ink has {} and {}; next: "
-    "leave the digit out, or try method='fast'",
+    "layers": "the layers of the ink, stacked, have {} bodies and {} holes; the ink has {} and {}",
     "vertex-budget": "the digit needs {:,} vertices to keep its {} bodies and {} holes; {:,} were asked for, "
-    "and at most {:g} times as many are given; next: ask for {:,} (target_vertices, --vertices)",
+    "and at most {:g} times as many are given",
+}
+_NEXT = {
+    "too-small": "solidify(..., resample=True) draws it again with 500",
+    "unclear-ink": "give dark or light (--ink, ink=), or crop the image",
+    "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
+    "layers": "leave the digit out, or try method='fast'",
+    "vertex-budget": "ask for {5:,} (target_vertices, --vertices)",
 }
 
 
 def refuse(reason: str, *found: Any, sentence: str = "") -> NoReturn:
     """Raise the ItemError of a reason, or of one of its sentences, with what was found."""
-    raise ItemError(reason, _SENTENCES[sentence or reason].format(*found))
+    key = sentence or reason
+    raise ItemError(reason, _SENTENCES[key].format(*found), next=_NEXT.get(key, "").format(*found))
 
 
 def ink_of_levels(levels: Levels, threshold: float | None = None) -> Mask:

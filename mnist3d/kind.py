@@ -20,5 +20,5 @@ KIND = DatasetKind(
     published=(tactile_mnist_set("mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),),
     plan_previews=lazy("mnist3d.previews:plan_previews"),
     plan_gallery=lazy("mnist3d.gallery:plan_gallery"),
-    recipe=lazy("mnist3d.generation:digit_recipe"),
+    recipe=lazy("mnist3d.make:digit_recipe"),
 )

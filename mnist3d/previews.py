@@ -1,4 +1,4 @@
-"""Pictures of digits: contact sheets, single objects, the steps to a solid, class counts, distributions."""
+"""Pictures of digits: contact sheets, single objects, and the steps from an image to a solid."""
 
 from __future__ import annotations
 
@@ -11,13 +11,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.columns import REPORT_FILE
-from mnist3d.dataset import MeshDataset, MeshRecord
-from mnist3d.generation import make_source
 from mnist3d.kind import KIND
 from mnist3d.lattice import Lattice, Mirrored
+from mnist3d.loader import MeshDataset, MeshRecord
+from mnist3d.make import source_again
 from mnist3d.solid import binarise, solidify
-from mnist3d.spec import SOURCES, SolidSpec
+from mnist3d.spec import SolidSpec
 from mnist3d.surface import Surface, scale
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.catalog.kinds import specification_read
@@ -25,14 +24,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.pictures.plots import Spread, plot_spreads, require_plots
-from tactile_toolkit.pictures.previews import (
-    MeshPreviews,
-    PreviewSpec,
-    class_bars,
-    draw_by_class,
-    draw_two_views,
-)
+from tactile_toolkit.pictures.previews import MeshPreviews, PreviewSpec, draw_by_class, draw_two_views
 from tactile_toolkit.pictures.render import (
     OBLIQUE,
     TOP,
@@ -44,25 +36,13 @@ from tactile_toolkit.pictures.render import (
     relief_of,
 )
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
-from tactile_toolkit.pictures.writing import (
-    PicturePlan,
-    Pixels,
-    PlannedPicture,
-    chosen_kinds,
-    file_stem,
-    plan_kinds,
-)
-from tactile_toolkit.store.derived import read_report
+from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, file_stem, plan_kinds
 from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import is_remote
 from tactile_toolkit.wording import class_name, counted
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    from mnist3d.sources import DigitSource
-    from mnist3d.spec import SOURCES, SolidSpec
 
 
 CLAY = (224, 166, 72)
@@ -74,10 +54,129 @@ _LIGHTEST, _DARKEST = (214, 230, 241), (8, 64, 112)
 _SAMPLING = 2
 _SPREAD = 4.0
 """How many times their distance the layers of the stack are drawn apart."""
+_IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+_TILE_PX = 132
+_VIEW_PX = (560, 520)
+_FILLED = 0.9
 
-# Who wrote a digit shows in no picture, and the column of writers is not asked for here: that part of the
-# fingerprint may differ.
-_WRITERS = "writers_sha256"
+
+@dataclass(frozen=True, slots=True)
+class DigitPreviewSpec(PreviewSpec):
+    """Which pictures of digits to draw; the steps need the files that the images came from."""
+
+    images: Path | None = None
+    writer_info: Path | None = None
+
+
+def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
+    """Decide which pictures of a data set, a mesh file or an image of a digit to draw; draws none.
+
+    Kinds are sheet, object and steps. InputError as
+    :class:`~tactile_toolkit.pictures.previews.MeshPreviews`, and where a file cannot be read; IntegrityError
+    where the data set is damaged or unfinished.
+    """
+    path = expanded(name)
+    ending = path.suffix.lower()
+    if is_remote(name) or not path.is_file() or ending == ".parquet":
+        return _plan_set(name, spec)
+    if ending in FORMATS:
+        mesh = read_mesh(path)
+        return _plan_file("object", name, spec, partial(draw_object, mesh=mesh, title=path.name))
+    if ending in _IMAGES:
+        from mnist3d.sources.canvas import fit
+        from mnist3d.sources.folder import read_picture
+
+        # As the sources do: the numbers of the default specification are for sheets of 500 px.
+        pixels = fit(read_picture(path))
+        draw = partial(draw_steps, pixels=pixels, spec=SolidSpec(), title=path.name)
+        return _plan_file("steps", name, spec, draw)
+    known = ", ".join((".parquet", *FORMATS, *_IMAGES))
+    raise InputError(f"{name!r} ends in {ending!r}; expected a folder, or a file ending in one of {known}")
+
+
+def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixels]) -> PicturePlan:
+    """Plan the one picture that a single file allows; InputError where anything else was asked for."""
+    asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
+    given = {"--split": spec.split, "--ids": spec.ids, "--labels": spec.labels}
+    asked += [option for option, value in given.items() if value]
+    if asked:
+        raise InputError(f"{asked[0]} needs a data set, and {name!r} is a single file", next="leave it out")
+    return PicturePlan((PlannedPicture(f"{file_stem(name)}-{kind}.png", Path(name).name, draw),))
+
+
+def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
+    opened: MeshPreviews[MeshDataset] = MeshPreviews(KIND, name, spec)
+    names = next(iter(opened.datasets.values())).label_names
+
+    def sheet_of(rows: MeshDataset, title: str) -> Pixels:
+        return draw_sheet(list(rows), spec.per_class, title, names)
+
+    def heading(record: MeshRecord, where: str) -> str:
+        return f"Digit {class_name(names, record.label)}, id {record.id} {where}"
+
+    def one(record: MeshRecord, where: str) -> Pixels:
+        return draw_object(Mesh(record.vertices_m, record.faces), heading(record, where))
+
+    def plan_steps() -> list[PlannedPicture]:
+        if "source" not in opened.made_by:
+            raise InputError(f"{name!r} does not name the source of its images")
+        given = spec if isinstance(spec, DigitPreviewSpec) else DigitPreviewSpec()
+        files = {"images": given.images, "writer_info": given.writer_info}
+        with specification_read(name):
+            places = {option: None if path is None else str(path) for option, path in files.items()}
+            source = source_again(opened.made_by["source"], **places)
+            solid = SolidSpec.from_dict(opened.made_by["solid"])
+        return opened.plan_each(
+            "steps",
+            "step by step",
+            lambda record, where: draw_steps(source.image(record.id).pixels, solid, heading(record, where)),
+        )
+
+    plans = {
+        "sheet": lambda: opened.plan_sheets(sheet_of),
+        "object": lambda: opened.plan_each("object", "from above and obliquely", one),
+        "steps": plan_steps,
+    }
+    return plan_kinds(spec.kinds, plans, ("object",) if spec.ids else ("sheet",))
+
+
+def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> Pixels:
+    """Draw digits from above at one scale; ``names`` are those of the classes."""
+    meshes = [Mesh(record.vertices_m, record.faces) for record in records]
+    px_per_mm = _TILE_PX / (MM_PER_M * max(float(np.ptp(mesh.vertices_m[:, :2], 0).max()) for mesh in meshes))
+    tiles = [
+        (class_name(names, record.label), Tile(relief_of(mesh, px_per_mm), f"{record.id}"))
+        for mesh, record in zip(meshes, records, strict=True)
+    ]
+    words = f"{counted(len(records), 'digits')} from above, at one scale; the id of each below it"
+    return draw_by_class(tiles, per_row, title, words, px_per_mm)
+
+
+def draw_object(mesh: Mesh, title: str) -> Pixels:
+    """Draw a mesh from above and obliquely at one scale, with scale bars and its measures."""
+    bodies = (Body(mesh, CLAY),)
+    inner_px = (round(_VIEW_PX[0] * _FILLED), round(_VIEW_PX[1] * _FILLED))
+    px_per_m = min(fitting_scale(bodies, inner_px, TOP), fitting_scale(bodies, inner_px))
+    px_per_mm = px_per_m / MM_PER_M
+    relief = relief_of(mesh, px_per_mm)
+    canvas = np.full((_VIEW_PX[1], _VIEW_PX[0]), 255, np.uint8)
+    top, left = ((room - size) // 2 for room, size in zip(canvas.shape, relief.shape, strict=True))
+    canvas[top : top + relief.shape[0], left : left + relief.shape[1]] = relief
+    above = Tile(with_scale_bar(canvas, px_per_mm), "shaded relief, from above")
+    oblique = Picture3d(bodies, _VIEW_PX, px_per_m)
+    return draw_two_views(above, oblique, title, object_facts(mesh))
+
+
+def object_facts(mesh: Mesh) -> tuple[str, ...]:
+    """Return the measures of a mesh in words, and what keeps it from being a solid."""
+    x_mm, y_mm, z_mm = (np.ptp(mesh.vertices_m, axis=0) * MM_PER_M).tolist()
+    size = f"{x_mm:.1f} x {y_mm:.1f} x {z_mm:.1f} mm"
+    parts = f"{len(mesh.vertices_m):,} vertices, {len(mesh.faces):,} triangles"
+    found = check_manifold(mesh)
+    if found.problem is not None:
+        return f"{size}; {parts}", f"not a solid: {found.detail}"
+    bodies = "one body" if found.bodies == 1 else f"{found.bodies} bodies"
+    return (f"{size}; volume {found.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
 
 
 def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
@@ -142,46 +241,6 @@ def layer_map(layers: Sequence[NDArray[np.bool_]]) -> NDArray[np.uint8]:
     return picture
 
 
-def source_option(described: dict[str, Any], images: Path | None, writer_info: Path | None) -> DigitSource:
-    """Return the source from which a data set was made, by its fingerprint in the manifest.
-
-    ``images`` and ``writer_info`` say where its files are now; the synthetic source needs none. InputError
-    where they are needed and not given, or are others than those the data set was made from.
-    """
-    name = str(described.get("name"))
-    if name not in SOURCES:
-        raise InputError(
-            f"the data set was made from source {name!r}, which is not known",
-            next="give a picture of a digit",
-        )
-    files = {"images": images, "writer_info": writer_info if name == "hwdplus" else None}
-    given: dict[str, Any] = {option: str(path) for option, path in files.items() if path is not None}
-    if name == "synthetic":
-        given = {"digits": int(described["count"])}
-    elif len(given) < 1 + (name == "hwdplus"):
-        option = "--images PATH" if images is None else "--writer-info FILE"
-        raise InputError(
-            f"the steps need the images of source {name!r}", next=f"give {option}, or a picture of a digit"
-        )
-    elif name == "folder":
-        given["ink"] = str(described.get("ink", "auto"))
-    source: Any = make_source(name, given, int(described.get("seed", 0)))
-    if name == "mnist":
-        # The folder may hold both parts where the set was made from one; then the training digits come first.
-        parts, there = described.get("parts") or [], source.fingerprint()["parts"]
-        if len(there) > len(parts) == 1 and parts[0] in there:
-            source = replace(source, part=("train", "test")[there.index(parts[0])])
-    found = {key: value for key, value in source.fingerprint().items() if key != _WRITERS}
-    wanted = {key: value for key, value in described.items() if key != _WRITERS}
-    if found != wanted:
-        differs = next(key for key in {**wanted, **found} if found.get(key) != wanted.get(key))
-        raise InputError(
-            f"--images {str(images)!r} holds other images than the data set was made from: {differs} is "
-            f"{found.get(differs)!r}, expected {wanted.get(differs)!r}"
-        )
-    return source  # type: ignore[no-any-return]
-
-
 def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     """Return the square around the ink, with a margin; cut at the edges of the image."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -242,215 +301,3 @@ def _square(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     canvas = Image.new("RGB", (_PANEL_PX, _PANEL_PX), (255, 255, 255))
     canvas.paste(fitted, ((_PANEL_PX - size[0]) // 2, (_PANEL_PX - size[1]) // 2))
     return np.asarray(canvas)
-
-
-_KINDS = ("sheet", "object", "steps", "histogram", "distributions")
-_IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
-_TILE_PX = 132
-_VIEW_PX = (560, 520)
-_FILLED = 0.9
-
-
-@dataclass(frozen=True, slots=True)
-class DigitPreviewSpec(PreviewSpec):
-    """Which pictures of digits to draw; the steps need the files that the images came from."""
-
-    images: Path | None = None
-    writer_info: Path | None = None
-
-
-def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
-    """Decide which pictures of a data set, a mesh file or an image of a digit to draw; draws none.
-
-    Kinds are sheet, object, steps, histogram and distributions. InputError as
-    :class:`~tactile_toolkit.pictures.previews.MeshPreviews`, and where a file cannot be read;
-    MissingExtraError where a plot is asked for by name without matplotlib; IntegrityError where the data set
-    is damaged or unfinished.
-    """
-    if is_remote(name):
-        return _plan_set(name, spec)
-    path = expanded(name)
-    if not path.exists():
-        raise InputError(
-            f"{name!r} does not exist; expected a data set folder, a Parquet file or a mesh file"
-        )
-    ending = path.suffix.lower()
-    if path.is_dir() or ending == ".parquet":
-        return _plan_set(name, spec)
-    if ending in FORMATS:
-        mesh = read_mesh(path)
-        return _plan_file("object", name, spec, partial(draw_object, mesh=mesh, title=path.name))
-    if ending in _IMAGES:
-        from mnist3d.sources.canvas import fit
-        from mnist3d.sources.folder import read_picture
-
-        # As the sources do: the numbers of the default specification are for sheets of 500 px.
-        pixels = fit(read_picture(path))
-        draw = partial(draw_steps, pixels=pixels, spec=SolidSpec(), title=path.name)
-        return _plan_file("steps", name, spec, draw)
-    known = ", ".join((".parquet", *FORMATS, *_IMAGES))
-    found = f"ends in {ending!r}" if ending else "has no ending"
-    raise InputError(f"{name!r} {found}; expected a folder, or a file ending in one of {known}")
-
-
-def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixels]) -> PicturePlan:
-    """Plan the one picture that a single file allows; InputError where others were asked for by name."""
-    others = [each for each in chosen_kinds(spec.kinds, _KINDS, (kind,)) if each != kind]
-    if others and "all" not in spec.kinds:
-        raise InputError(
-            f"--kind {others[0]} needs a data set, and {name!r} is a single file", next=f"give --kind {kind}"
-        )
-    for option, value in (("--split", spec.split), ("--ids", spec.ids)):
-        if value:
-            raise InputError(
-                f"{option} chooses from a data set, and {name!r} is a single file", next="leave it out"
-            )
-    return PicturePlan((PlannedPicture(f"{file_stem(name)}-{kind}.png", Path(name).name, draw),))
-
-
-def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
-    opened: MeshPreviews[MeshDataset] = MeshPreviews(KIND, name, spec)
-    plans = {
-        "sheet": lambda: opened.plan_sheets(
-            lambda rows, title: draw_sheet(list(rows), spec.per_class, title, rows.label_names)
-        ),
-        "object": lambda: [
-            PlannedPicture(
-                f"{opened.stem}-{split}-{record.id}-object.png",
-                f"digit {record.id} from above and obliquely",
-                partial(
-                    draw_object,
-                    mesh=Mesh(record.vertices_m, record.faces),
-                    title=_heading(opened, split, record),
-                ),
-            )
-            for split, record in opened.records
-        ],
-        "steps": lambda: _plan_steps(opened),
-        "histogram": lambda: opened.plan_histogram(
-            lambda: [class_bars(split, rows, "digits", "class") for split, rows in opened.datasets.items()]
-        ),
-        "distributions": lambda: [_plan_distributions(opened)],
-    }
-    usual = ("object",) if spec.ids else ("sheet", "histogram", "distributions")
-    return plan_kinds(spec.kinds, plans, usual)
-
-
-def _plan_steps(opened: MeshPreviews[MeshDataset]) -> list[PlannedPicture]:
-    if "source" not in opened.made_by:
-        raise InputError(
-            f"{opened.name!r} does not name the source of its images", next="give a picture of a digit"
-        )
-    given = opened.spec if isinstance(opened.spec, DigitPreviewSpec) else DigitPreviewSpec()
-    with specification_read(opened.name):
-        source = source_option(dict(opened.made_by["source"]), given.images, given.writer_info)
-        solid = SolidSpec.from_dict(dict(opened.made_by["solid"]))
-    return [
-        PlannedPicture(
-            f"{opened.stem}-{split}-{record.id}-steps.png",
-            f"digit {record.id}, step by step",
-            partial(
-                draw_steps,
-                pixels=source.image(record.id).pixels,
-                spec=solid,
-                title=_heading(opened, split, record),
-            ),
-        )
-        for split, record in opened.records
-    ]
-
-
-def _plan_distributions(opened: MeshPreviews[MeshDataset]) -> PlannedPicture:
-    require_plots("the picture of distributions")
-    folder = DataFolder(opened.name)
-    if not folder.exists(REPORT_FILE):
-        raise InputError(
-            f"distributions need {REPORT_FILE}, which {folder.address()!r} does not hold",
-            next="give the folder of a data set made by `mnist3d generate`",
-        )
-    with specification_read(opened.name):
-        least_wall_mm = opened.made_by.get("print_profile", {}).get("min_wall_mm")
-    return PlannedPicture(
-        f"{opened.stem}-distributions.png",
-        "height, volume, vertices and thinnest wall",
-        lambda: draw_distributions(
-            report_rows(folder, tuple(opened.datasets)),
-            least_wall_mm,
-            f"{opened.stem}: measures of the digits",
-        ),
-    )
-
-
-def _heading(opened: MeshPreviews[MeshDataset], split: str, record: MeshRecord) -> str:
-    label = class_name(next(iter(opened.datasets.values())).label_names, record.label)
-    return f"Digit {label}, id {record.id} ({opened.stem}, {split})"
-
-
-def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> Pixels:
-    """Draw digits from above at one scale; ``names`` are those of the classes."""
-    meshes = [Mesh(record.vertices_m, record.faces) for record in records]
-    px_per_mm = _TILE_PX / (MM_PER_M * max(float(np.ptp(mesh.vertices_m[:, :2], 0).max()) for mesh in meshes))
-    tiles = [
-        (class_name(names, record.label), Tile(relief_of(mesh, px_per_mm), f"{record.id}"))
-        for mesh, record in zip(meshes, records, strict=True)
-    ]
-    words = f"{counted(len(records), 'digits')} from above, at one scale; the id of each below it"
-    return draw_by_class(tiles, per_row, title, words, px_per_mm)
-
-
-def draw_object(mesh: Mesh, title: str) -> Pixels:
-    """Draw a mesh from above and obliquely at one scale, with scale bars and its measures."""
-    bodies = (Body(mesh, CLAY),)
-    inner_px = (round(_VIEW_PX[0] * _FILLED), round(_VIEW_PX[1] * _FILLED))
-    px_per_m = min(fitting_scale(bodies, inner_px, TOP), fitting_scale(bodies, inner_px))
-    px_per_mm = px_per_m / MM_PER_M
-    relief = relief_of(mesh, px_per_mm)
-    canvas = np.full((_VIEW_PX[1], _VIEW_PX[0]), 255, np.uint8)
-    top, left = ((room - size) // 2 for room, size in zip(canvas.shape, relief.shape, strict=True))
-    canvas[top : top + relief.shape[0], left : left + relief.shape[1]] = relief
-    above = Tile(with_scale_bar(canvas, px_per_mm), "shaded relief, from above")
-    oblique = Picture3d(bodies, _VIEW_PX, px_per_m)
-    return draw_two_views(above, oblique, title, object_facts(mesh))
-
-
-def object_facts(mesh: Mesh) -> tuple[str, ...]:
-    """Return the measures of a mesh in words, and what keeps it from being a solid."""
-    x_mm, y_mm, z_mm = (np.ptp(mesh.vertices_m, axis=0) * MM_PER_M).tolist()
-    size = f"{x_mm:.1f} x {y_mm:.1f} x {z_mm:.1f} mm"
-    parts = f"{len(mesh.vertices_m):,} vertices, {len(mesh.faces):,} triangles"
-    found = check_manifold(mesh)
-    if found.problem is not None:
-        return f"{size}; {parts}", f"not a solid: {found.detail}"
-    bodies = "one body" if found.bodies == 1 else f"{found.bodies} bodies"
-    return (f"{size}; volume {found.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
-
-
-def report_rows(folder: DataFolder, splits: Sequence[str]) -> dict[str, Any]:
-    """Read what is drawn of some splits of the report of printability, as Arrow tables by split."""
-    import pyarrow.compute as pc
-
-    columns = ["split", "id", "size_z_mm", "volume_mm3", "vertices", "thinnest_wall_mm"]
-    report = read_report(folder, REPORT_FILE, columns)
-    return {split: report.filter(pc.equal(report["split"], split)) for split in splits}
-
-
-def draw_distributions(tables: dict[str, Any], least_wall_mm: float | None, title: str) -> Pixels:
-    """Draw how height, volume, number of vertices and thinnest wall spread over each split.
-
-    A line marks the wall below which the print profile warns.
-    """
-
-    def spread(heading: str, unit: str, column: str, **more: Any) -> Spread:
-        groups = [
-            (split, np.asarray(table[column].to_numpy())) for split, table in tables.items() if len(table)
-        ]
-        return Spread(heading, unit, tuple(groups), "digits", **more)
-
-    limit = None if least_wall_mm is None else (least_wall_mm, f"warned of below {least_wall_mm:g} mm")
-    panels = (
-        spread("Height", "mm", "size_z_mm"),
-        spread("Volume", "mm³", "volume_mm3"),
-        spread("Vertices", "", "vertices"),
-        spread("Thinnest wall", "mm", "thinnest_wall_mm", limit=limit),
-    )
-    return plot_spreads(panels, title)

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from typing import Any, Literal
 
-from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
+from tactile_toolkit.checked_fields import (
+    check_fields,
+    choice,
+    integer,
+    read_split_counts,
+    real,
+    split_counts,
+    switch,
+    text,
+)
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_count, is_integer, plain_pairs
 
 PROFILES = ("round", "linear", "flat")
 EROSIONS = ("outline", "disc")
@@ -23,6 +32,8 @@ PUBLISHED_SIZES: dict[str, int] = {
     "printed_test": 10,
 }
 """Digits per class in each published split; 1,358 in all."""
+
+_MOST_DIGITS = 10**9
 
 LARGEST_HALF_THICKNESS_PX = 100
 """Squares of distances in pixels have to fit 16 bits (:func:`mnist3d.lattice.signed_distance_px`)."""
@@ -110,19 +121,16 @@ class SolidSpec:
         # steps.
         thinnest_mm, coarsest_mm = self.pixel_pitch_mm, self.pixel_pitch_mm / 10
         thickest_mm = thinnest_mm * LARGEST_HALF_THICKNESS_PX
-        for name, holds, span in (
-            (
-                "half_thickness_mm",
-                1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX,
-                f"{thinnest_mm:g} to {thickest_mm:g} mm",
-            ),
-            ("vertex_quantum_mm", self.vertex_quantum_mm <= coarsest_mm, f"{coarsest_mm:g} mm or less"),
-        ):
-            if not holds:
-                raise InputError(
-                    f"{name} of the solid's specification is {getattr(self, name)!r}; expected {span} at "
-                    "this pixel_pitch_mm"
-                )
+        if not 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX:
+            raise InputError(
+                f"half_thickness_mm of the solid's specification is {self.half_thickness_mm!r}; expected "
+                f"{thinnest_mm:g} to {thickest_mm:g} mm at this pixel_pitch_mm"
+            )
+        if self.vertex_quantum_mm > coarsest_mm:
+            raise InputError(
+                f"vertex_quantum_mm of the solid's specification is {self.vertex_quantum_mm!r}; expected "
+                f"{coarsest_mm:g} mm or less at this pixel_pitch_mm"
+            )
 
     @property
     def half_thickness_px(self) -> float:
@@ -162,19 +170,6 @@ class SolidSpec:
         return cls(**values)
 
 
-def _sizes(words: str) -> dict[str, int]:
-    """Read ``train=8,test=2``."""
-    sizes: dict[str, int] = {}
-    for part in words.split(","):
-        split, _, size = (piece.strip() for piece in part.partition("="))
-        if not is_count(size) or split in sizes:
-            raise InputError(
-                f"--split-sizes has {part!r}; expected SPLIT=N once per split, such as train=8,test=2"
-            )
-        sizes[split] = int(size)
-    return sizes
-
-
 @dataclass(frozen=True, slots=True)
 class SplitSpec:
     """How digits are divided.
@@ -206,7 +201,7 @@ class SplitSpec:
     sizes: tuple[tuple[str, int], ...] | None = text(
         name="--split-sizes",
         metavar="train=8,test=2",
-        read=_sizes,
+        read=partial(read_split_counts, "--split-sizes"),
         help="Digits per class in each split, instead of the published numbers.",
     )
 
@@ -218,22 +213,8 @@ class SplitSpec:
             raise InputError(
                 "split sizes are given for digits that are not divided; expected by='digit' or 'writer'"
             )
-        object.__setattr__(self, "sizes", plain_pairs(self.sizes))
-        if not all(isinstance(pair, tuple) and len(pair) == 2 for pair in self.sizes):
-            raise InputError(
-                f"the split sizes are {self.sizes!r}; expected pairs such as {{'train': 8, 'test': 2}}"
-            )
-        for split, size in self.sizes:
-            if split not in SPLITS:
-                raise InputError(
-                    f"unknown split {split!r} in the split sizes; expected one of {', '.join(SPLITS)}"
-                )
-            if not is_integer(size) or size < 0:
-                raise InputError(
-                    f"the size of split {split!r} is {size!r}; expected 0 or more digits per class"
-                )
-        if len(dict(self.sizes)) < len(self.sizes):
-            raise InputError(f"the split sizes are {self.sizes!r}; expected each split once")
+        sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, _MOST_DIGITS)
+        object.__setattr__(self, "sizes", sizes)
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""

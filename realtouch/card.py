@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
-from importlib.resources import files
 from itertools import islice
 from operator import attrgetter
 from typing import Any, Literal, NamedTuple, TypeVar
@@ -21,6 +19,7 @@ from tactile_toolkit.cards.card import (
     Column,
     between,
     bibtex,
+    card_words,
     field_table,
     json_block,
     made_by,
@@ -130,7 +129,7 @@ def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
     A copy of a published set has no manifest, and its card says so. InputError: it holds no touches.
     IntegrityError: a file is missing or damaged.
     """
-    words = tomllib.loads(files("data_cards").joinpath("touch_words.toml").read_text(encoding="utf-8"))
+    words = card_words("touch_words.toml")
     facts = folder_facts(folder, manifest)
     operation = None if manifest is None else manifest.spec.get("operation")
     origin = origin_of(facts.schema, manifest)

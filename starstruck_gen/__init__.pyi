@@ -1,11 +1,11 @@
 """The public names: type checkers read this list, and the package imports each on first use."""
 
-from starstruck_gen.dataset import (
+from starstruck_gen.loader import (
     SceneMeshDataset as SceneMeshDataset,
     SceneRecord as SceneRecord,
     load as load,
 )
-from starstruck_gen.dataset import SceneDataset as SceneDataset
+from starstruck_gen.loader import SceneDataset as SceneDataset
 from starstruck_gen.make import GenerateSpec as GenerateSpec, generate as generate
 from starstruck_gen.placement import (
     Placement as Placement,

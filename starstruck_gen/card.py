@@ -15,11 +15,10 @@ from starstruck_gen.make import Acceptance
 from starstruck_gen.placement import Placement
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.cards.card import Card, between, first_rows, markdown_table, write_table_card
+from tactile_toolkit.cards.card import Card, between, first_rows, markdown_table, tiles_png, write_table_card
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
-from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.pictures.sheets import Tile
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -136,7 +135,7 @@ def _sheet(facts: FolderFacts, cell_m: tuple[float, float]) -> bytes | None:
         (stored,) = row.group.table.slice(row.index, 1).to_pylist()
         placements = [Placement(**entry) for entry in stored["placements"]]
         tiles.append(Tile(np.asarray(draw_scene(placements, cell_m, px_per_mm))))
-    return png_bytes(sheet(tiles, Sheet(6, margin_px=8))) if tiles else None
+    return tiles_png(tiles, 6)
 
 
 def _acceptance_table(summaries: list[SplitSummary]) -> str:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.kind import KIND
+from starstruck_gen.loader import SceneRecord
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
@@ -18,10 +18,10 @@ from tactile_toolkit.gallery.items import (
     Measure,
     gallery_of_rows,
     packed_mesh,
+    relief_thumbnail,
     require_mesh,
     size_text,
     thumbnail,
-    top_view,
 )
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
@@ -97,12 +97,10 @@ def _parts(record: SceneRecord) -> list[tuple[int, str]]:
 
 def _thumbnail(record: SceneRecord) -> bytes:
     """Show the scene from above, in the published cell or a larger one where it reaches beyond that."""
+    if not record.has_placements:
+        return relief_thumbnail(record.vertices_m, record.faces)
     # Twice the farthest corner, and a little room.
     reach_m = 2.05 * np.abs(record.vertices_m[:, :2]).max(axis=0)
     width_m, depth_m = (max(cell, float(side)) for cell, side in zip(_PUBLISHED_CELL_M, reach_m, strict=True))
     px_per_mm = THUMBNAIL_PX / (max(width_m, depth_m) * MM_PER_M)
-    if record.has_placements:
-        pixels = np.asarray(draw_scene(record.placements, (width_m, depth_m), px_per_mm))
-    else:
-        pixels = top_view(record.vertices_m, record.faces, (width_m, depth_m), px_per_mm)
-    return thumbnail(pixels, _OPAQUE_FROM)
+    return thumbnail(np.asarray(draw_scene(record.placements, (width_m, depth_m), px_per_mm)), _OPAQUE_FROM)

@@ -1,43 +1,34 @@
-"""From a specification to a finished data set folder of scenes, each proved before it is written."""
+"""From a specification to a finished data set folder of scenes."""
 
 from __future__ import annotations
 
 import os
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import partial
-from itertools import combinations
 from typing import Any
-
-import numpy as np
 
 from starstruck_gen.columns import PARQUET_STYLE, SceneRow, scene_schema
 from starstruck_gen.kind import KIND
-from starstruck_gen.placement import COLLISION_TESTS, build_meshes
+from starstruck_gen.placement import build_meshes
 from starstruck_gen.sampling import (
     MOST_SCENES,
     SPLITS,
     LayoutFailed,
-    SamplingExhausted,
     require_feasible,
     sample_scenes,
     scene_id,
     scene_seed,
 )
 from starstruck_gen.scene import Scene
-from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit import making
-from tactile_toolkit.checked_fields import check_fields, integer
-from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.making import Forecast
+from tactile_toolkit.checked_fields import check_fields, integer, split_counts
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import Runner
 from tactile_toolkit.store.build import Progress
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import Manifest, without_collecting
-from tactile_toolkit.wording import is_integer, plain_pairs
 
 
 def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
@@ -64,66 +55,8 @@ def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) ->
     ]
 
 
-def validate_rows(spec: SceneSpec, rows: Sequence[SceneRow]) -> None:
-    """Prove rows before they are written; raises IntegrityError naming a scene that is invalid.
-
-    The solids of the shapes were proved once by manifold3d (:mod:`starstruck_gen.solid`). A scene only turns,
-    moves and rounds them, so that three cheap facts prove it: the caps kept their orientation after rounding,
-    all pairs of objects keep their distance, and the stars are as many as the label says. ``starstruck
-    validate`` proves the same from the stored triangles.
-    """
-    for row in rows:
-        wrong = _misplaced(spec, row)
-        if wrong is not None:
-            raise _invalid(row, wrong)
-    _require_orientation(rows)
-
-
-def _misplaced(spec: SceneSpec, row: SceneRow) -> str | None:
-    """Compare a scene with its number of stars, the valid area and the collision rule."""
-    stars = sum(placement.is_star for placement in row.placements)
-    if not stars == row.star_count == spec.stars[row.label]:
-        declared = f"{row.star_count} are declared, class {row.label} has {spec.stars[row.label]}"
-        return f"{stars} stars stand there, {declared}"
-    half_x_m, half_y_m = spec.half_area_m
-    for placement in row.placements:
-        if abs(placement.x_m) > half_x_m or abs(placement.y_m) > half_y_m:
-            return f"a {placement.shape} stands outside the valid area, at {placement.x_m}, {placement.y_m} m"
-    clear = COLLISION_TESTS[spec.collision]
-    for one, other in combinations(row.placements, 2):
-        if not clear(one, other, spec.clearance_m):
-            return f"a {one.shape} and a {other.shape} collide"
-    return None
-
-
-def _require_orientation(rows: Sequence[SceneRow]) -> None:
-    """Refuse a scene with a cap triangle whose orientation changed, as stored."""
-    prisms = [prism(placement.shape) for row in rows for placement in row.placements]
-    starts = np.cumsum([0, *(made.vertex_count for made in prisms)])
-    owners = np.repeat(np.arange(len(rows)), [len(row.placements) for row in rows])
-    flat = np.concatenate([row.vertices_m for row in rows])[:, :2].astype(np.float64)
-    # A shape at a time, all its objects at once; walls stand upright and cannot turn.
-    for made in dict.fromkeys(prisms):
-        members = np.flatnonzero([other is made for other in prisms])
-        corners = flat[starts[members][:, None, None] + 2 * made.cap]
-        ab, ac = corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]
-        turned = ((ab[..., 0] * ac[..., 1] - ab[..., 1] * ac[..., 0]) <= 0).any(axis=1)
-        if turned.any():
-            first = rows[owners[members[turned.argmax()]]]
-            raise _invalid(first, "rounding to float32 turned a triangle over")
-
-
-def _invalid(row: SceneRow, wrong: str) -> IntegrityError:
-    return IntegrityError(
-        f"scene {row.id} must not be written: {wrong}; this is a fault of the toolkit, please report it"
-    )
-
-
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
-
-_LARGEST_SHARD = 10_000
-_SMALLEST_SHARD = 1_000
 
 
 @dataclass(frozen=True)
@@ -154,23 +87,10 @@ class GenerateSpec:
 
     def __post_init__(self) -> None:
         check_fields(self, "the data set's specification")
-        object.__setattr__(self, "scenes", plain_pairs(self.scenes))
-        pairs = isinstance(self.scenes, tuple) and all(
-            isinstance(entry, tuple) and len(entry) == 2 and is_integer(entry[1]) for entry in self.scenes
-        )
-        if not pairs:
-            raise InputError(
-                f"scenes of the data set's specification is {self.scenes!r}; expected an integer for each "
-                "split, such as {'train': 3000, 'test': 300}"
-            )
+        scenes = split_counts(self.scenes, "scenes of the data set's specification", SPLITS, MOST_SCENES)
+        object.__setattr__(self, "scenes", scenes)
         if not isinstance(self.scene, SceneSpec):
             raise InputError(f"scene of the data set's specification is {self.scene!r}; expected a SceneSpec")
-        if len(dict(self.scenes)) < len(self.scenes):
-            raise InputError(f"--scenes is {self.scenes!r}; expected each split once")
-        for split, count in self.scenes:
-            scene_seed(self.seed, split, 0)
-            if not 0 <= count <= MOST_SCENES:
-                raise InputError(f"--scenes of split {split!r} is {count}; expected 0 to {MOST_SCENES:,}")
 
     def rows(self, split: str) -> int:
         """Return how many rows a split has."""
@@ -241,7 +161,7 @@ def count_scenes(spec: SceneSpec, scenes: Sequence[Scene | SceneRow]) -> Accepta
 
 @dataclass(frozen=True)
 class SceneMaking(making.Making):
-    """How scenes are made: drawn by rejection, made solids, proved."""
+    """How scenes are made: drawn by rejection, then made solids."""
 
     spec: GenerateSpec
     kind = KIND
@@ -259,8 +179,8 @@ class SceneMaking(making.Making):
         return making.Layout(
             PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
-            smallest=_SMALLEST_SHARD,
-            largest=_LARGEST_SHARD,
+            smallest=1_000,
+            largest=10_000,
             wanted=48,
             sampled=200,  # a scene takes tens of microseconds: fewer would measure the clock
         )
@@ -270,11 +190,9 @@ class SceneMaking(making.Making):
         return scene_schema(self.spec.scene.class_names)
 
     def make(self, split: str, items: Any) -> list[SceneRow]:
-        """Make the rows and prove them; SamplingExhausted when a scene cannot be made."""
+        """Make the rows; SamplingExhausted when a scene cannot be made."""
         with without_collecting():
-            rows = make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
-            validate_rows(self.spec.scene, rows)
-        return rows
+            return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
 
     def statistics(self, rows: Sequence[SceneRow]) -> Mapping[str, Any]:
         """Count what it took."""
@@ -318,40 +236,19 @@ def generate(
     InputError
         An option cannot be used.
     SamplingExhausted
-        The specification cannot be satisfied. The folder stays as it was, unless shards were finished before.
+        The specification cannot be satisfied. Shards that were finished before stay.
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written. What was finished stays.
     """
-    try:
-        return making.generate(
-            SceneMaking(spec),
-            out,
-            splits,
-            workers=workers,
-            overwrite=overwrite,
-            on_progress=on_progress,
-            require=partial(require_feasible, spec.scene, spec.seed, on_failure),
-        )
-    # The message has to name what stays: the next attempt with other numbers is refused there.
-    except SamplingExhausted as error:
-        so_far = manifest_so_far(DataFolder(os.fspath(out)))
-        if so_far is None or not so_far.shards:
-            raise
-        raise replace(error, kept_in=os.fspath(out)) from error
-
-
-def forecast(
-    spec: GenerateSpec,
-    out: str | os.PathLike[str],
-    splits: Sequence[str],
-    workers: int | Runner,
-    *,
-    overwrite: bool = False,
-    on_failure: LayoutFailed = lambda _failed, _allowed: None,
-) -> Forecast:
-    """Estimate a run of :func:`generate` by making some of its scenes; writes nothing."""
-    require = partial(require_feasible, spec.scene, spec.seed, on_failure)
-    return making.forecast(SceneMaking(spec), out, splits, workers, overwrite=overwrite, require=require)
+    return making.generate(
+        SceneMaking(spec),
+        out,
+        splits,
+        workers=workers,
+        overwrite=overwrite,
+        on_progress=on_progress,
+        require=partial(require_feasible, spec.scene, spec.seed, on_failure),
+    )
 
 
 def scene_recipe(seed: int, per_class: int | None) -> making.Recipe:
@@ -359,5 +256,5 @@ def scene_recipe(seed: int, per_class: int | None) -> making.Recipe:
     most = MOST_SCENES if per_class is None else per_class * len(KIND.class_names)
     scenes = {split: min(size, most) for split, size in PUBLISHED_SIZES}
     sizes = None if per_class is None else ",".join(f"{split}={size}" for split, size in scenes.items())
-    spec = GenerateSpec(scenes=plain_pairs(scenes), seed=seed)
+    spec = GenerateSpec(scenes=tuple(scenes.items()), seed=seed)
     return making.Recipe(SceneMaking(spec), {"scenes": sizes, "seed": seed})

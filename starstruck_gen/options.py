@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from tactile_toolkit.checked_fields import choice, integer, real, text
+from tactile_toolkit.checked_fields import choice, integer, read_split_counts, real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_count, listed
 
@@ -20,25 +20,15 @@ _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs
 _FEWEST_POINTS, _RATIO_OF_FEWEST = 3, 0.25
 
 
-def _counts(words: str) -> tuple[int, ...]:
-    """Read ``1-3`` or ``1,2,5``."""
+def _counts(option: str, words: str) -> tuple[int, ...]:
+    """Read a range such as ``1-3``, or numbers such as ``1,2,5``."""
     least, _, most = (part.strip() for part in words.partition("-"))
     # Bounded here, before a tuple of the range is made; what a cell has room for `SceneSpec` checks.
     if is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
     if not all(map(is_count, listed(words))) or not listed(words):
-        raise InputError(f"--stars is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
+        raise InputError(f"{option} is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
     return tuple(map(int, listed(words)))
-
-
-def _least_and_most(words: str) -> tuple[int, int]:
-    """Read ``0-5``, ``0,5`` or ``5``."""
-    parts = [part.strip() for part in words.replace("-", ",").split(",")]
-    if len(parts) > 2 or not all(map(is_count, parts)):
-        raise InputError(
-            f"--distractors is {words!r}; expected the least and the most such as 0-5, or one number"
-        )
-    return int(parts[0]), int(parts[-1])
 
 
 def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
@@ -58,14 +48,7 @@ def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
 
     if is_count(words.strip()):
         return tuple((split, int(words)) for split in SPLITS)
-    pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
-    for split, equals, count in pairs:
-        if not is_count(count):
-            raise InputError(
-                f"--scenes has {split + equals + count!r}; expected a number, or SPLIT=N such as "
-                "train=3000,test=300"
-            )
-    return tuple((split, int(count)) for split, _, count in pairs)
+    return read_split_counts("--scenes", words)
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,12 +86,17 @@ class SceneOptions:
         from starstruck_gen.shapes import Shape
         from starstruck_gen.spec import SceneSpec
 
+        others = _counts("--distractors", self.distractors)
+        if len(listed(self.distractors)) > 2:
+            raise InputError(
+                f"--distractors is {self.distractors!r}; expected the least and the most such as 0-5"
+            )
         sides_m = _lengths_m("--cell-mm", self.cell_mm, 2)
         shapes = [each for each in _BETWEEN_SHAPES.split(self.shapes) if each.strip()]
         return SceneSpec(
             cell_m=(sides_m[0], sides_m[-1]),
-            stars=_counts(self.stars),
-            distractors=_least_and_most(self.distractors),
+            stars=_counts("--stars", self.stars),
+            distractors=(others[0], others[-1]),
             star=self._star(),
             distractor_shapes=tuple(Shape.parse(each, self.radius_mm / 1e3) for each in shapes),
             heights_m=_lengths_m("--heights-mm", self.heights_mm, 1000),

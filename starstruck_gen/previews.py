@@ -1,17 +1,16 @@
-"""Pictures of scenes: contact sheets, single scenes with their rejected positions, class counts."""
+"""Pictures of scenes: contact sheets, and single scenes with their rejected positions."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from starstruck_gen.dataset import SceneMeshDataset, SceneRecord
 from starstruck_gen.kind import KIND
+from starstruck_gen.loader import SceneMeshDataset, SceneRecord
 from starstruck_gen.placement import Placement, Rejected, build_meshes
 from starstruck_gen.sampling import SceneTrace, scene_rng, trace_scene
 from starstruck_gen.scene import (
@@ -28,21 +27,16 @@ from starstruck_gen.scene import (
 from starstruck_gen.shapes import outline
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.kinds import specification_read
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.pictures.plots import Bars
 from tactile_toolkit.pictures.previews import (
     MeshPreviews,
     PreviewSpec,
-    class_bars,
     draw_by_class,
     draw_two_views,
 )
 from tactile_toolkit.pictures.render import TOP, Body, Picture3d, draw_bodies, fitting_scale
 from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
-from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, plan_kinds
-from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.names import is_remote
+from tactile_toolkit.pictures.writing import PicturePlan, Pixels, plan_kinds
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -65,48 +59,24 @@ _OBJECT = (150, 160, 172)
 def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     """Decide which pictures of a folder or Parquet file of scenes to draw; draws none.
 
-    Kinds are sheet, scene and histogram. InputError as :class:`MeshPreviews`; MissingExtraError where a plot
-    is asked for by name without matplotlib; IntegrityError where the data set is damaged or unfinished.
+    Kinds are sheet and scene. InputError as :class:`MeshPreviews`; IntegrityError where the data set is
+    damaged or unfinished.
     """
-    path = expanded(name)
-    is_here = path.is_dir() or (path.is_file() and path.suffix.lower() == ".parquet")
-    if not is_here and not is_remote(name):
-        found = "is not a Parquet file" if path.exists() else "does not exist"
-        raise InputError(f"{name!r} {found}; expected the folder or a Parquet file of a data set of scenes")
     opened: MeshPreviews[SceneMeshDataset] = MeshPreviews(KIND, name, spec)
     with specification_read(name):
         made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else None
-    known = any(dataset[0].has_placements for dataset in opened.datasets.values())
 
-    def scene(split: str, record: SceneRecord) -> PlannedPicture:
-        view = "with rejected positions" if record.has_placements and made_by is not None else "from above"
-        title = f"Scene {record.id} ({opened.stem}, {split})"
-        return PlannedPicture(
-            f"{opened.stem}-{split}-{record.id}-scene.png",
-            f"scene {record.id} {view}, and obliquely",
-            partial(draw_one, record=record, spec=made_by, title=title),
-        )
+    def sheet_of(rows: SceneMeshDataset, title: str) -> Pixels:
+        return draw_sheet(list(rows), made_by or SceneSpec(), spec.per_class, title)
 
-    def counts(split: str, dataset: SceneMeshDataset) -> list[Bars]:
-        bars = [class_bars(split, dataset, "scenes", "stars")]
-        if dataset[0].has_placements:
-            others = np.bincount(dataset.column("distractor_count"))
-            names = tuple(map(str, range(len(others))))
-            heading = f"{split}: other objects"
-            bars.append(Bars(heading, names, tuple(others.tolist()), "other objects", "scenes"))
-        return bars
+    def one(record: SceneRecord, where: str) -> Pixels:
+        return draw_one(record, made_by, f"Scene {record.id} {where}")
 
     plans = {
-        "sheet": lambda: opened.plan_sheets(
-            lambda rows, title: draw_sheet(list(rows), made_by or SceneSpec(), spec.per_class, title)
-        ),
-        "scene": lambda: [scene(split, each) for split, each in opened.records],
-        "histogram": lambda: opened.plan_histogram(
-            lambda: [bars for split, rows in opened.datasets.items() for bars in counts(split, rows)],
-            " and number of others" if known else "",
-        ),
+        "sheet": lambda: opened.plan_sheets(sheet_of),
+        "scene": lambda: opened.plan_each("scene", "from above and obliquely", one),
     }
-    return plan_kinds(spec.kinds, plans, ("scene",) if spec.ids else ("sheet", "histogram"))
+    return plan_kinds(spec.kinds, plans, ("scene",) if spec.ids else ("sheet",))
 
 
 def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> Pixels:

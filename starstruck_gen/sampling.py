@@ -18,7 +18,6 @@ import numpy as np
 
 from starstruck_gen.placement import COLLISION_TESTS, Clear, Placement, Rejected
 from starstruck_gen.scene import Scene
-from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M
@@ -122,7 +121,6 @@ LayoutFailed = Callable[[int, int], None]
 """Called with how many layouts of a scene have failed, and how many are allowed."""
 
 _LOCAL = threading.local()
-_ROUNDING = 1e-9
 _RECENT_LAYOUTS = 10
 _INFEASIBLE_DEVIATIONS = 8.0
 
@@ -233,29 +231,8 @@ def require_feasible(
 
     Trying can take long, so ``on_failure`` is called after each layout that failed. Raises SamplingExhausted.
     """
-    # Without a single position tried: by the area alone.
-    most = most_objects_that_fit(spec)
-    if spec.most_objects > most:
-        shape = spec.star if most < spec.stars[-1] else spec.distractor_shapes[0]
-        raise SamplingExhausted(shape.name, most + 1, spec.most_objects, 0, 0, _area_mm(spec), most=most)
     fullest = replace(spec, stars=spec.stars[-1:], distractors=spec.distractors[-1:] * 2)
     rejection_sampling(fullest, scene_rng(seed).random, None, on_failure=on_failure)
-
-
-def most_objects_that_fit(spec: SceneSpec) -> int:
-    """Return a number of objects that no scene of a specification can exceed; the true one may be smaller."""
-    shapes = (spec.star, *(spec.distractor_shapes if spec.distractors[1] else ()))
-    if spec.collision == "circles":
-        # Circles of at least one size are held apart as their centres are: of points at least d apart, a
-        # convex area A with perimeter P holds at most 2 A / (sqrt(3) d^2) + P / (2 d) + 1 (Oler 1961).
-        width_m, depth_m = (2 * half for half in spec.half_area_m)
-        apart_m = 2 * min(shape.radius_m for shape in shapes) + spec.clearance_m
-        inner = 2 * width_m * depth_m / (math.sqrt(3) * apart_m**2)
-        return math.floor(inner + (width_m + depth_m) / apart_m + 1 + _ROUNDING)
-    # Outlines that must not meet take at least their own areas from the cell.
-    width_m, depth_m = (2 * (half + spec.largest_radius_m) for half in spec.half_area_m)
-    sizes_m2 = [prism(shape.key).area * shape.radius_m**2 for shape in (spec.star, *spec.distractor_shapes)]
-    return math.floor(width_m * depth_m / min(sizes_m2) + _ROUNDING)
 
 
 def is_infeasible(reached: list[int], objects: int) -> bool:
@@ -329,14 +306,16 @@ def rejection_sampling(
             return Scene(star_count, tuple(placed), tuple(attempts), len(reached))
         reached.append(len(placed))
         on_failure(len(reached), spec.restarts + 1)
-    failed, restarts = reached[-1], len(reached) - 1
-    infeasible = is_infeasible(reached, len(shapes))
-    counts = (failed + 1, len(shapes), spec.attempts, restarts)
-    raise SamplingExhausted(shapes[failed].name, *counts, _area_mm(spec), infeasible=infeasible)
-
-
-def _area_mm(spec: SceneSpec) -> tuple[float, float]:
-    return (2 * MM_PER_M * spec.half_area_m[0], 2 * MM_PER_M * spec.half_area_m[1])
+    failed = reached[-1]
+    raise SamplingExhausted(
+        shapes[failed].name,
+        failed + 1,
+        len(shapes),
+        spec.attempts,
+        len(reached) - 1,
+        (2 * MM_PER_M * half_x_m, 2 * MM_PER_M * half_y_m),
+        infeasible=is_infeasible(reached, len(shapes)),
+    )
 
 
 def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
@@ -358,11 +337,6 @@ class SamplingExhausted(InputError):  # noqa: N818
         Positions tried for it in one layout, and how often the scene was started over.
     area_mm : tuple of float
         Width and height of the area in which centres may lie.
-    kept_in : str
-        Folder in which shards finished before stay; empty where there are none.
-    most : int
-        How many objects can stand that far apart in that area at most, where that was computed beforehand
-        and nothing was tried; 0 where positions were tried.
     infeasible : bool
         Whether trying ended before all restarts were used, because no layout came near.
     """
@@ -373,8 +347,6 @@ class SamplingExhausted(InputError):  # noqa: N818
     attempts: int
     restarts: int
     area_mm: tuple[float, float]
-    kept_in: str = ""
-    most: int = 0
     infeasible: bool = False
 
     def __post_init__(self) -> None:
@@ -389,24 +361,18 @@ class SamplingExhausted(InputError):  # noqa: N818
         return self.infeasible
 
     def __str__(self) -> str:
-        kept = elsewhere = patience = ""
-        if self.kept_in:
-            kept = f"; shards finished before stay in {self.kept_in!r}"
-            elsewhere = ", and choose another --out or --overwrite"
-        if self.most:
-            story = f"there is room for at most {self.most} of that size, however they are placed"
+        near = patience = ""
+        if self.infeasible:
+            near = "; no layout came near"
         else:
-            story = (
-                f"{self.attempts} attempts failed, and the scene was started over {self.restarts} times "
-                "(restarts)"
-            )
-            if self.infeasible:
-                story += "; no layout came near"
-            else:
-                patience = ", or in Python raise attempts or restarts of SceneSpec"
-        return (
-            f"no place for object {self.number} of {self.objects} (a {self.shape}): {story}; centres "
-            f"may lie in {self.area_mm[0]:g} x {self.area_mm[1]:g} mm{kept}; next: lower the most --stars or "
-            "--distractors (stars, distractors), --clearance-mm (clearance_m) or --radius-mm (radius_m of a "
-            f"shape), or raise --cell-mm (cell_m){patience}{elsewhere}"
+            patience = ", or in Python raise attempts or restarts of SceneSpec"
+        what = (
+            f"no place for object {self.number} of {self.objects} (a {self.shape}): {self.attempts} attempts "
+            f"failed, and the scene was started over {self.restarts} times (restarts){near}; centres may lie "
+            f"in {self.area_mm[0]:g} x {self.area_mm[1]:g} mm"
         )
+        change = (
+            "lower the most --stars or --distractors (stars, distractors), --clearance-mm (clearance_m) or "
+            f"--radius-mm (radius_m of a shape), or raise --cell-mm (cell_m){patience}"
+        )
+        return str(InputError(what, next=change))

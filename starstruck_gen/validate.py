@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from starstruck_gen.dataset import SceneRecord
 from starstruck_gen.kind import KIND
+from starstruck_gen.loader import SceneRecord
 from starstruck_gen.placement import build_meshes
 from starstruck_gen.shapes import KINDS, Proportions, add_kind
 from starstruck_gen.solid import own_kinds

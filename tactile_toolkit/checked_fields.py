@@ -13,7 +13,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Any, TypedDict, Unpack
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_integer, plain, plain_number
+from tactile_toolkit.wording import is_count, is_integer, plain, plain_number, plain_pairs
 
 _RULE = "rule"
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
@@ -158,3 +158,26 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
         bounds = f"from {least}" if most is None else f"from {least} to {most:,}"
         raise InputError(f"{name} is {value!r}; expected an integer {bounds}")
     return int(number)
+
+
+def split_counts(value: Any, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:
+    """Return how many of something each split has, of a mapping or of pairs; InputError for anything else."""
+    pairs = plain_pairs(value)
+    fits = isinstance(pairs, tuple) and all(
+        isinstance(pair, tuple) and len(pair) == 2 and pair[0] in splits and is_integer(pair[1])
+        for pair in pairs
+    )
+    if not fits or len(dict(pairs)) < len(pairs) or not all(0 <= count <= most for _, count in pairs):
+        raise InputError(
+            f"{name} is {value!r}; expected each of {', '.join(splits)} once at most, with an integer from 0 "
+            f"to {most:,}, such as {{{splits[0]!r}: 8}}"
+        )
+    return tuple(pairs)
+
+
+def read_split_counts(option: str, words: str) -> tuple[tuple[str, int], ...]:
+    """Read ``train=8,test=2``; which splits there are is checked by :func:`split_counts`."""
+    pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
+    if not all(is_count(count) for _, _, count in pairs):
+        raise InputError(f"{option} is {words!r}; expected SPLIT=N once per split, such as train=8,test=2")
+    return tuple((split, int(count)) for split, _, count in pairs)

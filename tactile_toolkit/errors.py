@@ -131,13 +131,15 @@ class ItemError(InputError):
     reason : str
         A short, stable word for tables and manifests, such as ``"no-ink"``.
     message : str
-        The whole story: what, where, found, expected.
+        What was found where, and what was expected.
+    next : str
+        What the reader can do about it.
     """
 
-    def __init__(self, reason: str, message: str) -> None:
-        super().__init__(message)
+    def __init__(self, reason: str, message: str, next: str = "") -> None:
+        super().__init__(message, next)
         self.reason = reason
-        self.args = (reason, message)
+        self.args = (reason, self.message)
 
 
 class IntegrityError(ToolkitError):

@@ -41,7 +41,7 @@ os.fsync = lambda _handle: None
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-_EXTRAS = ("browser", "env", "pictures", "ray", "s3", "sim", "simulators", "slicer", "torch")
+_EXTRAS = ("browser", "env", "ray", "s3", "sim", "simulators", "slicer", "torch")
 
 
 _LONG = ("test_readme.py", "test_ray.py", "test_damage.py")

@@ -72,7 +72,7 @@ for package in {PACKAGES!r}:
 print(json.dumps(imported))
 """
     imported = json.loads(hidden(tmp_path, code, functions=False).splitlines()[-1])
-    assert {"tactile_toolkit.store.files", "cli.application", "mnist3d.generation"} <= set(imported)
+    assert {"tactile_toolkit.store.files", "cli.application", "mnist3d.make"} <= set(imported)
     assert set(PACKAGES) <= set(imported)
 
 

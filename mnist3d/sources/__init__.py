@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.errors import ItemError
+
 __all__ = ["NO_WRITER", "DigitCatalog", "DigitImage", "DigitSource"]
 
 NO_WRITER = -1
@@ -93,3 +95,9 @@ class DigitSource(Protocol):
             continues.
         """
         ...
+
+
+def require_known(digit_id: int, count: int, where: str) -> None:
+    """Refuse an id that a source of so many digits does not have, with an ItemError."""
+    if not 0 <= digit_id < count:
+        raise ItemError("unknown-id", f"{where}: found id {digit_id}, expected 0 to {count - 1}")

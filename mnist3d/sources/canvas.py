@@ -35,18 +35,16 @@ def as_grey(values: NDArray[Any], full_scale: float, where: str) -> NDArray[np.u
     """
     if values.dtype == np.uint8 and full_scale == _PAPER:
         return np.array(values, order="C")
-    next_step = "next: repair or rescale this image in the file, or leave it out"
+    next_step = "repair or rescale this image in the file, or leave it out"
     if values.dtype.kind == "f" and not np.isfinite(values).all():
-        reason, count = "not-finite", int(np.count_nonzero(~np.isfinite(values)))
-        raise ItemError(
-            reason,
-            f"{where}: found {count} pixels that are NaN or infinite, expected finite levels; {next_step}",
-        )
+        count = int(np.count_nonzero(~np.isfinite(values)))
+        found = f"{where}: found {count} pixels that are NaN or infinite, expected finite levels"
+        raise ItemError("not-finite", found, next=next_step)
     low, high = float(values.min()), float(values.max())
     slack = full_scale * _HALF_LEVEL
     if low < -slack or high > full_scale + slack:
-        reason, found = "bad-pixels", f"pixels from {low:g} to {high:g}, expected 0 to {full_scale:g}"
-        raise ItemError(reason, f"{where}: found {found}; {next_step}")
+        found = f"{where}: found pixels from {low:g} to {high:g}, expected 0 to {full_scale:g}"
+        raise ItemError("bad-pixels", found, next=next_step)
     if values.dtype.kind in "iu" and full_scale == _PAPER:
         return values.astype(np.uint8, order="C")
     levels = np.rint(values.astype(np.float64) * (_PAPER / full_scale))

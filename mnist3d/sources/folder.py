@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d.ink import margin, otsu_threshold, paper_is_dark
-from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
+from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.canvas import as_grey, fit
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, ItemError
@@ -85,9 +85,7 @@ class FolderSource:
         Raises ItemError ``"unknown-id"``, or one of the reasons of :func:`read_picture`.
         """
         pictures = self._pictures()
-        if not 0 <= digit_id < len(pictures):
-            reason, last = "unknown-id", len(pictures) - 1
-            raise ItemError(reason, f"{self.root}: no picture {digit_id}, expected 0 to {last}")
+        require_known(digit_id, len(pictures), self.root)
         picture = pictures[digit_id]
         pixels = fit(read_picture(Path(self.root, picture.name), self.ink))
         return DigitImage(digit_id, picture.label, pixels, picture.writer)
@@ -142,22 +140,18 @@ def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
         ) from error
     for path in visible:
         name, is_sorted = path.relative_to(base).as_posix(), path.parent != base
-        if path.is_dir() and (is_sorted or path.name not in _DIGITS):
-            raise InputError(
-                f"{root}: found the folder {name!r}, expected only folders named 0 to 9, of pictures alone",
-                next="rename it or move it away",
-            )
-        if path.is_dir() or path.suffix.lower() not in _SUFFIXES:
-            continue
         label, writer = _LABEL.search(path.name), _WRITER.search(path.name)
-        if not is_sorted and label is None:
+        is_picture = path.suffix.lower() in _SUFFIXES and not path.is_dir()
+        is_unsorted = is_picture and not is_sorted and label is None
+        if is_unsorted or (path.is_dir() and (is_sorted or path.name not in _DIGITS)):
             raise InputError(
-                f"{root}: found {name!r}, a picture without a digit in its name, expected names with "
-                "label<digit> such as a_label7_b.png",
-                next="rename it or sort it into a folder named 0 to 9",
+                f"{root}: found {name!r}, expected pictures in folders named 0 to 9, or with label<digit> in "
+                "their names such as a_label7_b.png",
+                next="rename it, sort it into such a folder or move it away",
             )
-        digit = path.parent.name if is_sorted or label is None else label[1]
-        found.append(_Picture(int(digit), name, int(writer[1]) if writer else NO_WRITER))
+        if is_picture:
+            digit = path.parent.name if is_sorted or label is None else label[1]
+            found.append(_Picture(int(digit), name, int(writer[1]) if writer else NO_WRITER))
     if not found:
         raise InputError(
             f"{root}: found no picture, expected {root}/<digit>/*.png (or jpg, tif, ...), digits 0 to 9",
@@ -221,11 +215,11 @@ def _decoded(path: Path) -> Image:
         return upright.convert("L" if upright.mode in ("1", "L") else "RGB")
     # Decoders of broken files raise whatever comes: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:
-        reason = "unreadable"
         raise ItemError(
-            reason,
+            "unreadable",
             f"{path}: cannot be read as a picture ({type(error).__name__}: {error}), expected an intact "
-            "image file; next: replace or remove it",
+            "image file",
+            next="replace or remove it",
         ) from error
 
 

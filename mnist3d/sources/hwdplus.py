@@ -12,9 +12,9 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
+from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.canvas import as_grey, fit
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError
 
 _SCALE_SAMPLE = 16
 _FINGERPRINT_SAMPLE = 64
@@ -75,9 +75,7 @@ class HwdPlusSource:
         """
         stack, (labels, writers) = self._stack(), self._people()
         where = f"{self.images}, row {digit_id}"
-        if not 0 <= digit_id < min(len(stack), len(labels)):
-            reason = "unknown-id"
-            raise ItemError(reason, f"{where}: no such image, expected rows 0 to {len(stack) - 1}")
+        require_known(digit_id, min(len(stack), len(labels)), self.images)
         full_scale = _full_scale(self.images, _stamp(self.images))
         pixels = fit(as_grey(np.array(stack[digit_id]), full_scale, where))
         return DigitImage(digit_id, int(labels[digit_id]), pixels, int(writers[digit_id]))
@@ -116,7 +114,6 @@ class HwdPlusSource:
         )
 
     def _people(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        open_npy(self.writer_info)  # names what is wrong with the file
         return _labels_and_writers(self.writer_info, _stamp(self.writer_info), self.writer_column)
 
 
@@ -165,27 +162,22 @@ def _labels_and_writers(
 
 def _int_column(table: NDArray[Any], column: int, path: str, most: float = np.inf) -> NDArray[np.int64]:
     """Return a column of numbers, or strings of them, as integers; a digit is at most 9 and at least 0."""
-    cells, least = table[:, column], 0 if most == 9 else -np.inf
-    numbers = np.array([_number(cell) for cell in cells]) if cells.dtype.kind in "US" else cells.astype(float)
+    expected = "a digit from 0 to 9" if most == 9 else "an integer"
+    next_step = "check that this file belongs to the images and is not damaged"
+    try:
+        numbers = table[:, column].astype(np.float64)
+    except ValueError as error:  # names the text
+        raise InputError(f"{path}: column {column}: {error}, expected {expected}", next=next_step) from error
     # From 2**53 on floats are not distinct for all integers.
-    fits = (
-        (np.rint(numbers) == numbers) & (np.abs(numbers) < 2.0**53) & (numbers >= least) & (numbers <= most)
-    )
+    fits = (np.rint(numbers) == numbers) & (np.abs(numbers) < 2.0**53)
+    fits &= (most > 9) | ((numbers >= 0) & (numbers <= most))
     if not fits.all():
-        row = int(np.argmin(fits))
-        expected = "a digit from 0 to 9" if most == 9 else "an integer"
+        found = table[int(np.argmin(fits)), column].item()
         raise InputError(
-            f"{path}: row {row}, column {column}: found {cells[row].item()!r}, expected {expected}",
-            next="check that this file belongs to the images and is not damaged",
+            f"{path}: row {np.argmin(fits)}, column {column}: found {found!r}, expected {expected}",
+            next=next_step,
         )
     return numbers.astype(np.int64)
-
-
-def _number(cell: str | bytes) -> float:
-    try:
-        return float(cell)
-    except ValueError:
-        return np.nan
 
 
 def open_npy(path: str) -> NDArray[Any]:
@@ -208,6 +200,9 @@ def open_npy(path: str) -> NDArray[Any]:
 
 
 def _stamp(path: str) -> tuple[int, int]:
-    """Return size and time of change, by which caches recognise a file that was replaced."""
-    status = Path(path).stat()
+    """Return size and time of change, by which caches recognise a replaced file; 0 of a missing one."""
+    try:
+        status = Path(path).stat()
+    except OSError:
+        return 0, 0
     return status.st_size, status.st_mtime_ns

@@ -15,15 +15,14 @@ from itertools import product
 from math import prod
 from pathlib import Path
 from typing import ClassVar
-from urllib.error import URLError
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage
+from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.canvas import SIDE_PX, enlarge
 from tactile_toolkit.bounds import require_unpackable
-from tactile_toolkit.errors import HubError, InputError, ItemError, MissingExtraError, StorageError
+from tactile_toolkit.errors import HubError, InputError, needs_extra
 
 IMAGES_MAGIC = 0x803
 """First number of a file of images: unsigned bytes (8) in three dimensions (3)."""
@@ -32,7 +31,6 @@ LABELS_MAGIC = 0x801
 """First number of a file of labels: unsigned bytes (8) in one dimension (1)."""
 
 _PREFIXES = {"train": "train", "test": "t10k"}
-_FOLDERS = (".", "MNIST/raw", "raw")
 _KINDS = {"images": "idx3-ubyte", "labels": "idx1-ubyte"}
 
 Part = tuple[NDArray[np.uint8], NDArray[np.uint8]]
@@ -81,14 +79,14 @@ class MnistSource:
 
         Raises ItemError ``"unknown-id"`` when no digit has the id.
         """
+        parts = self._parts()
+        require_known(digit_id, sum(len(images) for images, _ in parts), self.root)
         index = digit_id
-        for images, labels in self._parts():
-            if 0 <= index < len(images):
-                pixels = enlarge(255 - images[index], (SIDE_PX, SIDE_PX))
-                return DigitImage(digit_id, int(labels[index]), pixels)
-            index -= len(images)
-        reason, last = "unknown-id", digit_id - index - 1
-        raise ItemError(reason, f"{self.root}: no digit {digit_id}, expected 0 to {last}")
+        while index >= len(parts[0][0]):
+            index -= len(parts.pop(0)[0])
+        images, labels = parts[0]
+        pixels = enlarge(255 - images[index], (SIDE_PX, SIDE_PX))
+        return DigitImage(digit_id, int(labels[index]), pixels)
 
     def fingerprint(self) -> dict[str, object]:
         """Return count and SHA-256 of the unpacked images and labels of each part.
@@ -138,39 +136,29 @@ class MnistSource:
 def download_mnist(root: str) -> None:
     """Fetch the four files of MNIST into ``root/MNIST/raw`` with torchvision, unless they are in `root`.
 
-    Raises MissingExtraError without torchvision, HubError when the servers cannot be reached or send damaged
-    files, and StorageError when the folder cannot be written.
+    Raises MissingExtraError without torchvision, and HubError when the servers cannot be reached or send
+    damaged files, or the folder cannot be written.
     """
     if all(_find(root, prefix, kind) for prefix, kind in product(_PREFIXES.values(), _KINDS)):
         return
-    try:
+    with needs_extra("Downloading MNIST", "torchvision", "torch"):
         from torchvision.datasets import MNIST
-    except ImportError:
-        feature = "Downloading MNIST"
-        raise MissingExtraError(feature, "torchvision", "torch") from None
     try:
         # torchvision writes to stdout, which belongs to the results of a command.
         with redirect_stdout(sys.stderr):
             MNIST(root, download=True)
-    except (RuntimeError, HTTPException, URLError, TimeoutError, ConnectionError, EOFError) as error:
+    except (RuntimeError, HTTPException, EOFError, OSError) as error:
         raise HubError(
-            f"MNIST could not be downloaded ({' '.join(str(error).split())}), expected its four files from "
-            f"{list(MNIST.mirrors)}",
-            next="check the network and try again, or copy the files into the folder",
-        ) from error
-    except OSError as error:
-        raise StorageError(
-            f"{root}: MNIST could not be stored there ({error.strerror or error}), expected a folder that "
-            "can be written, with 70 MB of room",
-            next="make room or choose another folder",
+            f"MNIST could not be downloaded to {root} ({' '.join(str(error).split())}), expected its four "
+            f"files from {list(MNIST.mirrors)}, and a folder with 70 MB of room",
+            next="check network and folder and try again, or copy the files into the folder",
         ) from error
 
 
 def _find(root: str, prefix: str, kind: str) -> Path | None:
     names = [f"{prefix}-{kind}{mark}{_KINDS[kind]}{end}" for mark, end in product("-.", ("", ".gz"))]
     # Some archives unpack each file into a folder of the file's own name.
-    paths = [Path(root, folder, name) for folder, name in product(_FOLDERS, names)]
-    paths += [Path(root, name, name) for name in names]
+    paths = [Path(root, folder, name) for name in names for folder in (".", "MNIST/raw", "raw", name)]
     return next((path for path in paths if path.is_file()), None)
 
 

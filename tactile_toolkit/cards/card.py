@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import io
 import re
+import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from importlib.resources import files
 from itertools import islice
 from string import Template
@@ -169,7 +169,17 @@ def _table_sheet(facts: FolderFacts, *, is_glb: bool) -> bytes | None:
             vertices_m, faces = row.array(VERTICES), row.array(FACES)
         pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)
         tiles.append(Tile(relief(vertices_m, faces, pitch_m)))
-    return png_bytes(sheet(tiles, Sheet(5, margin_px=8))) if tiles else None
+    return tiles_png(tiles, 5)
+
+
+def tiles_png(tiles: Sequence[Tile], columns: int) -> bytes | None:
+    """Lay pictures out for a card, as PNG; None without any."""
+    return png_bytes(sheet(tiles, Sheet(columns, margin_px=8))) if tiles else None
+
+
+def card_words(file: str) -> dict[str, Any]:
+    """Read a file of ``data_cards`` with words that fill its templates."""
+    return tomllib.loads(files("data_cards").joinpath(file).read_text(encoding="utf-8"))
 
 
 def split_table(facts: FolderFacts, nouns: str, figures: Mapping[str, Sequence[object]]) -> str:
@@ -213,7 +223,7 @@ def write_card_files(
     body = printable(render_card(template, {**common, **values}), keep="\n")
     text = head_text(card_head(facts, **head)) + "\n" + body
     _write_changed(folder, CARD_FILE, text.encode())
-    _write_changed(folder, CROISSANT_FILE, croissant_text(folder, facts, manifest, head, body).encode())
+    _write_changed(folder, CROISSANT_FILE, croissant_text(facts, manifest, head, body).encode())
 
 
 def _write_changed(folder: DataFolder, path: str, content: bytes) -> None:
@@ -225,14 +235,6 @@ def render_card(template: str, values: Mapping[str, str]) -> str:
     """Fill a template of ``data_cards``; KeyError where a placeholder has no value: no gap in a card."""
     text = files("data_cards").joinpath(template).read_text(encoding="utf-8")
     return Template(text).substitute(values)
-
-
-@cache
-def placeholders() -> frozenset[str]:
-    """Return the names of what is filled in, over all templates of ``data_cards``."""
-    templates = (entry for entry in files("data_cards").iterdir() if entry.name.endswith(".md"))
-    texts = (entry.read_text(encoding="utf-8") for entry in templates)
-    return frozenset(name for text in texts for name in Template(text).get_identifiers())
 
 
 def addressed(card: str, name: str) -> str:

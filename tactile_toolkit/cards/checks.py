@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 from posixpath import normpath
 from typing import Any
 
-from tactile_toolkit.cards.card import CARD_FILE, placeholders
+from tactile_toolkit.cards.card import CARD_FILE
 from tactile_toolkit.cards.croissant import check_croissant
 from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts
 from tactile_toolkit.errors import ToolkitError
@@ -20,9 +20,6 @@ from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.shards import Finding
 
 _GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
-_DOLLAR = re.compile(r"\$(?:(?P<bare>[a-z_]\w*)|\{(?P<braced>[a-z_]\w*)\})")
-# Code may have variables of its own, some of which are called like placeholders.
-_CODE = re.compile(r"```.*?```|`[^`\n]+`", re.DOTALL)
 _PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
 _MOST_SHOWN = 300
 # YAML gives values of any type in any place.
@@ -55,14 +52,16 @@ def check_card(
         head = DatasetCard(text).data.to_dict()  # type: ignore[no-untyped-call]
         facts = folder_facts(folder, manifest)
         problems = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
-        problems += [*_contradictions(head, facts), *_gaps(text)]
+        problems += _contradictions(head, facts)
+        gaps = dict.fromkeys(match[0] for match in _GAPS.finditer(text))
+        problems += [f"reads {gap!r}; expected every gap filled" for gap in gaps]
     except ToolkitError as error:
         return [Finding(CARD_FILE, f"cannot be compared with the data: {error}")]
     except (*_UNREADABLE, yaml.YAMLError) as error:
         first_line = next(iter(str(error).splitlines()), type(error).__name__)
         return [Finding(CARD_FILE, f"its YAML head cannot be read: {first_line}")]
     found = [*(Finding(CARD_FILE, problem) for problem in problems), *_pictures(folder, text, held)]
-    return [*found, *(check_croissant(folder, facts, manifest) if is_stored else ())]
+    return [*found, *(check_croissant(folder, facts) if is_stored else ())]
 
 
 def _contradictions(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
@@ -110,14 +109,6 @@ def _shown(value: Any) -> str:
     short = reprlib.Repr()
     short.maxstring = short.maxother = _MOST_SHOWN
     return short.repr(value)[:_MOST_SHOWN]
-
-
-def _gaps(text: str) -> Iterator[str]:
-    names = placeholders()
-    dollars = _DOLLAR.finditer(_CODE.sub("", text))
-    left = [match[0] for match in dollars if (match["bare"] or match["braced"]) in names]
-    for gap in dict.fromkeys([*(match[0] for match in _GAPS.finditer(text)), *left]):
-        yield f"reads {gap!r}; expected every gap filled"
 
 
 def _pictures(folder: DataFolder, text: str, held: Collection[str] | None) -> Iterator[Finding]:

@@ -1,30 +1,25 @@
 """``croissant.json``: a data set folder as machines read it, in Croissant 1.1 with its responsible-AI terms.
 
-All of it follows from the card, the manifest and the columns. A split is one set of files and one set of
-records, however many shards it has; what proves the shards is the manifest, whose own digest stands here.
+All of it follows from the card and the columns. A split is one set of files and one set of records, however
+many shards it has; what proves the shards is the manifest.
 """
 
 from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
-from mimetypes import guess_type
 from typing import Any
 
 from tactile_toolkit.cards.facts import FolderFacts, configs
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
-from tactile_toolkit.store.parquet import sha256_hex
-from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.shards import Finding
 from tactile_toolkit.wording import counted, printable_json
 
 CROISSANT_FILE = "croissant.json"
-
-# Up to so many shards are listed with their digests; of more, those in the manifest must do.
-_MOST_SHARDS_NAMED = 64
 
 _PARQUET = "application/x-parquet"
 _NUMBERS = re.compile(r"(?:u?int(?:8|16|32|64)|float(?:16|32|64))")
@@ -45,9 +40,7 @@ _REPOSITORY = "repository"
 _GIT_HAS_NO_DIGEST = "https://github.com/mlcommons/croissant/issues/80"
 
 
-def croissant_text(
-    folder: DataFolder, facts: FolderFacts, manifest: Manifest | None, head: Mapping[str, Any], body: str
-) -> str:
+def croissant_text(facts: FolderFacts, manifest: Manifest | None, head: Mapping[str, Any], body: str) -> str:
     """Return the text for a folder; ``head`` and ``body`` are those of its card, which people read."""
     citation = _BIBTEX.search(body)
     licence = str(head["license"])
@@ -68,23 +61,10 @@ def croissant_text(
         "rai:dataUseCases": list(head["task_categories"]),
         "rai:dataLimitations": _section(body, "Known limits"),
         **({"citeAs": citation[1].strip()} if citation else {}),
-        **(_of_manifest(manifest) if manifest is not None else {}),
-        **_structure(folder, facts, manifest),
+        **({"version": manifest.toolkit_version} if manifest is not None else {}),
+        **_structure(facts),
     }
     return printable_json(values) + "\n"
-
-
-def _of_manifest(manifest: Manifest) -> dict[str, Any]:
-    skipped = [f"{count:,} left out: {reason}" for reason, count in manifest.skipped_reasons().items()]
-    libraries = ", ".join(f"{name} {version}" for name, version in sorted(manifest.libraries.items()))
-    return {
-        "version": manifest.toolkit_version,
-        "rai:dataCollectionMissingData": "; ".join(skipped) or "nothing was left out",
-        "rai:dataPreprocessingProtocol": [
-            f"made by tactile-toolkit {manifest.toolkit_version}{f' with {libraries}' if libraries else ''}",
-            f"the full specification, with seeds and fingerprints of sources, is 'spec' in {MANIFEST_FILE}",
-        ],
-    }
 
 
 def _section(body: str, title: str) -> list[str]:
@@ -95,26 +75,19 @@ def _section(body: str, title: str) -> list[str]:
     return [" ".join(line.split()) for line in plain if line.strip(": ")]
 
 
-def _structure(
-    folder: DataFolder,
-    facts: FolderFacts,
-    manifest: Manifest | None,
-    page: str | None = None,
-    others: Sequence[str] = (),
-) -> dict[str, Any]:
-    """Return what follows from files and columns alone; a repository has a ``page``."""
+def _structure(facts: FolderFacts, page: str | None = None, others: Sequence[str] = ()) -> dict[str, Any]:
+    """Return what follows from files and columns alone; a repository has a ``page``, and ``others`` in it."""
     includes = {entry["split"]: entry["path"] for entry in configs(facts, others)[0]["data_files"]}
-    files = [*_file_objects(folder, manifest)]
-    for split in facts.splits:
-        files.append(
-            {
-                "@type": "cr:FileSet",
-                "@id": f"files-{split.split}",
-                "description": f"{counted(split.rows, 'rows')} in {counted(len(split.paths), 'files')}",
-                "encodingFormat": _PARQUET,
-                "includes": includes[split.split],
-            }
-        )
+    files: list[dict[str, Any]] = [
+        {
+            "@type": "cr:FileSet",
+            "@id": f"files-{split.split}",
+            "description": f"{counted(split.rows, 'rows')} in {counted(len(split.paths), 'files')}",
+            "encodingFormat": _PARQUET,
+            "includes": includes[split.split],
+        }
+        for split in facts.splits
+    ]
     if page is not None:
         repository = {
             "@type": "cr:FileObject",
@@ -126,38 +99,6 @@ def _structure(
         files = [repository, *({**each, "containedIn": {"@id": _REPOSITORY}} for each in files)]
     record_sets = [_record_set(split.split, facts.features) for split in facts.splits]
     return {"distribution": files, "recordSet": record_sets}
-
-
-def _file_objects(folder: DataFolder, manifest: Manifest | None) -> Iterator[dict[str, Any]]:
-    if manifest is None:
-        return
-    digests = {MANIFEST_FILE: _manifest_digest(folder, manifest)}
-    shown = f"{VIEWER_FOLDER}/"  # of the Hub's page: it says nothing that the shards do not
-    digests |= {
-        path: each for path, each in sorted((manifest.files or {}).items()) if not path.startswith(shown)
-    }
-    if len(manifest.shards) <= _MOST_SHARDS_NAMED:
-        digests |= {record.shard.data_path: record.sha256 for record in manifest.shards}
-    for path, digest in digests.items():
-        guessed = _PARQUET if path.endswith(".parquet") else guess_type(path)[0]
-        yield {
-            "@type": "cr:FileObject",
-            "@id": path,
-            "contentUrl": path,
-            "encodingFormat": guessed or "application/octet-stream",
-            "sha256": digest,
-        }
-
-
-def _manifest_digest(folder: DataFolder, manifest: Manifest) -> str:
-    """Return the digest of the manifest as it lies there, or as it is about to be written."""
-    text = manifest.to_json().encode()
-    if folder.exists(MANIFEST_FILE):
-        stored = folder.read_bytes(MANIFEST_FILE)
-        # Others may have laid out the same values in another way, and then the file is left as it is.
-        if stored == text or read_manifest(folder) == manifest:
-            return sha256_hex(stored)
-    return sha256_hex(text)
 
 
 def _record_set(split: str, features: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -221,12 +162,7 @@ def _unpacked(entry: Any) -> tuple[list[int], Any]:
 
 
 def croissant_again(
-    text: str,
-    folder: DataFolder,
-    facts: FolderFacts,
-    manifest: Manifest | None,
-    page: str | None = None,
-    others: Sequence[str] = (),
+    text: str, facts: FolderFacts, page: str | None = None, others: Sequence[str] = ()
 ) -> str:
     """Return the text again for a folder that has other files by now, or for the ``page`` of a repository.
 
@@ -237,23 +173,22 @@ def croissant_again(
         raise ValueError("not a JSON object")
     # That of the repository that a folder came from, of which it may be a part only.
     values.pop("url", None)
-    structure = _structure(folder, facts, manifest, page, others)
-    return printable_json({**values, **structure, **({} if page is None else {"url": page})}) + "\n"
+    url = {} if page is None else {"url": page}
+    return printable_json({**values, **_structure(facts, page, others), **url}) + "\n"
 
 
-def check_croissant(folder: DataFolder, facts: FolderFacts, manifest: Manifest | None) -> list[Finding]:
-    """List what of the file is not as the folder is; nothing without the file."""
+def check_croissant(folder: DataFolder, facts: FolderFacts) -> list[Finding]:
+    """List what of the file is not as the folder is; none where there is no such file."""
     if not folder.exists(CROISSANT_FILE):
         return []  # data sets made before there was one
     try:
         stated = json.loads(folder.read_bytes(CROISSANT_FILE).decode())
-        expected = _structure(folder, facts, manifest, stated.get("url"))
-        wrong = [
-            f"its {name!r} is not that of the files here"
-            for name in expected
-            if stated.get(name) != expected[name]
-        ]
-    except (ValueError, AttributeError, RecursionError, ToolkitError) as error:
+        expected = _structure(facts, stated.get("url"))
+        for each in (stated, expected):  # earlier versions listed single files too
+            each["distribution"] = [entry for entry in each["distribution"] if "includes" in entry]
+        differing = [name for name in expected if stated[name] != expected[name]]
+        wrong = [f"its {name!r} is not that of the files here" for name in differing]
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError, ToolkitError) as error:
         wrong = [f"cannot be read as a JSON object ({error})"]
     return [
         Finding(CROISSANT_FILE, f"{each}; next: write it again with the command `card`") for each in wrong

@@ -346,7 +346,7 @@ def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest |
     with contextlib.suppress(ToolkitError, ValueError, RecursionError):
         if CROISSANT_FILE in contents and manifest is not None:
             facts = folder_facts(folder, fitted)
-            again = croissant_again(contents[CROISSANT_FILE].decode(), folder, facts, fitted)
+            again = croissant_again(contents[CROISSANT_FILE].decode(), facts)
             contents[CROISSANT_FILE] = again.encode()
     for path in (CARD_FILE, CROISSANT_FILE):
         if path in contents:

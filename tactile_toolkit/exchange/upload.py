@@ -368,7 +368,7 @@ def _files_to_send(
     rendered = {CARD_FILE: text.encode(), MANIFEST_FILE: described}
     if CROISSANT_FILE in paths:
         stored = place.read_bytes(CROISSANT_FILE).decode()
-        described_again = croissant_again(stored, place, facts, manifest, target.page, others)
+        described_again = croissant_again(stored, facts, target.page, others)
         rendered[CROISSANT_FILE] = described_again.encode()
     for path, content in rendered.items():
         (scratch / path).write_bytes(content)

@@ -12,7 +12,7 @@ import re
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +22,7 @@ from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.mesh.raster import highest_faces
+from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.read.dataset import RecordDataset
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ for those below 10 mm."""
 THUMBNAIL_PX = 144
 """Longer side of a thumbnail."""
 
+_MARGIN_PX = 9  # of `relief`, on both sides together
 _FEWEST_STEPS = 1_000
 _LEAST_STEP_MM = 1e-6
 _MOST_STEPS = np.iinfo(np.uint16).max
@@ -84,37 +85,6 @@ class Item:
     media: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
 
-class ItemTask(Protocol):
-    """The unit of work: a small picklable value from which any process makes the same items."""
-
-    @property
-    def size(self) -> int:
-        """How many items it makes."""
-        ...
-
-    def make(self) -> list[Item]:
-        """Make the items, in order; touches no file of the site."""
-        ...
-
-
-@dataclass(frozen=True)
-class Gallery:
-    """What a site is to hold, and the tasks that make its items, in the order of the page."""
-
-    kind: str  # of the data set, such as "mnist3d"
-    title: str
-    nouns: tuple[str, str]  # one item and several
-    facets: tuple[Facet, ...]
-    measures: tuple[Measure, ...]
-    tasks: tuple[ItemTask, ...]
-    splits: Mapping[str, int]  # how many items of each are shown
-
-    @property
-    def size(self) -> int:
-        """How many items there are."""
-        return sum(task.size for task in self.tasks)
-
-
 @dataclass(frozen=True)
 class RowsTask:
     """Makes the items of some rows of a split, from each row and what was known of it beforehand.
@@ -141,6 +111,24 @@ class RowsTask:
         ]
 
 
+@dataclass(frozen=True)
+class Gallery:
+    """What a site is to hold, and the tasks that make its items, in the order of the page."""
+
+    kind: str  # of the data set, such as "mnist3d"
+    title: str
+    nouns: tuple[str, str]  # one item and several
+    facets: tuple[Facet, ...]
+    measures: tuple[Measure, ...]
+    tasks: tuple[RowsTask, ...]
+    splits: Mapping[str, int]  # how many items of each are shown
+
+    @property
+    def size(self) -> int:
+        """How many items there are."""
+        return sum(task.size for task in self.tasks)
+
+
 def gallery_of_rows(
     kind: DatasetKind,
     choice: Choice,
@@ -163,7 +151,7 @@ def gallery_of_rows(
     if opened is None:
         opened = open_splits(choice.name, choice.split, kind.load, kind.nouns)
         require_kind(kind, "gallery", choice.name, opened.values())
-    tasks: list[ItemTask] = []
+    tasks: list[RowsTask] = []
     shown: dict[str, int] = {}
     chosen = choose_rows(
         opened.items(),
@@ -276,19 +264,9 @@ def thumbnail(pixels: NDArray[np.uint8], opaque_from: int | None = None) -> byte
     return stream.getvalue()
 
 
-def top_view(
-    vertices_m: NDArray[np.floating[Any]],
-    faces: NDArray[np.integer[Any]],
-    size_m: tuple[float, float],
-    px_per_mm: float,
-) -> NDArray[np.uint8]:
-    """Draw what of a mesh faces up in one grey, (H, W), 255 paper: flat tops that nothing else is known of.
-
-    The origin is in the middle of the picture, whose width and height are ``size_m``; y is up.
-    """
-    scale = px_per_mm * MM_PER_M
-    shape = [max(1, round(side * scale)) for side in reversed(size_m)]
-    # Rows grow with y here, so that triangles keep their orientation; the picture is turned over at the end.
-    flat = np.asarray(vertices_m, np.float64)[:, :2] * scale + (shape[1] / 2 - 0.5, shape[0] / 2 - 0.5)
-    seen = highest_faces(np.stack([*flat.T, np.zeros(len(flat))]), faces, (shape[0], shape[1]))
-    return np.where(seen[::-1] < 0, 255, 110).astype(np.uint8)
+def relief_thumbnail(vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]) -> bytes:
+    """Make the thumbnail of a mesh from above, as large as its tile: 3 cm are recognised like 8."""
+    longest_m = float(np.ptp(vertices_m[:, :2], axis=0).max())
+    # Drawn twice as large but for the margin of a relief; somebody else's mesh may have no extent at all.
+    pitch_m = max(longest_m, 1e-6) / (2 * THUMBNAIL_PX - _MARGIN_PX)
+    return thumbnail(relief(vertices_m, faces, pitch_m), opaque_from=1)

@@ -1,4 +1,4 @@
-"""Making the folder of a gallery: next to its place, or within it, and put in place when it is complete.
+"""Making the folder of a gallery: in a hidden folder within it, and put in place when it is complete.
 
 A page cannot be made in place: whoever looks at it would see half of it for hours. Its marker lists its
 files, so that a run replaces those and no other. Pages opened from a file system may not fetch files; scripts
@@ -26,7 +26,7 @@ from typing import Any, cast
 
 from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, ItemTask, natural_order
+from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask, natural_order
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.files import expanded, locked, named_failures
 
@@ -66,7 +66,7 @@ def build_site(
     overwrite: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Site:
-    """Make the site of a gallery in a folder that appears whole or not at all; equal galleries, equal bytes.
+    """Make the site of a gallery, whose page appears when all is there; equal galleries, equal bytes.
 
     ``overwrite`` replaces a gallery that is there; anything else is never touched. A folder that is there
     stays, and whoever is in it stays in it. A finished gallery with equal files is left as it is.
@@ -96,16 +96,21 @@ def build_site(
                 on_progress(len(site.shown), gallery.size)
         site.finish()
         if finished is None:
-            _put_in_place(staging, path, site, overwrite=overwrite)
+            # Asked again is what may be replaced: hours may have passed.
+            with locked(path):
+                former, other = _require_gallery(path)
+                if other is not None and not overwrite:
+                    raise _holds_gallery(path)
+                _replace(staging, path, site, former)
     return Site(str(path), len(site.shown), len(site.names), site.size, dict(gallery.splits))
 
 
-def _first_numbers(tasks: Iterable[ItemTask]) -> list[int]:
+def _first_numbers(tasks: Iterable[RowsTask]) -> list[int]:
     """Return the number on the page of the first item of each task."""
     return list(accumulate((task.size for task in tasks), initial=0))[:-1]
 
 
-def _make(numbered: tuple[int, ItemTask]) -> tuple[int, list[Item]]:
+def _make(numbered: tuple[int, RowsTask]) -> tuple[int, list[Item]]:
     first, task = numbered
     return first, task.make()
 
@@ -171,44 +176,25 @@ class _Files:
 
 @contextmanager
 def _staging(path: Path) -> Iterator[Path]:
-    """Give a new folder on the disk of ``path``, which is removed in the end.
+    """Give a new folder within ``path``, which is removed in the end, and ``path`` too if it was made for it.
 
-    What a killed process left next to or within ``path`` is removed first: its lock is free.
+    What a killed process left there is removed first: its lock is free.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for left in (*path.parent.glob(f"{_PREFIX}*"), *path.glob(f"{_PREFIX}*")):
+    is_new = not path.is_dir()
+    path.mkdir(parents=True, exist_ok=True)
+    for left in path.glob(f"{_PREFIX}*"):
         with suppress(BlockingIOError, FileNotFoundError), locked(left, patience_s=0):
             shutil.rmtree(left, ignore_errors=True)
-    # Within a folder that is there, which may be all that may be written, or a file system of its own.
-    staging = (path if path.is_dir() else path.parent) / f"{_PREFIX}{uuid.uuid4().hex}"
+    staging = path / f"{_PREFIX}{uuid.uuid4().hex}"
     staging.mkdir()
     try:
         with locked(staging):
             yield staging
     finally:
         shutil.rmtree(staging, ignore_errors=True)
-
-
-def _put_in_place(staging: Path, path: Path, site: _Files, *, overwrite: bool) -> None:
-    """Make the content of a new folder that of ``path``, which is not a symbolic link.
-
-    Asked again is what may be replaced: hours may have passed.
-    """
-    if not path.exists():
-        try:
-            # One step for whoever looks: no moment without a whole folder.
-            staging.rename(path)
-        except OSError:
-            # Another run may have been faster: its folder holds something.
-            if not path.is_dir():
-                raise
-        else:
-            return
-    with locked(path):
-        former, finished = _require_gallery(path)
-        if finished is not None and not overwrite:
-            raise _holds_gallery(path)
-        _replace(staging, path, site, former)
+        if is_new:
+            with suppress(OSError):  # where it holds the page
+                path.rmdir()
 
 
 def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
@@ -225,7 +211,8 @@ def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
         (path / name).unlink(missing_ok=True)
         with suppress(OSError):
             (path / name).parent.rmdir()
-    for name in site.names:
+    # The page itself, which is the first, at last.
+    for name in reversed(site.names):
         (path / name).parent.mkdir(exist_ok=True)
         if name != MARKER_FILE and (staging / name).exists():
             (staging / name).replace(path / name)

@@ -1,8 +1,8 @@
-"""Previews of data sets of meshes, whatever they show: sheets class by class, two views of one, counts."""
+"""Previews of data sets of meshes, whatever they show: sheets class by class, and rows drawn alone."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Generic, TypeVar
@@ -16,7 +16,6 @@ from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.pictures.plots import Bars, plot_bars, require_plots
 from tactile_toolkit.pictures.render import Picture3d, draw_bodies
 from tactile_toolkit.pictures.sheets import Sheet, Tile, bar_length_mm, in_rows, sheet, with_scale_bar
 from tactile_toolkit.pictures.writing import Pixels, PlannedPicture, file_stem
@@ -53,7 +52,7 @@ class MeshPreviews(Generic[D]):
     """
 
     def __init__(self, kind: DatasetKind, name: str, spec: PreviewSpec) -> None:
-        self.name, self.spec, self.things = name, spec, kind.nouns
+        self.name, self.spec, self.thing, self.things = name, spec, kind.noun, kind.nouns
         self.stem = file_stem(name)
         self.datasets: dict[str, D] = open_splits(name, spec.split, kind.load, kind.nouns)
         if spec.labels:
@@ -93,23 +92,20 @@ class MeshPreviews(Generic[D]):
                 planned.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, drawing))
         return planned
 
-    def plan_histogram(self, panels: Callable[[], Sequence[Bars]], further: str = "") -> list[PlannedPicture]:
-        """Plan bars of the rows of each class."""
-        require_plots("the class histogram")
-        what = f"{self.things} of each class"
-        name, title = f"{self.stem}-histogram.png", f"{self.stem}: {what}"
-        return [PlannedPicture(name, what + further, lambda: plot_bars(panels(), title))]
-
-
-def class_bars(split: str, dataset: RecordDataset[Any], things: str, label: str) -> Bars:
-    """Count the rows of each class; reads the label column only."""
-    counts = np.bincount(dataset.labels, minlength=len(dataset.label_names))
-    heading = f"{split}: {counted(len(dataset), things)}"
-    return Bars(heading, dataset.label_names, tuple(counts.tolist()), label, things)
+    def plan_each(self, kind: str, what: str, draw: Callable[[Any, str], Pixels]) -> list[PlannedPicture]:
+        """Plan a picture of each row that is drawn alone; ``draw`` takes the row and where it is from."""
+        return [
+            PlannedPicture(
+                f"{self.stem}-{split}-{record.id}-{kind}.png",
+                f"{self.thing} {record.id}, {what}",
+                partial(draw, record, f"({self.stem}, {split})"),
+            )
+            for split, record in self.records
+        ]
 
 
 def draw_by_class(
-    tiles: Iterable[tuple[str, Tile]], per_row: int, title: str, words: str, px_per_mm: float
+    tiles: Sequence[tuple[str, Tile]], per_row: int, title: str, words: str, px_per_mm: float
 ) -> Pixels:
     """Draw pictures at one scale in a row (or some) for each class, whose name comes with each picture."""
     groups: dict[str, list[Tile]] = {}
@@ -118,7 +114,7 @@ def draw_by_class(
     columns, cells, row_labels = in_rows(list(groups.items()), per_row)
     # The empty line at the foot is the room of the scale bar.
     drawn = sheet(cells, Sheet(columns, title, (words,), ("",), row_labels, gap_px=12))
-    widest = max(tile.pixels.shape[1] for _, group in groups.items() for tile in group)
+    widest = max(tile.pixels.shape[1] for _, tile in tiles)
     return with_scale_bar(drawn, px_per_mm, bar_length_mm(4 * widest, px_per_mm))
 
 

@@ -40,9 +40,8 @@ _FRAME_PX = 3
 _BAR_PX = 5
 _HALO_PX = 2
 _NICE_LENGTHS_MM = tuple(base * 10.0**power for power in range(-3, 4) for base in (1, 2, 5))
-# Shipped with its licence, and the font of matplotlib too: every machine writes the same letters, plots the
-# same as sheets. It has Latin, Greek, Cyrillic, Arabic and signs; anything else becomes its box for "no such
-# letter".
+# Shipped with its licence: every machine writes the same letters. It has Latin, Greek, Cyrillic, Arabic and
+# signs; anything else becomes its box for "no such letter".
 _FONT_FILE = "DejaVuSans.ttf"
 
 
@@ -68,11 +67,6 @@ def draw_text(
 def text_size(text: str, size_px: int) -> tuple[float, int]:
     """Return the width and height of a line, pixels."""
     return _font(size_px).getlength(_one_line(text)), round(size_px * 1.3)
-
-
-def hex_of(colour: Colour) -> str:
-    """Write a colour as ``#rrggbb``."""
-    return "#{:02x}{:02x}{:02x}".format(*colour)
 
 
 def _one_line(text: str) -> str:

@@ -16,7 +16,7 @@ import pytest
 
 import realtouch
 import starstruck_gen as starstruck
-from mnist3d.generation import GenerateSpec, generate
+from mnist3d.make import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCH_KIND

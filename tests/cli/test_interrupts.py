@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import starstruck_gen
-from mnist3d.generation import GenerateSpec, generate
+from mnist3d.make import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.realtouch.factories import make_round, single_rows, write_set

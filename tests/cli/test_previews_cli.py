@@ -9,15 +9,14 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import import_module
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from mnist3d.generation import GenerateSpec as DigitSpec
-from mnist3d.generation import generate as generate_digits
+from mnist3d.make import GenerateSpec as DigitSpec
+from mnist3d.make import generate as generate_digits
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
@@ -27,8 +26,6 @@ from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tests.realtouch import factories
-
-NO_PLOTS = find_spec("matplotlib") is None
 
 
 @pytest.fixture(scope="module")
@@ -125,9 +122,7 @@ def test_every_process_writes_the_same_bytes(digits, scenes, clips, tmp_path, ru
         assert content.startswith(b"\x89PNG")
 
 
-@pytest.mark.pictures
-@pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
-def test_with_the_extra_too(digits, tmp_path, run):
+def test_everything_is_drawn_alike_twice(digits, tmp_path, run):
     arguments = (digits, "--kind", "all", "--per-class", 1)
     for done in (
         run("mnist3d", *arguments, "--out", "one"),
@@ -136,21 +131,8 @@ def test_with_the_extra_too(digits, tmp_path, run):
         assert done.returncode == 0, done.stderr
         assert "left out" not in done.stderr
     written = contents(tmp_path / "one")
-    assert len(written) == 5
+    assert len(written) == 3
     assert written == contents(tmp_path / "other")
-
-
-@pytest.mark.skipif(not NO_PLOTS, reason="matplotlib is installed")
-def test_without_the_extra_what_is_missing_is_said(digits, tmp_path, run):
-    done = run("mnist3d", digits)
-    assert done.returncode == 0
-    assert list(contents(tmp_path / "previews")) == ["digits-test-sheet.png"]
-    assert done.stderr.count("left out: ") == 2
-    assert "pip install 'matplotlib>=3.10' (the extra `pictures`)" in done.stderr
-    refused = run("mnist3d", digits, "--kind", "histogram", "--out", "plots")
-    assert refused.returncode == 2
-    assert "pip install 'matplotlib>=3.10' (the extra `pictures`)" in refused.stderr
-    assert not (tmp_path / "plots").exists()
 
 
 def test_one_picture_goes_into_the_file_that_is_named(digits, scenes, clips, tmp_path, run):
@@ -196,7 +178,7 @@ def test_a_dry_run_writes_nothing_and_tells_all(digits, scenes, clips, tmp_path,
         ("mnist3d", ("absent",), "does not exist"),
         ("mnist3d", ("{digits}", "--kind", "steps", "--ids", "99999"), "no object with id 99999"),
         ("starstruck", ("{scenes}", "--ids", "99999"), "no object with id 99999"),
-        ("starstruck", ("absent",), "does not exist; expected the folder or a Parquet file"),
+        ("starstruck", ("absent",), "does not exist; expected a folder, a Parquet file"),
         ("realtouch", ("{clips}", "--round", "9"), "--round is 9"),
         ("realtouch", ("{clips}", "--kind", "strip", "--touch", "9"), "--touch is 9"),
         ("realtouch", ("{digits}",), "digits"),

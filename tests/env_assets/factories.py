@@ -19,7 +19,7 @@ DIGITS = tuple(str(digit) for digit in range(10))
 
 def write_digits(folder: Path) -> None:
     """Ten digits for each of three splits."""
-    from mnist3d.generation import GenerateSpec, generate
+    from mnist3d.make import GenerateSpec, generate
     from mnist3d.sources.synthetic import SyntheticSource
 
     spec = GenerateSpec(SyntheticSource(), per_class=1)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.generation import GenerateSpec, generate
+from mnist3d.make import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError

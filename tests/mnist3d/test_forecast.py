@@ -9,12 +9,13 @@ import sys
 import numpy as np
 import pytest
 
-from mnist3d.generation import GenerateSpec, forecast, generate
+from mnist3d.make import DigitMaking, GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
 from mnist3d.validate import validate_paths
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit.making import forecast
 
 
 def _spec(**values) -> GenerateSpec:
@@ -40,9 +41,9 @@ def test_values_of_numpy_and_mappings_are_the_same_specification():
 def test_forecast_with_overwrite_tells_what_would_be_replaced(folder):
     other = _spec(limit=2)
     with pytest.raises(SpecMismatchError):
-        forecast(other, folder, ("train", "test"), 1)
+        forecast(DigitMaking(other), folder, ("train", "test"), 1)
     before = (folder / "manifest.json").read_bytes()
-    view = forecast(other, folder, ("train", "test"), 1, overwrite=True)
+    view = forecast(DigitMaking(other), folder, ("train", "test"), 1, overwrite=True)
     assert view.replaced == {"train": 3, "test": 3}
     assert (view.rows_to_make, [entry.finished for entry in view.splits]) == (4, [0, 0])
     assert (folder / "manifest.json").read_bytes() == before

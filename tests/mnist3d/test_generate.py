@@ -11,7 +11,7 @@ import pytest
 
 import mnist3d
 from mnist3d.columns import digit_schema
-from mnist3d.generation import DigitMaking, GenerateSpec, generate
+from mnist3d.make import DigitMaking, GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SPLITS, SplitSpec

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mnist3d.generation import GenerateSpec, generate
+from mnist3d.make import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.hub_server import hub

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,26 +10,22 @@ import pytest
 from PIL import Image
 
 import mnist3d
-from mnist3d.generation import GenerateSpec, generate
+from mnist3d.make import GenerateSpec, generate
 from mnist3d.previews import DigitPreviewSpec as PreviewSpec
-from mnist3d.previews import _stack_view, draw_steps, layer_map, object_facts, plan_previews, report_rows
+from mnist3d.previews import _stack_view, draw_steps, layer_map, object_facts, plan_previews
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.mnist import MnistSource
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
-from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.pictures.previews import class_bars
 from tactile_toolkit.pictures.render import OBLIQUE, Picture3d, draw_bodies, relief, relief_of
 from tactile_toolkit.pictures.sheets import INK, bar_length_mm
-from tactile_toolkit.store.folder import DataFolder
 from tests.mnist3d import mnist_files
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
-
-NO_PLOTS = find_spec("matplotlib") is None
 
 
 @pytest.fixture(scope="module")
@@ -239,11 +234,10 @@ def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices
     np.testing.assert_array_equal(seen[-1].faces, record.faces)
 
 
-@pytest.mark.parametrize("part", ["train", "test", "auto"])
-def test_steps_know_which_part_of_mnist_a_data_set_was_made_from(tmp_path, part, seen):
+def test_steps_of_mnist_are_drawn_from_its_files(tmp_path, seen):
     for each in ("train", "test"):
         mnist_files.write(tmp_path / "mnist", each)
-    source = MnistSource(str(tmp_path / "mnist"), part)
+    source = MnistSource(str(tmp_path / "mnist"))
     spec = GenerateSpec(source, SolidSpec(target_vertices=2_000), limit=1)
     generate(spec, str(tmp_path / "set"), ("train",))
     (record,) = mnist3d.load(str(tmp_path / "set"), "train")
@@ -282,60 +276,19 @@ def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
     except InputError as error:
         pytest.skip(f"a source of two classes makes no split: {error}")
     where = str(tmp_path / "set")
-    with pytest.raises(InputError, match="next: give --images PATH"):
+    with pytest.raises(InputError, match="--source folder needs --images"):
         plan_previews(where, PreviewSpec(("steps",)))
     with pytest.raises(InputError, match="holds other images"):
         plan_previews(where, PreviewSpec(("steps",), images=tmp_path / "other"))
     assert len(plan_previews(where, PreviewSpec(("steps",), images=tmp_path / "one")).pictures) == 1
 
 
-# ---------------------------------------------------------------- figures
-
-
-def test_counts_and_measures_are_those_of_the_data(folder):
-    train = mnist3d.load(str(folder), "train")
-    assert class_bars("train", train, "digits", "class").counts == (3,) * 10
-    tables = report_rows(DataFolder(str(folder)), ("train", "test"))
-    assert {split: len(table) for split, table in tables.items()} == {"train": 30, "test": 10}
-    by_id = dict(zip(tables["train"]["id"].to_pylist(), tables["train"]["vertices"].to_pylist(), strict=True))
-    assert by_id == {record.id: len(record.vertices_m) for record in train}
-
-
-@pytest.mark.skipif(not NO_PLOTS, reason="matplotlib is installed")
-def test_without_the_extra_plots_are_refused_by_name_and_left_out_otherwise(folder):
-    plan = plan_previews(str(folder), PreviewSpec())
-    assert [picture.name for picture in plan.pictures] == ["digits-train-sheet.png", "digits-test-sheet.png"]
-    assert len(plan.left_out) == 2
-    for kind in ("histogram", "distributions"):
-        with pytest.raises(MissingExtraError, match=r"pip install 'matplotlib"):
-            plan_previews(str(folder), PreviewSpec((kind,)))
-
-
-@pytest.mark.pictures
-@pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
 def test_the_usual_pictures_of_a_data_set(folder):
     plan = plan_previews(str(folder), PreviewSpec(per_class=1))
     assert plan.left_out == ()
-    names = [picture.name for picture in plan.pictures]
-    assert names[2:] == ["digits-histogram.png", "digits-distributions.png"]
-    for picture in plan.pictures:
-        pixels = picture.draw()
-        assert pixels.dtype == np.uint8
-        assert pixels.std() > 5
-        assert np.array_equal(pixels, picture.draw())
+    assert [picture.name for picture in plan.pictures] == ["digits-train-sheet.png", "digits-test-sheet.png"]
     everything = plan_previews(str(folder), PreviewSpec(("all",)))
-    assert len(everything.pictures) == 6
-
-
-@pytest.mark.pictures
-@pytest.mark.skipif(NO_PLOTS, reason="needs the extra `pictures` (matplotlib)")
-def test_distributions_need_the_report(folder, tmp_path):
-    shard = next((folder / "data").glob("test-*.parquet"))
-    with pytest.raises(InputError, match=r"reports/printability\.parquet"):
-        plan_previews(str(shard), PreviewSpec(("distributions",)))
-    plan = plan_previews(str(shard), PreviewSpec())
-    assert len(plan.pictures) == 2
-    assert "reports/printability.parquet" in plan.left_out[0]
+    assert len(everything.pictures) == 4
 
 
 # ---------------------------------------------------------------- bad input
@@ -383,8 +336,8 @@ def test_options_of_a_data_set_are_refused_for_a_single_file(tmp_path):
     write_mesh(tmp_path / "part.stl", Mesh(corners, faces))
     for options, words in (
         ({"kinds": ("sheet",)}, "--kind sheet needs a data set"),
-        ({"split": "train"}, "--split chooses"),
-        ({"ids": (3,)}, "--ids chooses"),
+        ({"split": "train"}, "--split needs a data set"),
+        ({"ids": (3,)}, "--ids needs a data set"),
     ):
         with pytest.raises(InputError, match=words):
             plan_previews(str(tmp_path / "part.stl"), PreviewSpec(**options))

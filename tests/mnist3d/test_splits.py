@@ -117,9 +117,9 @@ def test_sizes_of_ones_own():
     assert [len(plan.ids[split]) for split in SPLITS] == [80, 20, 0, 0, 0]
     with pytest.raises(InputError, match=r"ask for 10 digits per class, the source has 9 of class 3"):
         plan_splits(catalog([3] * 9), spec)
-    with pytest.raises(InputError, match="unknown split 'validation'"):
+    with pytest.raises(InputError, match=r"expected each of train, .* once at most"):
         SplitSpec(sizes=(("validation", 3),))
-    with pytest.raises(InputError, match="size of split 'test' is -1"):
+    with pytest.raises(InputError, match=r"'test', -1.*an integer from 0"):
         SplitSpec(sizes=(("test", -1),))
 
 
@@ -132,9 +132,9 @@ def test_sizes_of_ones_own():
         ),
         ({"seed": -1}, "seed of the division into splits is -1; expected an integer"),
         ({"seed": 1.5}, "seed of the division into splits is 1.5"),
-        ({"sizes": "train"}, "split sizes are 'train'; expected pairs"),
-        ({"sizes": {"train": True}}, "size of split 'train' is True"),
-        ({"sizes": [("train", 3), ("train", 4)]}, "expected each split once"),
+        ({"sizes": "train"}, "sizes of the division into splits is 'train'; expected each of train"),
+        ({"sizes": {"train": True}}, "is {'train': True}; expected each of train"),
+        ({"sizes": [("train", 3), ("train", 4)]}, "once at most"),
     ],
 )
 def test_a_division_that_cannot_be_is_refused(wrong, message):

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from starstruck_gen.dataset import SceneDataset, SceneMeshDataset, SceneRecord, load
+from starstruck_gen.loader import SceneDataset, SceneMeshDataset, SceneRecord, load
 from starstruck_gen.make import GenerateSpec, generate
 from starstruck_gen.sampling import sample_scene, scene_rng
 from starstruck_gen.scene import Scene

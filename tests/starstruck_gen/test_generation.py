@@ -11,13 +11,13 @@ import pytest
 
 from starstruck_gen.card import summarise
 from starstruck_gen.columns import scene_schema
-from starstruck_gen.make import GenerateSpec, SceneMaking, count_scenes, generate, make_rows, validate_rows
+from starstruck_gen.make import GenerateSpec, SceneMaking, count_scenes, generate, make_rows
 from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.sampling import SamplingExhausted
 from starstruck_gen.shapes import Disc, Shape, Star
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import validate_folder
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.making import plan_build
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.folder import DataFolder
@@ -183,13 +183,11 @@ def test_scene_that_cannot_be_made_late_leaves_the_folder_free_for_another_speci
     assert generate(GenerateSpec(scenes=(("train", 3),)), str(tmp_path), ("train",)).complete
 
 
-def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept_and_named(tmp_path):
+def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept(tmp_path):
     """Scene 2,304 of this split is the first that needs more restarts than are allowed."""
     nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=10, restarts=4)
     spec = GenerateSpec(nearly, (("train", 3_000),))
-    with pytest.raises(
-        SamplingExhausted, match=r"shards finished before stay in '.*set'; next: .*--overwrite"
-    ):
+    with pytest.raises(SamplingExhausted, match="of 8"):
         generate(spec, str(tmp_path / "set"), ("train",))
     so_far = manifest_so_far(DataFolder(str(tmp_path / "set")))
     assert not so_far.complete
@@ -200,14 +198,17 @@ def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept_and_named(t
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        ({"scenes": (("train", -1),)}, "--scenes of split 'train' is -1"),
-        ({"scenes": (("train", 1), ("train", 2))}, "expected each split once"),
-        ({"scenes": (("validation", 5),)}, "unknown split 'validation'"),
+        (
+            {"scenes": (("train", -1),)},
+            "expected each of train, test once at most",
+        ),
+        ({"scenes": (("train", 1), ("train", 2))}, "expected each of train, test once at most"),
+        ({"scenes": (("validation", 5),)}, "expected each of train, test once at most"),
         ({"seed": -3}, "seed .* is -3; expected an integer of at least 0"),
         ({"limit": 0}, "limit of .* is 0"),
         ({"limit": 2.5}, "limit of .* is 2.5; expected an integer of at least 1"),
         ({"seed": "a"}, "seed .* is 'a'; expected an integer"),
-        ({"scenes": {"train": "many"}}, "scenes .* expected an integer for each split"),
+        ({"scenes": {"train": "many"}}, "scenes .* expected each of train, test"),
         ({"scenes": 5}, "scenes .* is 5"),
         ({"scene": {}}, "scene .* expected a SceneSpec"),
     ],
@@ -241,39 +242,6 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
 def test_nothing_to_make_is_refused(tmp_path, splits):
     with pytest.raises(InputError, match=r"unknown split 'holdout'|no scenes to make for test"):
         generate(GenerateSpec(scenes=(("train", 5),)), str(tmp_path / "set"), splits)
-
-
-def _rows_with(change):
-    spec = SceneSpec()
-    rows = make_rows(spec, "train", 0, 0, 6)
-    placements = change(rows[2].placements)
-    mesh = build_meshes([placements])[0]
-    rows[2] = replace(rows[2], placements=placements, vertices_m=mesh.vertices_m, faces=mesh.faces)
-    return spec, rows
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (
-            lambda objects: (objects[0]._replace(shape="box"), *objects[1:]),
-            "2 stars stand there, 3 are declared",
-        ),
-        (lambda objects: (objects[1], *objects[1:]), "a star and a star collide"),
-        (lambda objects: (objects[0]._replace(x_m=0.05), *objects[1:]), "outside the valid area"),
-    ],
-)
-def test_scene_that_breaks_a_promise_is_never_written(change, message):
-    with pytest.raises(IntegrityError, match=rf"scene 2 must not be written: .*{message}"):
-        validate_rows(*_rows_with(change))
-
-
-def test_triangle_turned_by_rounding_is_found():
-    spec, rows = _rows_with(lambda objects: objects)
-    validate_rows(spec, rows)
-    rows[4].vertices_m[0] += 0.03
-    with pytest.raises(IntegrityError, match=r"scene 4 .* rounding"):
-        validate_rows(spec, rows)
 
 
 def test_validate_proves_the_written_scenes(whole):

@@ -10,7 +10,7 @@ from scipy import stats
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from starstruck_gen.dataset import SceneDataset
+from starstruck_gen.loader import SceneDataset
 from starstruck_gen.make import GenerateSpec, generate
 from starstruck_gen.solid import prism
 

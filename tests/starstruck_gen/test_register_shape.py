@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from starstruck_gen.dataset import load
+from starstruck_gen.loader import load
 from starstruck_gen.make import GenerateSpec, generate
 from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.shapes import (

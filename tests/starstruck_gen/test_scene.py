@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from starstruck_gen.dataset import SceneDataset
+from starstruck_gen.loader import SceneDataset
 from starstruck_gen.placement import build_meshes
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene

@@ -4,13 +4,17 @@ import json
 import math
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 
-from starstruck_gen.make import make_rows, validate_rows
+from starstruck_gen.columns import scene_schema
+from starstruck_gen.make import make_rows
 from starstruck_gen.shapes import Disc, Shape
 from starstruck_gen.spec import SceneSpec
+from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.rows import table_of
 from tests.starstruck_gen.strategies import specs
 
 
@@ -104,7 +108,9 @@ def test_shapes_too_fine_for_stored_coordinates_are_refused_with_what_to_change(
 
 
 @pytest.mark.parametrize("side_m", [0.16, 0.2, 0.24, 0.4])
-def test_shapes_as_fine_as_the_cell_allows_are_sound(side_m):
+def test_shapes_as_fine_as_the_cell_allows_are_sound(side_m, tmp_path):
     """Up to a cell in which coordinates reach a power of two, the thinnest triangles are thick enough."""
     spec = SceneSpec(cell_m=(side_m, side_m), star=Shape("star", 1e-4), distractor_shapes=TINY)
-    validate_rows(spec, make_rows(spec, "train", 0, 0, 200))
+    path = tmp_path / "train-00000-of-00001.parquet"
+    pq.write_table(table_of(make_rows(spec, "train", 0, 0, 100), scene_schema()), path)
+    assert validate_folder(path).failed == 0

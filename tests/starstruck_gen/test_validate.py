@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from starstruck_gen.columns import scene_schema
-from starstruck_gen.dataset import load
+from starstruck_gen.loader import load
 from starstruck_gen.make import GenerateSpec, generate, make_rows
 from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.spec import SceneSpec

@@ -25,7 +25,6 @@ from tactile_toolkit.gallery.items import (
     packed_mesh,
     require_mesh,
     thumbnail,
-    top_view,
 )
 from tactile_toolkit.gallery.site import index_of, script_json
 from tests.gallery_toy import CORNERS_M, FACES
@@ -116,15 +115,6 @@ def test_smoothed_edges_keep_the_colour_of_the_ink():
     assert small[0, 3] == 0
     assert np.abs(small[2:, :3].astype(int) - 40).max() <= 4
     assert (np.diff(small[:, 3].astype(int)) > 0).all()
-
-
-def test_top_view_shows_what_faces_up():
-    faces = np.array([[0, 1, 2], [0, 2, 1]])
-    view = top_view(CORNERS_M, faces[:1], (0.06, 0.06), 1.0)
-    assert view.shape == (60, 60)
-    assert view[25, 35] < 255  # right of and above the middle
-    assert view[35, 25] == 255
-    assert (top_view(CORNERS_M, faces[1:], (0.06, 0.06), 1.0) == 255).all()
 
 
 def test_rows_are_chosen_per_class_then_limited():

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-from importlib.util import find_spec
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -22,7 +19,6 @@ from tactile_toolkit.pictures.render import (
     fitting_scale,
     relief,
 )
-from tactile_toolkit.pictures.sheets import ACCENTS
 from tests.processes import printed_by
 
 CLAY = (200, 120, 40)
@@ -159,84 +155,3 @@ print(hashlib.sha256(png_bytes(drawn)).hexdigest())
 def test_every_process_draws_the_same_bytes():
     printed = {printed_by(DRAW, PYTHONHASHSEED=seed) for seed in ("1", "2")}
     assert len(printed) == 1
-
-
-# ---------------------------------------------------------------- extra `pictures`
-
-
-@pytest.fixture
-def matplotlib() -> None:
-    if find_spec("matplotlib") is None:
-        pytest.skip("needs the extra `pictures` (matplotlib)")
-
-
-@pytest.mark.pictures
-def test_bars_are_as_high_as_their_counts(matplotlib):
-    from tactile_toolkit.pictures.plots import Bars, plot_bars
-
-    counts = (10, 20, 0, 40)
-    drawn = plot_bars([Bars("panel", ("a", "b", "c", "d"), counts, "class", "rows")], "title")
-    filled = (drawn == ACCENTS[0]).all(axis=2).sum(axis=0)
-    heights = filled[filled > 5]
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], (filled > 5).astype(int), [0]])))
-    bars = [int(np.median(filled[start:stop])) for start, stop in zip(edges[::2], edges[1::2], strict=True)]
-    assert len(bars) == 3
-    assert len(heights) > 100
-    assert bars[0] / 10 == pytest.approx(bars[2] / 40, rel=0.02)
-    assert bars[1] / 20 == pytest.approx(bars[2] / 40, rel=0.02)
-
-
-@pytest.mark.pictures
-def test_a_limit_is_a_line_at_its_value(matplotlib):
-    from tactile_toolkit.pictures.plots import Spread, plot_spreads
-
-    groups = (("a", np.linspace(0, 1, 50)),)
-    lines = []
-    for limit in (0.25, 0.5, 0.75):
-        drawn = plot_spreads([Spread("t", "mm", groups, "rows", (limit, ""))], "title")
-        near = np.abs(drawn.astype(int) - ACCENTS[3]).sum(axis=2) < 60
-        lines.append(int(near.sum(axis=0).argmax()))
-    assert np.diff(lines) == pytest.approx([np.mean(np.diff(lines))] * 2, abs=1)
-    assert lines[1] - lines[0] > 40
-
-
-PLOT = """
-import hashlib, sys, numpy as np
-from tactile_toolkit.pictures.plots import Bars, Spread, plot_bars, plot_spreads
-x = np.linspace(0, 1, 50) ** 2
-one = plot_spreads([Spread("t", "mm", (("a", x), ("b", 1 - x)), "rows", (0.3, "limit"))] * 2, "title")
-two = plot_bars([Bars("t", ("a", "b"), (1, 2), "x", "rows")], "title")
-assert "matplotlib.pyplot" not in sys.modules
-print(hashlib.sha256(one.tobytes() + two.tobytes()).hexdigest())
-"""
-
-
-@pytest.mark.pictures
-def test_plots_do_not_depend_on_the_settings_of_the_machine(matplotlib, tmp_path):
-    (tmp_path / "matplotlibrc").write_text("axes.facecolor: red\nfont.size: 30\nbackend: TkAgg\n")
-    printed = set()
-    for more in ({}, {"MATPLOTLIBRC": str(tmp_path / "matplotlibrc"), "PYTHONHASHSEED": "5"}):
-        printed.add(printed_by(PLOT, PYTHONWARNINGS="error", **more))
-    assert len(printed) == 1
-    assert len(printed.pop().strip()) == len(hashlib.sha256().hexdigest())
-
-
-@pytest.mark.pictures
-@pytest.mark.parametrize("words", ["short", "a rather long name of a data set " * 4, "x" * 400, "$x$ 数字"])
-def test_titles_of_plots_are_seen_whole(matplotlib, words):
-    from tactile_toolkit.pictures.plots import Bars, plot_bars
-
-    drawn = plot_bars([Bars("panel", ("a",), (1,), "class", "rows")], words)
-    assert (drawn[:, -3:] == 255).all()
-    assert (drawn[:12, :300] != 255).any()
-
-
-@pytest.mark.pictures
-def test_plots_leave_no_global_state(matplotlib):
-    import matplotlib as library
-
-    from tactile_toolkit.pictures.plots import Bars, plot_bars
-
-    before = dict(library.rcParams)
-    plot_bars([Bars("panel", ("a",), (1,), "class", "rows")], "title")
-    assert dict(library.rcParams) == before

@@ -1,4 +1,4 @@
-"""From a source of digit images to a finished data set folder, and what that would take."""
+"""From a source of digit images to a finished data set folder."""
 
 from __future__ import annotations
 
@@ -12,21 +12,16 @@ from mnist3d.kind import KIND
 from mnist3d.solid import solidify
 from mnist3d.sources import DigitSource
 from mnist3d.sources.folder import FolderSource
-from mnist3d.spec import SPLITS, SolidSpec, SourceOptions, SplitSpec
+from mnist3d.spec import SPLITS, SolidSpec, SplitSpec
 from mnist3d.splits import plan_splits
 from tactile_toolkit import making
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.making import Forecast
 from tactile_toolkit.mesh.printability import PrintProfile, inspect
 from tactile_toolkit.run.processes import Runner
 from tactile_toolkit.store.build import Progress
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
-
-# At 52.6 kB a mesh 7 MB: what a kill loses is seconds of work.
-_LARGEST_SHARD = 128  # of sets of up to a million digits, see shard_ranges
-_SMALLEST_SHARD = 50
 
 
 @dataclass(frozen=True)
@@ -83,6 +78,14 @@ class DigitMaking(making.Making):
     spec: GenerateSpec
     kind = KIND
 
+    @classmethod
+    def of(cls, spec: GenerateSpec, splits: Sequence[str] | None) -> DigitMaking:
+        """Leave pictures of one's own undivided unless the specification or the splits ask for it."""
+        is_asked_for = splits is not None or spec.split.by is not None or spec.split.sizes is not None
+        if is_asked_for or not isinstance(spec.source, FolderSource):
+            return cls(spec)
+        return cls(replace(spec, split=replace(spec.split, by="none")))
+
     def manifest(self) -> Mapping[str, Any]:
         """Return the specification, with the fingerprint of the source."""
         return self.spec.to_dict()
@@ -97,8 +100,8 @@ class DigitMaking(making.Making):
         return making.Layout(
             PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
-            smallest=_SMALLEST_SHARD,
-            largest=_LARGEST_SHARD,
+            smallest=50,
+            largest=128,  # at 52.6 kB a mesh 7 MB: what a kill loses is seconds of work
             wanted=16,
             sampled=8,
             report_file=REPORT_FILE,
@@ -194,7 +197,7 @@ def generate(
         The folder cannot be written. What was finished stays.
     """
     return making.generate(
-        DigitMaking(_with_division(spec, splits)),
+        DigitMaking.of(spec, splits),
         out,
         splits,
         workers=workers,
@@ -203,29 +206,7 @@ def generate(
     )
 
 
-def forecast(
-    spec: GenerateSpec,
-    out: str | os.PathLike[str],
-    splits: Sequence[str] | None,
-    workers: int | Runner,
-    *,
-    overwrite: bool = False,
-) -> Forecast:
-    """Estimate a run of :func:`generate` by making a few of its digits; writes nothing."""
-    return making.forecast(
-        DigitMaking(_with_division(spec, splits)), out, splits, workers, overwrite=overwrite
-    )
-
-
-def _with_division(spec: GenerateSpec, splits: Sequence[str] | None) -> GenerateSpec:
-    """Leave pictures of one's own undivided unless the specification or the splits ask for it."""
-    is_asked_for = splits is not None or spec.split.by is not None or spec.split.sizes is not None
-    if is_asked_for or not isinstance(spec.source, FolderSource):
-        return spec
-    return replace(spec, split=replace(spec.split, by="none"))
-
-
-_OPTIONS = {
+_OPTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "synthetic": ((), ("digits",)),
     "hwdplus": (("images", "writer_info"), ("writer_column",)),
     "mnist": (("images",), ("download",)),
@@ -237,32 +218,22 @@ _OPTIONS = {
 def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
     """Return the source that options ask for; InputError for options that are missing or of another one."""
     needed, taken = _OPTIONS[name]
-    for option in given:
-        if option not in (*needed, *taken):
-            owners = " or ".join(
-                each for each, (first, more) in _OPTIONS.items() if option in (*first, *more)
-            )
+    for option in (*given, *needed):
+        if option not in given:
+            raise InputError(f"--source {name} needs --{option.replace('_', '-')}, which was not given")
+        if option not in needed + taken:
+            owners = " or ".join(each for each, (first, more) in _OPTIONS.items() if option in first + more)
             raise InputError(
                 f"--{option.replace('_', '-')} does not belong to --source {name}",
                 next=f"leave it out, or name its source (--source {owners})",
             )
-    for option in needed:
-        if option not in given:
-            raise InputError(
-                f"--source {name} needs --{option.replace('_', '-')}, which was not given; see mnist3d "
-                "generate --help"
-            )
-    return make_source(name, given, seed)
-
-
-def make_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
-    """Return the source of a name with the values of its options."""
+    # Here: most runs need one of them, and the packages of none.
     from mnist3d.sources.hwdplus import HwdPlusSource
     from mnist3d.sources.mnist import MnistSource, download_mnist
-    from mnist3d.sources.synthetic import SyntheticSource
+    from mnist3d.sources.synthetic import HWD_PLUS_COUNT, SyntheticSource
 
     if name == "synthetic":
-        return SyntheticSource(seed, given.get("digits", SourceOptions().digits))
+        return SyntheticSource(seed, given.get("digits", HWD_PLUS_COUNT))
     if name == "hwdplus":
         return HwdPlusSource(**given)
     if name == "folder":
@@ -272,7 +243,29 @@ def make_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
     return MnistSource(given["images"])
 
 
+def source_again(described: Mapping[str, Any], **files: str | None) -> DigitSource:
+    """Return the source of a data set by its fingerprint; ``files`` are where its files are now.
+
+    InputError where they are needed and not given, or are others than those the data set was made from.
+    """
+    name = described["name"]
+    if name not in _OPTIONS:
+        raise InputError(f"the data set was made from source {name!r}, which is not known")
+    needed, taken = _OPTIONS[name]
+    known = {**files, "digits": described.get("count"), "ink": described.get("ink")}
+    given = {option: known[option] for option in (*needed, *taken) if known.get(option) is not None}
+    source = chosen_source(name, given, int(described.get("seed", 0)))
+    # Who wrote a digit decides no solid, and the column of writers is not asked for.
+    found = {**source.fingerprint(), "writers_sha256": described.get("writers_sha256")}
+    if found != {"writers_sha256": None, **described}:
+        raise InputError(
+            f"--images {files['images']!r} holds other images than the data set was made from",
+            next="give the same files as when it was made",
+        )
+    return source
+
+
 def digit_recipe(seed: int, per_class: int | None) -> making.Recipe:
     """Return how digits are made without any input: from the embedded synthetic source."""
-    spec = GenerateSpec(make_source("synthetic", {}, seed), split=SplitSpec(seed=seed), per_class=per_class)
+    spec = GenerateSpec(chosen_source("synthetic", {}, seed), split=SplitSpec(seed=seed), per_class=per_class)
     return making.Recipe(DigitMaking(spec), {"per-class": per_class, "seed": seed})
