@@ -166,8 +166,9 @@ def _int_column(table: NDArray[Any], column: int, path: str, most: float = np.in
     next_step = "check that this file belongs to the images and is not damaged"
     try:
         numbers = table[:, column].astype(np.float64)
-    except ValueError as error:  # names the text
-        raise InputError(f"{path}: column {column}: {error}, expected {expected}", next=next_step) from error
+    except ValueError as error:
+        found = f"column {column} holds text that is not a number"
+        raise InputError(f"{path}: {found}, expected {expected}", next=next_step) from error
     # From 2**53 on floats are not distinct for all integers.
     fits = (np.rint(numbers) == numbers) & (np.abs(numbers) < 2.0**53)
     fits &= (most > 9) | ((numbers >= 0) & (numbers <= most))

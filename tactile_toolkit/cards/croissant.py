@@ -178,7 +178,7 @@ def croissant_again(
 
 
 def check_croissant(folder: DataFolder, facts: FolderFacts) -> list[Finding]:
-    """List what of the file is not as the folder is; none where there is no such file."""
+    """List what of the file is not as the folder is; nothing without the file."""
     if not folder.exists(CROISSANT_FILE):
         return []  # data sets made before there was one
     try:

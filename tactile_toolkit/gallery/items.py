@@ -267,6 +267,6 @@ def thumbnail(pixels: NDArray[np.uint8], opaque_from: int | None = None) -> byte
 def relief_thumbnail(vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]) -> bytes:
     """Make the thumbnail of a mesh from above, as large as its tile: 3 cm are recognised like 8."""
     longest_m = float(np.ptp(vertices_m[:, :2], axis=0).max())
-    # Drawn twice as large but for the margin of a relief; somebody else's mesh may have no extent at all.
+    # Drawn twice as large but for the margin of a relief; another source's mesh may have no extent at all.
     pitch_m = max(longest_m, 1e-6) / (2 * THUMBNAIL_PX - _MARGIN_PX)
     return thumbnail(relief(vertices_m, faces, pitch_m), opaque_from=1)

@@ -89,7 +89,7 @@ def test_every_set_of_names_has_one_order(names: list[str]) -> None:
 @pytest.mark.parametrize("digit_id", [-1, 1])
 def test_unknown_id(tmp_path: Path, digit_id: int) -> None:
     save(tmp_path / "3" / "a.png")
-    with pytest.raises(ItemError, match=f"no picture {digit_id}, expected 0 to 0") as caught:
+    with pytest.raises(ItemError, match=f"found id {digit_id}, expected 0 to 0") as caught:
         FolderSource(str(tmp_path)).image(digit_id)
     assert caught.value.reason == "unknown-id"
 
@@ -265,11 +265,11 @@ class TestRefusals:
         for name in ("0/a.png", "ten/a.png", "10/a.png"):
             save(tmp_path / name)
         message = refusal(FolderSource(str(tmp_path)))
-        assert f"{tmp_path}: found the folder '10', expected only folders named 0 to 9" in message
+        assert f"{tmp_path}: found '10', expected pictures in folders named 0 to 9" in message
 
     def test_folders_inside_folders(self, tmp_path: Path) -> None:
         save(tmp_path / "0" / "more" / "a.png")
-        assert f"{tmp_path}: found the folder '0/more', expected only folders" in refusal(
+        assert f"{tmp_path}: found '0/more', expected pictures in folders" in refusal(
             FolderSource(str(tmp_path))
         )
 
@@ -277,7 +277,7 @@ class TestRefusals:
         for number in range(7):
             save(tmp_path / f"p{number}_label1{number}.png")
         message = refusal(FolderSource(str(tmp_path)))
-        assert "found 'p0_label10.png', a picture without a digit in its name" in message
+        assert "found 'p0_label10.png', expected pictures in folders" in message
 
     def test_unknown_ink(self, tmp_path: Path) -> None:
         save(tmp_path / "0" / "a.png")
