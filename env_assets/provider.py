@@ -63,7 +63,7 @@ _LOG = logging.getLogger(__name__)
 
 @runtime_checkable
 class AssetSource(Protocol):
-    """Gives assets by name. :class:`env_assets.AssetProvider` is one; an environment needs only this shape.
+    """Provides assets by name, as :class:`env_assets.AssetProvider` does; all that an environment needs.
 
     Data sets keep order and length for as long as the source lives. All methods may be called from several
     threads, and in processes that were forked or spawned after the source was made.
@@ -95,15 +95,15 @@ class AssetSource(Protocol):
         ...
 
     def placements(self, record: Any) -> Sequence[Any]:
-        """Return what stands where in a Starstruck scene, stars first."""
+        """Return shape and position of the objects of a Starstruck scene, stars first."""
         ...
 
 
 class AssetProvider:
-    """Hands assets to environments; an :class:`env_assets.AssetSource`.
+    """Provides assets to environments; an :class:`env_assets.AssetSource`.
 
-    A name is looked for in this order: in ``places``; as a folder in ``root``; and as what it says, a folder,
-    a Parquet file or a repository of the Hub (``USER/NAME``). The names ``"mnist3d"``, ``"starstruck"`` and
+    A name is looked for in this order: in ``places``; as a folder in ``root``; as the path of a folder or
+    Parquet file, or a repository of the Hub (``USER/NAME``). The names ``"mnist3d"``, ``"starstruck"`` and
     ``"wrench"`` are only ever looked for in the first two.
 
     Parameters
@@ -121,7 +121,7 @@ class AssetProvider:
     seed : int
         Seed of what is made.
     per_class : int, optional
-        Make only so many of each class of a split, instead of the published numbers.
+        Make only this many of each class of a split, instead of the published numbers.
     workers : int
         Number of processes that make it.
     cache_meshes : int, optional
@@ -294,7 +294,7 @@ class AssetProvider:
         return mesh_bounds_m(as_mesh(record).vertices_m, "the mesh")
 
     def placements(self, record: Any) -> tuple[Placement, ...]:
-        """Return what stands where in a Starstruck scene, stars first; metres and radians, cell frame.
+        """Return the objects of a Starstruck scene, stars first; metres and radians, cell frame.
 
         Raises
         ------

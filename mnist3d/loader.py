@@ -32,7 +32,7 @@ class MeshRecord(SolidRecord):
 
     @property
     def source(self) -> str:
-        """Name of the source of the digit; empty in data sets that do not say."""
+        """Name of the source of the digit; empty where it is unknown."""
         return str(self._row.required("source")) if self._row.has("source") else ""
 
     def __repr__(self) -> str:
@@ -105,7 +105,8 @@ def load(
     split : str, optional
         Split to open; only its shards are fetched. May be left out where there is only one.
     streaming : bool
-        Give an iterable that reads as it goes and keeps nothing, instead of a data set with random access.
+        Return an iterable that reads one shard after another and stores nothing, instead of a data set with
+        random access.
     revision : str, optional
         Branch, tag or commit of a Hub repository.
 

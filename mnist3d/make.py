@@ -39,9 +39,9 @@ class GenerateSpec:
     profile : PrintProfile
         What counts as printable.
     per_class : int or None
-        Make only the first so many of each class of a split.
+        Make only the first ``per_class`` digits of each class of a split.
     limit : int or None
-        Then make only the first so many rows of a split.
+        Then make only the first ``limit`` rows of a split.
 
     Notes
     -----
@@ -173,12 +173,12 @@ def generate(
     out : str or path-like
         Folder to write.
     splits : sequence of str, optional
-        Splits to make; others that the folder holds already stay. By default all; of a folder of pictures
-        one, ``train``, with every picture, unless ``spec.split`` says how to divide them.
+        Splits to make; others that the folder holds already stay. By default all; for a folder of images only
+        ``train``, unless ``spec.split`` divides them.
     workers : int or Runner
         Number of local processes, or a runner of another kind.
     overwrite : bool
-        Start again in a folder that holds another data set of this toolkit.
+        Replace another data set of this toolkit in the folder.
     on_progress : callable
         Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
 

@@ -49,11 +49,12 @@ def solidify(
     ----------
     pixels : ndarray of uint8, shape (H, W)
         Grey levels, row 0 at the top. Other integers count from 0 to 255, floats from 0 to 1 or to 255; bool
-        is understood.
+        is accepted too.
     spec : SolidSpec, optional
         The numbers of the algorithm; the published ones by default.
     method : {"fast", "literal"}
-        One distance transform and a lattice of real values, or the algorithm as it is printed.
+        ``"fast"``: one distance transform and a lattice of real values; ``"literal"``: the algorithm as the
+        paper prints it.
     ink : {"auto", "dark", "light"}
         Which part is ink. ``"auto"`` takes the margin for paper, and where ``spec.threshold`` is given what
         is up to it for ink.

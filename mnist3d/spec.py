@@ -180,9 +180,9 @@ class SplitSpec:
         Seed of the division.
     by : {"digit", "writer", "none"}, or None
         ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` gives whole writers to
-        splits, so that no hand is in two of them; sizes are then as near as whole writers allow. ``"none"``
-        divides nothing: all digits are in ``train``. None means ``"none"`` for a folder of pictures of which
-        neither splits nor their sizes are asked for, and else ``"digit"``.
+        splits, so that no writer is in two of them; sizes are then as near as that allows. ``"none"``
+        divides nothing: all digits are in ``train``. None means ``"none"`` for a folder of images when
+        neither splits nor sizes are given, otherwise ``"digit"``.
     sizes : tuple of (str, int), or None
         Digits per class of each split; a mapping is taken too. None means the published sizes, or their
         proportions where a class has fewer than 1,358 digits.

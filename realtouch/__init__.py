@@ -1,4 +1,4 @@
-"""Real touches: typed, lazy, fast loaders, and the work that every user of them does by hand.
+"""Real touches: typed, lazy, fast loaders, and functions to select, convert and export them.
 
 ``realtouch.load`` opens a data set; ``dataset[0]`` is a round of touches, ``dataset.touches()`` the flat view
 of single touches with its filters. ``to_single``, ``resize``, ``select`` and ``frames`` write new ones. Names

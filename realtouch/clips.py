@@ -246,7 +246,7 @@ class TouchClip(Sequence[Pixels]):
         Raises
         ------
         InputError
-            The time lies before the first frame, or more than one frame's duration behind the last.
+            The time lies before the first frame, or more than one frame's duration after the last.
         """
         times = self.timestamps_s
         if not len(times) or not times[0] <= time_s <= times[-1] + 1.0 / self.fps:

@@ -165,7 +165,7 @@ def _with_background(pictures: Any, background: Any) -> tuple[Pixels, Pixels]:
 def difference(
     pictures: Pixels, background: Pixels, representation: Representation = "signed"
 ) -> NDArray[Any]:
-    """Return what changed against a background.
+    """Return the difference from a background.
 
     Parameters
     ----------
@@ -253,7 +253,7 @@ class ContactScore:
 
     @property
     def total_change(self) -> Any:
-        """Grey levels of all changed pixels together: the picture of the greatest shows the contact best."""
+        """Sum of the grey levels of all changed pixels; largest where the contact shows best."""
         return np.rint(self.area_px * self.intensity)
 
 

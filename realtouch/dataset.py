@@ -252,8 +252,8 @@ class Touches(LazySequence[Touch], Generic[R]):
     """All touches of some rounds, or a selection of them; a view that copies nothing.
 
     ``touches[i]`` gives a :class:`Touch`; a slice, ints or a boolean mask give a view. Filters give views too
-    and read only the columns that they need. :meth:`split` divides touches, so that parts share rounds and
-    objects: divide the rounds, or by :attr:`object_ids`, where they must not.
+    and read only the columns that they need. :meth:`split` divides touches, so parts share rounds and
+    objects; to avoid that, divide the rounds, or use :attr:`object_ids`.
 
     Parameters
     ----------
@@ -494,7 +494,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         seed : int
             From 0.
         no_contact_fraction : float, optional
-            Share of touches without contact in what is returned, 0 to below 1, as far as there are any. Which
+            Fraction of touches without contact in the result, 0 to below 1, as far as there are enough. Which
             ones follows from the seed, the id of the round and the touch's number alone, whatever else is
             selected and in whatever order. They stay where they are among the others.
         contact : ndarray of bool, shape (len,), optional
@@ -504,7 +504,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         Raises
         ------
         InputError
-            There are fewer touches, or a number, share or mask is none.
+            There are fewer touches, or a number, fraction or mask is invalid.
         """
         if no_contact_fraction is None:
             return super().sample(len(self) if n is None else n, seed)
@@ -513,7 +513,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         return chosen if n is None else super(Touches, chosen).sample(n, seed)
 
     def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
-        """Return the touches but some, given as stored row and number in the round."""
+        """Return all touches except some, given as stored row and number in the round."""
         # By stored row: places in a view change with each filter.
         rows = self.dataset.row_numbers[self.round_positions].tolist()
         gone = set(lost)

@@ -103,7 +103,7 @@ def load(
     split : str, optional
         Split to open; only its shards are fetched. May be left out where there is only one.
     streaming : bool
-        Give an iterable that reads as it goes and keeps nothing.
+        Return an iterable that reads one shard after another and stores nothing.
     revision : str, optional
         Branch, tag or commit of a Hub repository.
     on_error : "raise" or "skip"

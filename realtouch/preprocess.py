@@ -32,7 +32,7 @@ _BATCH_BYTES = 64 << 20
 
 
 def background(pictures: Any) -> Pixels:
-    """Return the median picture: what the gel looks like while nothing touches it.
+    """Return the median image, which shows the gel without contact.
 
     Parameters
     ----------
@@ -155,14 +155,14 @@ class Contacts:
         Parameters
         ----------
         no_contact_fraction : float
-            Share of touches without contact in what is returned, 0 to below 1, as far as there are any.
+            Fraction of touches without contact in the result, 0 to below 1, as far as there are enough.
         seed : int
             Decides which.
 
         Raises
         ------
         InputError
-            A share or seed that is none.
+            An invalid fraction or seed.
         """
         chosen = with_no_contact(self.touches, self.contact, no_contact_fraction, seed)
         return Contacts(*(getattr(self, each.name)[chosen] for each in fields(self)))
@@ -176,11 +176,11 @@ class Contacts:
 
 
 def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, threads: int = 1) -> Contacts:
-    """Find the best picture of each touch, and by it whether there was contact.
+    """Find the image of each touch that shows contact best, and decide whether there was contact.
 
-    The background is the median of each clip; of images, which stand alone, the median of the round's images
-    that are among these touches. With the defaults, ``find_contacts(touches).select(0.015)`` is the
-    selection of a known consumer, which kept 30,956 of the 153,600 touches.
+    The background is the median of each clip; for single images, the median of those images of the round that
+    are among these touches. With the defaults, ``find_contacts(touches).select(0.015)`` is the selection of
+    an earlier project, which kept 30,956 of the 153,600 touches.
 
     Parameters
     ----------
@@ -189,7 +189,7 @@ def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, thr
     rule : ContactRule, optional
         When a picture shows contact.
     threads : int
-        How many clips to look at at a time.
+        Number of clips that are decoded at a time.
 
     Returns
     -------
@@ -198,7 +198,7 @@ def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, thr
     Raises
     ------
     InputError
-        Something else than touches is given.
+        The argument is not a selection of touches.
     IntegrityError
         A picture is damaged; names file, row and touch.
     """

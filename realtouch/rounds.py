@@ -120,7 +120,7 @@ class TouchRound(Record):
         return type(self)(Row(RowGroup(chosen, row.path, row.number), 0))
 
     def describe_field(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
-        """Return a plain field in words, for people, whatever it holds; None without such a column."""
+        """Return a field as text for people; None without such a column."""
         try:
             return in_words(getattr(self, name))
         except InputError:

@@ -37,7 +37,7 @@ class Summary:
     touches_per_round : tuple of int
         Least and most.
     contact_share : float or None
-        Share of touches in which the gel stopped on an object; None without poses.
+        Fraction of touches in which the gel stopped on an object; None without poses.
     contact_rule : str or None
         Height above the plate from which a touch counted, and where the height of the plate is from.
     labels : dict of str to int
@@ -45,11 +45,11 @@ class Summary:
     image_size : tuple of int
         Width and height of the first image or frame, pixels.
     clip_frames : tuple of int, or None
-        Least, median and most frames of a clip; None for images.
+        Minimum, median and maximum number of frames of a clip; None for images.
     fps : float or None
         Frames per second of the first clip.
     gel_ids : dict of str to int
-        Rounds of each gel; empty where the set does not say.
+        Rounds of each gel; empty where it is unknown.
     """
 
     kind: str

@@ -49,7 +49,7 @@ class SceneRecord(SolidRecord):
 
     @property
     def has_placements(self) -> bool:
-        """Whether the data set stores what stands where; the published one does not."""
+        """Whether the data set stores the placements; the published one does not."""
         return self._row.has("placements")
 
     @property
@@ -66,7 +66,7 @@ class SceneRecord(SolidRecord):
 
     @property
     def scene(self) -> Scene:
-        """The scene: what stands where, and what it took to place it."""
+        """The scene: its placements, and statistics of how they were found."""
         attempts = tuple(int(count) for count in self._required("attempts"))
         return Scene(self.star_count, self.placements, attempts, int(self._required("restarts")))
 
@@ -150,7 +150,8 @@ def load(
     split : str, optional
         Split to open; only its shards are fetched. May be left out where there is only one.
     streaming : bool
-        Give an iterable that reads as it goes and keeps nothing, instead of a data set with random access.
+        Return an iterable that reads one shard after another and stores nothing, instead of a data set with
+        random access.
     revision : str, optional
         Branch, tag or commit of a Hub repository.
 

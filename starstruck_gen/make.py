@@ -72,7 +72,7 @@ class GenerateSpec:
     seed : int
         Random seed.
     limit : int or None
-        Make only the first so many rows of a split.
+        Make only the first ``limit`` rows of a split.
 
     Notes
     -----
@@ -225,7 +225,7 @@ def generate(
     workers : int or Runner
         Number of local processes, or a runner of another kind.
     overwrite : bool
-        Start again in a folder that holds another data set of this toolkit.
+        Replace another data set of this toolkit in the folder.
     on_progress : callable
         Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
     on_failure : callable

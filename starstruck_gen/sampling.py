@@ -325,7 +325,7 @@ def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
 
 @dataclass(eq=False)
 class SamplingExhausted(InputError):  # noqa: N818
-    """No position was found for one object of a scene, however often the scene was started over.
+    """No position was found for an object of a scene, in all restarts.
 
     Attributes
     ----------

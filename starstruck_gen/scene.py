@@ -44,7 +44,7 @@ class _StoredScene(msgspec.Struct):
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Stars and distractors on a cell, and what it took to place them.
+    """Stars and distractors in a cell, and statistics of their placement.
 
     Attributes
     ----------

@@ -50,7 +50,7 @@ def _segments() -> Any:
 
 @dataclass(frozen=True, slots=True)
 class Proportions:
-    """What a kind of shape looks like, its size aside. The defaults are those of the kind.
+    """Proportions of a kind of shape, without its size. The defaults are those of the kind.
 
     Raises
     ------

@@ -41,7 +41,8 @@ class SceneSpec:
     stars : tuple of int
         Number of stars of each class (Tactile MNIST paper, section Starstruck: 1 to 3).
     distractors : tuple of int
-        Least and most distractors of a scene (Tactile MNIST paper, section Starstruck: 0 to 5).
+        Minimum and maximum number of distractors of a scene (Tactile MNIST paper, section Starstruck: 0 to
+        5).
     star : Shape
         What is counted; its name is always ``"star"``. Size and proportions are part of a shape.
     distractor_shapes : tuple of Shape

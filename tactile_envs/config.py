@@ -35,16 +35,16 @@ class Config:
         Whether objects slip after each touch, by ``translation_perturbation_scale`` (metres) and
         ``rotation_perturbation_scale`` (radians), in their own frame.
     randomize_initial_object_pose : bool
-        Whether objects lie anywhere in the cell, turned by at most ``max_initial_angle_perturbation``
+        Whether objects are anywhere in the cell, rotated by at most ``max_initial_angle_perturbation``
         (radians), ``object_placement_margin`` (metres) from its edge.
     randomize_initial_sensor_pose : bool
-        Whether the first touch is anywhere; else in the middle.
+        Whether the first touch is at random in the cell; otherwise it is in the middle.
     linear_velocity, linear_acceleration, transfer_timedelta_s : float
         How far the sensor gets from touch to touch: metres, seconds.
     action_regularization : float
         What the mean square of an action costs.
     timeout_behavior : "terminate" or "truncate"
-        What the end of an episode counts as; only episodes that terminate observe their ``time_step``.
+        Whether an episode ends by termination or truncation; only with the first is ``time_step`` observed.
     cell_size, cell_padding : tuple of float
         Width and depth of the plate, and how far from its edge the sensor stays, metres.
     snap_touch_positions : int, optional

@@ -84,7 +84,7 @@ class GenerateSpec:
     weights : str or None
         File of weights for ``"cyclegan"``; the published ones by default.
     limit : int or None
-        Only the first so many objects of each split.
+        Only the first ``limit`` objects of each split.
     layer_m : float
         Height of the layers in which the solids are printed, metres; 0 for solids as they are modelled.
     noise : SensorNoise or None
@@ -92,7 +92,7 @@ class GenerateSpec:
         its final size. Not for ``"depth"``, which is not a picture of a camera.
     ids, labels, per_class : optional
         Only objects with these ids (a pair stands for all from its first to its last), of these classes, and
-        of these the first so many of each class of a split; then ``limit``.
+        of these the first ``per_class`` of each class of a split; then ``limit``.
     """
 
     size_px: tuple[int, int] = (64, 64)
@@ -373,7 +373,7 @@ def generate(
     workers : int or Runner
         Number of local processes, or a runner of another kind.
     overwrite : bool
-        Start again in a folder that holds another data set of this toolkit.
+        Replace another data set of this toolkit in the folder.
     on_progress : callable
         Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
 

@@ -27,16 +27,16 @@ Numbers = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class SensorNoise:
-    """How much the pictures of a real sensor vary; shares of the range of a picture, names as in the package.
+    """Noise of a real sensor, as fractions of the range of an image; names as in `tactile-mnist`.
 
     Attributes
     ----------
     frame_noise_std, frame_noise_spectrum_exponent, frame_noise_channel_correlation : float
-        Noise of each picture: standard deviation, exponent of its spectrum, correlation of its colours.
+        Noise of each image: standard deviation, exponent of its spectrum, correlation of its colours.
     episode_pattern_std, episode_pattern_spectrum_exponent, episode_pattern_channel_correlation : float
-        The same of the pattern that lies over all pictures of a round.
+        The same for the pattern that all images of a round share.
     episode_gain_std, episode_offset_std : float
-        Standard deviations of contrast and brightness, of all pictures of a round.
+        Standard deviations of the contrast and brightness of a round.
 
     Raises
     ------

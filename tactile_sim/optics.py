@@ -73,7 +73,7 @@ OPTICS = ("depth", "taxim", "cyclegan")
 
 
 def make_optics(name: str, weights: str | Path | None = None) -> Optics:
-    """Return a way of making pictures.
+    """Return the optics of a name, which make images from depth.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
     Raises
     ------
     InputError
-        No such way, or weights that are not there or fit nothing.
+        Unknown optics, or weights that are missing or do not fit.
     MissingExtraError
         The packages that it needs are not installed.
     """

@@ -369,7 +369,7 @@ def make_pairs(
     workers : int or Runner
         Number of local processes, or a runner of another kind.
     overwrite : bool
-        Start again in a folder that holds another data set of this toolkit.
+        Replace another data set of this toolkit in the folder.
     on_progress : callable
         Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
 

@@ -61,9 +61,9 @@ class RoundPlan:
     positions_m : ndarray of float64, shape (T, 2)
         Where the gel goes, metres, cell frame.
     object_position_m : ndarray of float64, shape (T + 1, 3)
-        Where the object lies when it is touched, and at last after its last shift; metres, cell frame.
+        Position of the object at each touch, and after its last shift; metres, cell frame.
     object_quaternion : ndarray of float64, shape (T + 1, 4)
-        How it is turned then: x, y, z, w.
+        Its orientation then: x, y, z, w.
     object_poses : ndarray of float64, shape (T + 1, 4, 4)
         The same as matrices.
     """

@@ -83,7 +83,7 @@ _CELL_OF_FACES_M = 0.002
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pressable:
-    """A solid that was looked at once, so that pressing the gel onto it again costs no further check.
+    """A solid that was checked once, so that it can be pressed many times.
 
     Attributes
     ----------
@@ -112,10 +112,10 @@ class Pressable:
         solid : Mesh, record of a data set, or trimesh.Trimesh
             In metres.
         check : bool
-            Leave the check out for what is known to be closed.
+            Set to False only for meshes that are known to be closed.
         layer_m : float
-            Feel the solid as it is printed: in layers of this height with rounded edges, metres, 0.00002 to
-            0.002 (rounded, as a printer lays them). 0, the default: as it is modelled.
+            Press onto the solid as it is printed: in layers of this height with rounded edges, metres,
+            0.00002 to 0.002 (rounded, as a printer lays them). 0, the default: as it is modelled.
 
         Returns
         -------
@@ -200,7 +200,7 @@ def _require_closed(mesh: Mesh) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Pressed:
-    """What pressing gave, for one touch or for n.
+    """The result of pressing, for one touch or for n.
 
     Attributes
     ----------

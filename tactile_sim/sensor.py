@@ -29,7 +29,7 @@ samples, pixels from the centre, x right and y up. It belongs to the graphics dr
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """A camera behind a gel that is pressed onto things.
+    """A camera behind a gel that is pressed onto objects.
 
     Attributes
     ----------
@@ -42,12 +42,12 @@ class Sensor:
     press_m : float
         How far the highest point under the gel is pressed into it, metres; less than the thickness.
     sample_px : tuple of float
-        Where in a pixel the surface is looked at, pixels from its centre, x right and y up.
+        Where in a pixel the surface is sampled, pixels from its centre, x right and y up.
 
     Raises
     ------
     InputError
-        A number that cannot be: not finite, not positive, a press deeper than the gel.
+        An invalid number: not finite, not positive, a press deeper than the gel.
     """
 
     size_px: tuple[int, int]
@@ -96,7 +96,7 @@ def full_view(width_px: int = 320, height_px: int = 240) -> Sensor:
     Returns
     -------
     Sensor
-        18.88 x 14.16 mm; pixels look at their centres.
+        18.88 x 14.16 mm; pixels are sampled at their centres.
     """
     # The window stays, whatever the aspect: so are the published 64 x 64 pictures made.
     return Sensor((width_px, height_px))

@@ -80,7 +80,7 @@ class TouchPlan:
     Attributes
     ----------
     rounds : int
-        Rounds of each object; the object lies again in each.
+        Rounds of each object; it is placed again in each.
     touches : int
         Number of touches in a round.
     positions : str

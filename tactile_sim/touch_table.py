@@ -38,7 +38,7 @@ _FARTHEST_M = {
 
 @dataclass(frozen=True, eq=False)
 class TouchTable:
-    """A table of touches; within a round they are made in the order in which they stand.
+    """A table of touches, in order within a round.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class TouchTable:
     Raises
     ------
     InputError
-        Columns of other lengths, values that are not finite numbers, a place off the cell.
+        Columns of other lengths, values that are not finite numbers, a position outside the cell.
     """
 
     x_m: Any

@@ -45,7 +45,7 @@ Records = RecordDataset[Any] | MeshView
 
 
 def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> StoredMeshDataset:
-    """Hand a data set of meshes to code that wants a ``tactile_mnist.MeshDataset``.
+    """Wrap a data set of meshes as a ``tactile_mnist.MeshDataset``.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> Stor
         Such as ``provider.meshes("mnist3d", "train")`` or ``mnist3d.load(...)``; or any sequence of records
         as :meth:`env_assets.AssetSource.meshes` describes them.
     cache_size : int or "full"
-        How many points are kept once read; the environments read each mesh once per episode.
+        How many points stay in memory after reading; the environments read each mesh once per episode.
 
     Returns
     -------
@@ -70,14 +70,14 @@ def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> Stor
 
 
 def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> StoredTouchDataset:
-    """Hand a data set of touches with images to code that wants a ``tactile_mnist.TouchSingleDataset``.
+    """Wrap a data set of touches with images as a ``tactile_mnist.TouchSingleDataset``.
 
     Parameters
     ----------
     rounds : realtouch.TouchSingleDataset
         Such as ``realtouch.load("real-single-320x240")``.
     cache_size : int or "full"
-        How many rounds are kept once read.
+        How many rounds stay in memory after reading.
 
     Returns
     -------

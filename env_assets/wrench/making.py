@@ -105,7 +105,7 @@ def write_wrench(
         Write the mesh alone too, for a printer: a file with one of the endings of
         :data:`tactile_toolkit.mesh.files.FORMATS`.
     overwrite : bool
-        Start again in a folder that holds another data set of this toolkit.
+        Replace another data set of this toolkit in the folder.
 
     Returns
     -------

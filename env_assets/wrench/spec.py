@@ -37,7 +37,7 @@ class WrenchSpec:
 
     The widths across flats of the standard sizes are those of ISO 272 (:data:`WIDTHS_ACROSS_FLATS_MM`), and
     15 degrees is the usual angle of open-end jaws. All other proportions are the toolkit's own, drawn for
-    printing; no standard stands behind them.
+    printing; they follow no standard.
 
     Parameters
     ----------

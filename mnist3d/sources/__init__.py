@@ -41,7 +41,7 @@ class DigitImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitCatalog:
-    """What a source holds, without its pixels: three arrays of the same length.
+    """The content of a source without its pixels: three arrays of the same length.
 
     Attributes
     ----------
@@ -66,7 +66,7 @@ class DigitSource(Protocol):
     """A collection of labelled digit images.
 
     Sources are small frozen dataclasses: they pickle in a few hundred bytes (paths, seeds, options), open
-    their files on first use in whatever process they land in, and never hold all images in memory.
+    their files on first use in each process, and never hold all images in memory.
     """
 
     @property

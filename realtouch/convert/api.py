@@ -68,11 +68,11 @@ def to_single(
     split : str, optional
         Only this split, of which alone files are fetched; all by default.
     limit : int, optional
-        Only the first so many rounds of each split.
+        Only the first ``limit`` rounds of each split.
     workers : int or Runner
         Number of local processes, 1 by default, or a runner of another kind.
     overwrite : bool
-        Start again in a folder that holds another data set of this toolkit.
+        Replace another data set of this toolkit in the folder.
     on_progress : callable
         Called after each shard.
 
@@ -173,7 +173,7 @@ def select(
         As for :func:`to_single`.
     contact : bool
         Only touches in which the gel stopped on an object; rounds then differ in their number of touches, and
-        a column ``plate_z_m`` keeps the height of the plate, which the touches that went have shown.
+        a column ``plate_z_m`` keeps the height of the plate, which followed from the removed touches.
     min_height_m : float, optional
         Height above the plate from which a touch counts as contact, metres; see
         :meth:`~realtouch.Touches.in_contact`.
@@ -184,9 +184,9 @@ def select(
     objects : iterable of int, or of pairs of them
         Only these objects, by ``object_id``; a pair stands for all from its first to its last.
     per_class : int, optional
-        Only the first so many rounds of each class of each split.
+        Only the first ``per_class`` rounds of each class of each split.
     limit : int, optional
-        Only the first so many rounds of each split, of those that are left in the end.
+        Then only the first ``limit`` rounds of each split.
 
     Returns
     -------

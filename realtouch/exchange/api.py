@@ -46,7 +46,7 @@ def export(
         same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
         LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images; it
         holds one split. ``"replay"``: the same frames as pixels in the Zarr group that Diffusion Policy
-        reads, for sets that fit on a disk so. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``: pickled
+        reads; they need much space. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``: pickled
         lists of encoded images, with a background. ``"anytouch"``: images and list files of AnyTouch 2.
     frame : str
         Which frame of a clip a touch shows, as for :func:`realtouch.to_single`; ``"lerobot"`` and

@@ -71,7 +71,7 @@ def import_images(
     overwrite: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
 ) -> Manifest:
-    """Make a data set of touches of images and a table of what is known of them; images stay as they are.
+    """Make a data set of touches from images and a table of labels and poses; images are not changed.
 
     Parameters
     ----------
@@ -83,9 +83,9 @@ def import_images(
         As :func:`realtouch.export` writes them; ``"fota"`` and ``"sparsh"`` have a folder for each split. Of
         ``"replay"`` (extra ``zarr``), an episode is a round, a frame is a touch.
     columns : ImportColumns, optional
-        Which columns hold what; those of our own exports are found without.
+        The meaning of columns; those of exports of this toolkit are found by their names.
     table : str, optional
-        The table, below the folder; the only CSV file there by default.
+        The table, below the folder; by default the only CSV file there.
     classes : sequence of str, optional
         Names of the classes in order; by default those in the data, or the numbers from 0 to at least 9.
     split : str, optional

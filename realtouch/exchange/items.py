@@ -32,7 +32,7 @@ _FAR_READERS = 16
 
 @dataclass(frozen=True, slots=True)
 class ImportColumns:
-    """Which columns of a table, or fields of JSON files, hold what.
+    """Which columns of a table, or fields of JSON files, hold labels, positions and so on.
 
     What is not named is read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
     write, where the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
@@ -41,8 +41,8 @@ class ImportColumns:
     Attributes
     ----------
     image : str or None
-        Path of the image below the folder; of WebDataset, its ending, the first image of a sample if None; of
-        a replay buffer, its array of pixels.
+        Path of the image below the folder; for WebDataset, its file extension, or None for the first image of
+        a sample; for a replay buffer, its array of pixels.
     label : str or None
         Class: a number, or a name.
     round : str or None

@@ -43,7 +43,7 @@ def read_mesh(path: str | Path) -> Mesh:
     Returns
     -------
     Mesh
-        Metres, float64. Vertices with the very same coordinates are merged, except in 3MF, whose faces have
+        Metres, float64. Vertices with the same coordinates are merged, except in 3MF, whose faces have
         to name shared corners themselves.
 
     Raises

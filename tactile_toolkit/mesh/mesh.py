@@ -35,7 +35,7 @@ class Mesh:
     Attributes
     ----------
     vertices_m : ndarray of float32 or float64, shape (V, 3)
-        Corner positions in metres: z away from the plate; each room states its frame.
+        Corner positions in metres: z away from the plate; each kind of data set states its frame.
     faces : ndarray of int32, shape (F, 3)
         Rows of ``vertices_m``, counter-clockwise when seen from outside.
     """

@@ -49,7 +49,7 @@ class PrintProfile:
     max_height_mm : float
         Tallest print.
     min_wall_mm : float
-        Thinner walls are warned of.
+        Thinner walls give a warning.
     overhang_deg : float
         Slopes that lean out further than this from the vertical need support.
     max_overhang_share : float
@@ -57,7 +57,7 @@ class PrintProfile:
         undersides of the digits overhang by design, by 0.47 to 0.71 of it (99 % of 119 real ones, every
         fourth, below 0.70).
     min_contact_mm2 : float
-        Smaller first layers are warned of. Digits with ink 28 px wide have 10 mm^2, with 35 px 100 mm^2 or
+        Smaller first layers give a warning. Digits with ink 28 px wide have 10 mm^2, with 35 px 100 mm^2 or
         more.
     density_g_cm3 : float
         Of the material; 1.24 is PLA.
@@ -87,7 +87,7 @@ class PrintReport:
     is_solid : bool
         The mesh bounds a solid of positive volume.
     status : str
-        What manifold3d says of the mesh, ``"NoError"`` or a reason.
+        Status of the mesh in manifold3d, ``"NoError"`` or a reason.
     problem : str or None
         Why the mesh is not a solid, a short stable word of
         :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`, or :data:`UNREADABLE`.
@@ -144,9 +144,9 @@ class PrintReport:
 
 
 def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
-    """Decide whether a mesh bounds a solid and measure what printing it depends on.
+    """Check whether a mesh bounds a solid, and measure what matters for printing it.
 
-    A bad mesh is reported, never raised.
+    A bad mesh gives a report, not an exception.
 
     Parameters
     ----------
@@ -162,7 +162,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     Raises
     ------
     InputError
-        What was given holds no triangles at all.
+        The mesh has no triangles.
     """
     from tactile_toolkit.mesh.nearness import thinnest_wall_mm
 

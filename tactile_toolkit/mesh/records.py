@@ -66,7 +66,7 @@ class SolidRecord(Record):
 
 
 class SolidDataset(RecordDataset[SolidRecord]):
-    """A lazy sequence of meshes of no kind of its own: any data set in the published mesh layout."""
+    """A lazy sequence of meshes: any data set in the published layout of meshes."""
 
     record_class = SolidRecord
     things = "solids"
