@@ -61,6 +61,17 @@ class TouchRow:
     )
 
 
+DRAWN = (
+    "info.object_pose.position",
+    "info.object_pose.quaternion",
+    "pos_in_cell",
+    "gel_pose_cell_frame.position",
+    "info.touched_object_pose.position",
+    "info.touched_object_pose.quaternion",
+)
+"""Columns of numbers that are drawn at random: a dictionary would repeat them all."""
+
+
 @cache
 def touch_schema(class_names: tuple[str, ...]) -> pa.Schema:
     """Return the Arrow schema of a shard."""

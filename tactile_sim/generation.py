@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.columns import TouchRow, touch_schema
+from tactile_sim.columns import DRAWN, TouchRow, touch_schema
 from tactile_sim.kind import KIND
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
@@ -48,7 +48,13 @@ from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
 _PUBLISHED_PX = (320, 240)
 # Encoded pictures in memory, which is all that a worker holds of a shard.
 _SHARD_BYTES = 64 << 20
+_SMALLEST_SHARD_BYTES = 2 << 20
+_SHARDS = 32  # of sets that need no more: several for each worker, so that all end at about the same time
 _GROUP_BYTES = 8 << 20
+# Untouched pictures repeat from round to round: shorter pages would hide that from zstd, longer ones change
+# more where a round does.
+_ROUNDS_PER_PAGE = 8
+_IMAGE_BYTES = "sensor_image.list.element.bytes"
 # The published 64 x 64 touches take 0.21 (110,578,548 bytes of 128,000 pictures).
 _JPEG_BYTES_PER_PX = 0.25
 
@@ -223,19 +229,25 @@ class TouchMaking(making.Making):
         return {split: range(self.spec.plan.rounds * len(each)) for split, each in self.rows.items()}
 
     def layout(self) -> making.Layout:
-        """Return how rows are stored: pictures do not compress again."""
-        per_shard = self._rounds_for(_SHARD_BYTES)
-        return making.Layout(
-            ParquetStyle(
-                self._rounds_for(_GROUP_BYTES),
-                compression_level=3,
-                encodings=(("sensor_image.list.element.bytes", "PLAIN"),),
-            ),
-            libraries=("numpy", "pillow", "pyarrow", *(["torch"] if self.spec.optics == "cyclegan" else [])),
-            smallest=per_shard,
-            largest=per_shard,
-            sampled=3,  # a round of 32 touches takes some 10 ms, the first look at a solid 28
+        """Return how rows are stored: pictures and drawn numbers have no dictionary."""
+        most, former = self._rounds_for(_SHARD_BYTES), ((_IMAGE_BYTES, "PLAIN"),)
+        style = ParquetStyle(
+            self._rounds_for(_GROUP_BYTES),
+            compression_level=3,
+            encodings=(*former, *((f"{name}.list.element.list.element", "PLAIN") for name in DRAWN)),
+            values_per_page=_ROUNDS_PER_PAGE * self.spec.plan.touches,
         )
+        layout = making.Layout(
+            style,
+            libraries=("numpy", "pillow", "pyarrow", *(["torch"] if self.spec.optics == "cyclegan" else [])),
+            smallest=self._rounds_for(_SMALLEST_SHARD_BYTES),
+            largest=most,
+            wanted=_SHARDS,
+            sampled=3,  # a round of 32 touches takes some 10 ms, the first look at a solid 28
+            together=self.spec.plan.rounds,
+        )
+        first = replace(layout, style=replace(style, encodings=former), smallest=most, together=1)
+        return replace(layout, former=first)
 
     def _rounds_for(self, size_bytes: int) -> int:
         width, height = self.spec.size_px

@@ -6,7 +6,7 @@ import os
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -45,6 +45,10 @@ class Layout:
         Items of a shard from which the time and size of a run are estimated.
     report_file : str or None
         Path of the report, where there is one.
+    together : int
+        Items that are made of one thing, and so stand in one shard where that is possible.
+    former : Layout or None
+        Layout of the first version of the schema, where more than pages was different.
     """
 
     style: ParquetStyle
@@ -54,6 +58,8 @@ class Layout:
     wanted: int = 1
     sampled: int = 1
     report_file: str | None = None
+    together: int = 1
+    former: Layout | None = None
 
 
 class Making(ABC):
@@ -133,25 +139,15 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
         if split not in known:
             raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
     # However they are asked for, tasks stand in canonical order, and so do shards in the manifest.
-    tasks = tuple(
-        Task(making, shard, items[split][rows.start : rows.stop])
-        for split in known
-        if split in wanted
-        for shard, rows in shard_ranges(
-            split,
-            len(items[split]),
-            smallest=layout.smallest,
-            largest=layout.largest,
-            wanted=layout.wanted,
-        )
-    )
+    chosen = {split: each for split, each in items.items() if split in wanted}
+    tasks = _tasks(making, chosen, layout)
     if not tasks:
         sizes = {split: len(each) for split, each in items.items()}
         raise InputError(
             f"no {making.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
             next="choose another --split, or larger ones",
         )
-    return BuildPlan(
+    plan = BuildPlan(
         making.kind.name,
         making.manifest(),
         known,
@@ -159,6 +155,25 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
         layout.style,
         layout.report_file,
         libraries=layout.libraries,
+    )
+    if layout.former is None:
+        return plan
+    former = replace(plan, tasks=_tasks(making, chosen, layout.former), style=layout.former.style)
+    return replace(plan, former=former)
+
+
+def _tasks(making: Making, items: Mapping[str, Any], layout: Layout) -> tuple[Task, ...]:
+    return tuple(
+        Task(making, shard, each[rows.start : rows.stop])
+        for split, each in items.items()
+        for shard, rows in shard_ranges(
+            split,
+            len(each),
+            smallest=layout.smallest,
+            largest=layout.largest,
+            wanted=layout.wanted,
+            together=layout.together,
+        )
     )
 
 

@@ -53,6 +53,7 @@ KIND = "realtouch"
 _SHARD_BYTES = 256 << 20
 # A touch read at random unpacks its whole row group.
 _GROUP_BYTES = 32 << 20
+_PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
 _MOST_ROWS_PER_SHARD = 64
 _READERS = 4  # threads that read footers
 
@@ -285,12 +286,14 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
     media = [f"{name}.list.element" for name in MEDIA_COLUMN.values() if name in stored]
     media += [name for name in stored if schema.field(name).type == MEDIA_TYPE]
     encodings = tuple((f"{name}.bytes", "PLAIN") for name in media)
+    is_flat = not any(name.endswith(".element") for name in media)
+    per_page = None if is_flat else max(1, _PAGE_BYTES // source.media_bytes())
     return BuildPlan(
         KIND,
         spec,
         tuple(source.shards),
         tuple(tasks),
-        ParquetStyle(per_group, compression_level=3, encodings=encodings),
+        ParquetStyle(per_group, compression_level=3, encodings=encodings, values_per_page=per_page),
         extra_dirs=conversion.extra_dirs,
         is_current=files_are_current,
         libraries=("numpy", "pillow", "pyarrow", "simplejpeg"),

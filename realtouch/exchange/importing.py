@@ -31,6 +31,7 @@ from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.versions import first_style
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
 from tactile_toolkit.wording import printable
 
@@ -47,6 +48,7 @@ _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
 _SHARD_BYTES = 256 << 20
 _GROUP_BYTES = 32 << 20
+_PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
 _POSE = "gel_pose_cell_frame"
 _OF_ROUND = ("label", "object_id")
 _SPLIT_FOLDERS = ("fota", "sparsh")  # formats of which a folder holds one split, and is named so
@@ -183,21 +185,28 @@ def _plan(
         },
         "listing_sha256": sha256_hex(json.dumps(listing, sort_keys=True, default=str).encode()),
     }
-    per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // (sum(item.size for item in items) // len(items) + 1))
+    image_bytes = sum(item.size for item in items) // len(items) + 1
+    per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // image_bytes)
     per_round = max(1, len(items) // sum(map(len, rounds.values())))
     encodings = (("sensor_image.list.element.bytes", "PLAIN"),)
-    style = ParquetStyle(max(1, per_group // per_round), compression_level=3, encodings=encodings)
-
-    def is_current(_folder: DataFolder, record: ShardRecord, _reads: bool) -> bool:
-        # Names and sizes would not show whether the source still gives the same: the images are read again.
-        content = tasks[str(record.shard)].make()
-        same = sha256_hex(encode_parquet(content.table, style)) == record.sha256
-        return same and content.skipped == record.skipped
-
-    libraries = ("numpy", "pyarrow")
-    return BuildPlan(
-        KIND, spec, tuple(rounds), tuple(tasks.values()), style, is_current=is_current, libraries=libraries
+    style = ParquetStyle(
+        max(1, per_group // per_round),
+        compression_level=3,
+        encodings=encodings,
+        values_per_page=max(1, _PAGE_BYTES // image_bytes),
     )
+
+    def plan_in(style: ParquetStyle) -> BuildPlan:
+        def is_current(_folder: DataFolder, record: ShardRecord, _reads: bool) -> bool:
+            # Names and sizes would not show whether the source still gives the same: images are read again.
+            content = tasks[str(record.shard)].make()
+            same = sha256_hex(encode_parquet(content.table, style)) == record.sha256
+            return same and content.skipped == record.skipped
+
+        every, libraries = tuple(tasks.values()), ("numpy", "pyarrow")
+        return BuildPlan(KIND, spec, tuple(rounds), every, style, is_current=is_current, libraries=libraries)
+
+    return replace(plan_in(style), former=plan_in(first_style(style)))
 
 
 def _divided(rounds: Mapping[str, Sequence[Item]]) -> list[Rounds]:

@@ -39,6 +39,7 @@ from tactile_toolkit.store.overwrite import (
 )
 from tactile_toolkit.store.parquet import REPORT_STYLE, ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord
+from tactile_toolkit.store.versions import plan_in_version
 
 _CAUSES_SHOWN = 3
 _PATIENCE_S = 60.0
@@ -221,7 +222,9 @@ def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     folder that holds nothing and refuses every other specification.
     """
     manifest = read_manifest(folder)
-    if manifest is None or manifest.identity != plan.new_manifest().identity:
+    if manifest is None:
+        return
+    if manifest.identity != plan_in_version(plan, manifest.schema_version).new_manifest().identity:
         return
     listed = {record.shard for record in manifest.shards}
     pending = pending_records(folder, manifest.identity)

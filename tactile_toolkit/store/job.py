@@ -26,6 +26,7 @@ from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifes
 from tactile_toolkit.store.names import Count, decode
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.versions import SCHEMA_VERSION, plan_in_version
 
 _LONGEST_SHOWN = 200
 
@@ -94,6 +95,10 @@ class BuildPlan:
     write_files : callable
         Writes files that follow from all rows, such as an index, once those are there; takes the folder and
         the manifest, returns the checksum of each by path.
+    schema_version : int
+        Version of the schema in which it is stored.
+    former : BuildPlan or None
+        The same rows as the first version stored them, where more than pages is different.
     """
 
     kind: str
@@ -108,6 +113,8 @@ class BuildPlan:
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
     )
+    schema_version: int = SCHEMA_VERSION
+    former: BuildPlan | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         # As in a manifest: JSON has made lists of tuples.
@@ -138,6 +145,7 @@ class BuildPlan:
             toolkit_version(),
             self.spec,
             self.split_order,
+            schema_version=self.schema_version,
             trees=self.extra_dirs,
             libraries=library_versions(*self.libraries),
         )
@@ -216,8 +224,10 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
     MissingPartsError where shards are missing for a Finish.
     """
     check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
-    tasks = tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
-    manifest, new = read_manifest(folder), plan.new_manifest()
+    manifest = read_manifest(folder)
+    if manifest is not None:
+        plan = plan_in_version(plan, manifest.schema_version)
+    new, tasks = plan.new_manifest(), tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
     if manifest is None:
         refuse_unknown_files(folder)
         job = Job(folder, plan, new, tasks)

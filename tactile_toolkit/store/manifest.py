@@ -17,15 +17,13 @@ from typing import Annotated, Any
 
 import msgspec
 
-from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import Sha256, damaged, decode, names_inside
 from tactile_toolkit.store.shards import ShardRecord, add_up
+from tactile_toolkit.store.versions import SCHEMA_VERSION, require_known_version, version_in_identity
 from tactile_toolkit.wording import printable_json
 
 MANIFEST_FILE = "manifest.json"
-SCHEMA_VERSION = 1
-"""Version of the folder's layout and of the manifest; raised when a reader must change."""
 _OPTIONAL = ("libraries", "statistics", "trees")
 """What the text of a manifest leaves out where there is none."""
 
@@ -54,7 +52,8 @@ class Manifest:
     @property
     def identity(self) -> str:
         """Digest of all that decides the rows of a data set and their bytes."""
-        values = (self.kind, self.toolkit_version, dict(self.libraries), self.spec)
+        version = version_in_identity(self.schema_version)
+        values = (self.kind, self.toolkit_version, dict(self.libraries), self.spec, *version)
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     @property
@@ -130,12 +129,7 @@ class Manifest:
     def from_json(cls, content: str | bytes, where: str) -> Manifest:
         """Parse ``manifest.json``; IntegrityError when it is not one, or one of a later layout."""
         manifest = decode(content, cls, where)
-        if manifest.schema_version > SCHEMA_VERSION:
-            raise IntegrityError(
-                f"{where!r} has schema version {manifest.schema_version}, this toolkit reads up to "
-                f"{SCHEMA_VERSION}",
-                next="install a newer tactile-toolkit",
-            )
+        require_known_version(manifest.schema_version, where)
         # The text repeats what follows from the shards, so that a changed number is found.
         stated = msgspec.structs.asdict(decode(content, _Sums, where))
         try:

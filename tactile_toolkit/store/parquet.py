@@ -24,6 +24,9 @@ _FOOTER_MARK = b"TTFC"
 """Stands before the CRC-32 of the footer that follows. Parquet has checksums of pages, none of the footer;
 what lies between them is passed over by readers that do not know of it."""
 _TAIL_BYTES = 1 << 16
+_PAGE_BYTES = 1 << 20
+_SMALL_PAGE_BYTES = 32 << 10
+_CONTENT_CHUNKS = {"min_chunk_size": 1 << 10, "max_chunk_size": 1 << 20}
 _BUFFER_BYTES = 1 << 20
 
 
@@ -33,15 +36,25 @@ class ParquetStyle:
 
     Row groups stay well under 100 MB so that reading one row is cheap. Columns with an encoding of their own
     (path, encoding) get neither a dictionary nor statistics.
+
+    A page ends at 1 MiB; with ``values_per_page``, with the row in which it has so many values of its column,
+    if that is 32 KiB at least: a changed row then leaves the pages after its own as they were. With
+    ``chunks_by_content`` Arrow ends pages where the content tells it to, eight rows apart or more: for rows
+    of some 100 kB at most, several of which differ in size. With ``page_index`` the file has an index of its
+    pages.
     """
 
     rows_per_group: int
     compression: str = "zstd"
     compression_level: int | None = 9
     encodings: tuple[tuple[str, str], ...] = ()
+    values_per_page: int | None = None
+    chunks_by_content: bool = False
+    page_index: bool = True
 
 
-REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16)
+REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16, page_index=False)
+"""The same in all versions of the schema: reports are small, and read whole."""
 
 
 def encode_parquet(table: Any, style: ParquetStyle) -> bytes:
@@ -97,8 +110,10 @@ def _write(write: Callable[[bytes], object], schema: Any, groups: Iterable[Any],
         use_dictionary=others,
         column_encoding=encodings or None,
         write_statistics=others,
-        data_page_size=1 << 20,
-        # Pages cut by content would save uploads too little: benchmarks/shared_chunks.py.
+        data_page_size=_PAGE_BYTES if style.values_per_page is None else _SMALL_PAGE_BYTES,
+        write_batch_size=style.values_per_page,  # after so many values Arrow looks whether the page is full
+        use_content_defined_chunking=_CONTENT_CHUNKS if style.chunks_by_content else False,
+        write_page_index=style.page_index,
         write_page_checksum=True,
     ) as writer:
         for table in groups:

@@ -87,14 +87,16 @@ def rows_per_shard(rows: int, usual: int) -> int:
 
 
 def shard_ranges(
-    split: str, rows: int, *, smallest: int, largest: int, wanted: int
+    split: str, rows: int, *, smallest: int, largest: int, wanted: int, together: int = 1
 ) -> list[tuple[ShardName, range]]:
     """Divide the rows of a split into about ``wanted`` shards of ``smallest`` to ``largest`` rows.
 
     The sizes follow from the split alone, so that any number of workers agrees on them. A shard is what a
-    worker holds in memory and what a kill loses; a small run still has some for each worker.
+    worker holds in memory and what a kill loses; a small run still has some for each worker. Shards end after
+    a multiple of ``together`` rows, where the largest allows it.
     """
-    size = min(rows_per_shard(rows, largest), max(smallest, -(-rows // wanted)))
+    size = max(smallest, -(-rows // wanted))
+    size = min(rows_per_shard(rows, largest), -(-size // together) * together)
     starts = range(0, rows, size)
     return [
         (ShardName(split, index, len(starts)), range(start, min(start + size, rows)))

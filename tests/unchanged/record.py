@@ -10,7 +10,7 @@ import hashlib
 import io
 import json
 import tempfile
-from dataclasses import fields, is_dataclass
+from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -33,6 +33,8 @@ from tactile_toolkit.pictures.previews import PreviewSpec
 from tactile_toolkit.printing.packing import arrange, measure
 from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.spec import PlateSpec
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest, write_manifest
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
 from tests.tactile_sim.sets import touch_sets
@@ -119,6 +121,16 @@ def data_sets(folder: Path) -> dict[str, Any]:
     literal = mnist3d.solidify(source.image(1234).pixels, method="literal")
     content = literal.vertices_m.astype("<f4").tobytes() + literal.faces.astype("<i4").tobytes()
     return found | {"the literal solid": hashlib.sha256(content).hexdigest()}
+
+
+def begin_as_first_version(sets: Path, folder: Path, names: str = "*") -> None:
+    """Put the manifests below a folder with which the first version of the schema began such sets."""
+    for file in sets.glob(f"{names}/manifest.json"):
+        begun = DataFolder(str(folder / file.parent.name))
+        begun.require_folder()
+        manifest = read_manifest(DataFolder(str(file.parent)))
+        assert manifest is not None
+        write_manifest(begun, replace(manifest, schema_version=1, shards=(), files={}, complete=False))
 
 
 def pictures(sets: Path) -> dict[str, str]:

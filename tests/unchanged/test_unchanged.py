@@ -11,6 +11,7 @@ from tests.unchanged.record import (
     FOLDER,
     HELP_LIBRARIES,
     PACKAGES,
+    begin_as_first_version,
     data_sets,
     defaults_and_limits,
     helps,
@@ -21,6 +22,8 @@ from tests.unchanged.record import (
 )
 
 RECORD = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))
+FIRST_VERSION = json.loads((FOLDER / "first_version.json").read_text(encoding="utf-8"))
+"""Digests of the same sets of the first version of the schema, which is never recorded again."""
 
 
 NEEDED = {"realtouch.torch": "torch", "env_assets": "tactile_mnist"}
@@ -55,8 +58,10 @@ def test_help_is_unchanged(command_line):
 def test_bytes_of_data_sets_and_their_pictures_are_unchanged(tmp_path):
     if library_versions() != RECORD["libraries"]:
         pytest.skip(f"bytes follow from the versions of libraries; recorded with {RECORD['libraries']}")
-    assert data_sets(tmp_path) == RECORD["parquet"]
-    assert pictures(tmp_path) == RECORD["pictures"]
+    assert data_sets(tmp_path / "new") == RECORD["parquet"]
+    assert pictures(tmp_path / "new") == RECORD["pictures"]
+    begin_as_first_version(tmp_path / "new", tmp_path / "first")
+    assert data_sets(tmp_path / "first") == FIRST_VERSION["parquet"]
 
 
 @pytest.mark.sim
@@ -64,4 +69,6 @@ def test_bytes_of_synthetic_touches_are_unchanged(tmp_path):
     pytest.importorskip("taxim", reason="needs taxim, of the extra sim")
     if library_versions() != RECORD["libraries"]:
         pytest.skip(f"bytes follow from the versions of libraries; recorded with {RECORD['libraries']}")
-    assert synthetic_touches(tmp_path) == RECORD["touches"]
+    assert synthetic_touches(tmp_path / "new") == RECORD["touches"]
+    begin_as_first_version(tmp_path / "new", tmp_path / "first", "touches-*")
+    assert synthetic_touches(tmp_path / "first") == FIRST_VERSION["touches"]

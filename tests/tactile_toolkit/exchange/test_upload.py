@@ -83,8 +83,8 @@ def test_everything_arrives_once_and_then_nothing_is_sent(server, folder):
     assert_holds(server, folder)
     assert first.commit == server.repository(NAME).head.sha
     assert set(first.sent) == set(server.repository(NAME).head.files)
-    assert first.tags == ("schema-1",)
-    assert server.repository(NAME).tags == {"schema-1": first.commit}
+    assert first.tags == ("schema-2",)
+    assert server.repository(NAME).tags == {"schema-2": first.commit}
     server.requests.clear()
     again = upload(folder)
     assert (again.commit, again.sent, again.removed, again.tags) == (first.commit, (), (), ())
@@ -199,7 +199,7 @@ def test_a_lost_answer_moves_a_name_all_the_same(server, folder, method):
         card.write("\nMore.\n")
     server.faults.add(Fault("*/tag/*", method=method, lose_reply=True))
     commit = upload(folder).commit
-    assert server.repository(NAME).tags["schema-1"] == commit
+    assert server.repository(NAME).tags["schema-2"] == commit
 
 
 @pytest.mark.parametrize("pattern", ["*/repos/create", "*/commit/*", "*/tag/*"])
@@ -208,7 +208,7 @@ def test_trouble_that_passes_is_waited_out(server, folder, pattern):
     server.faults.fail(pattern, 503, times=2)
     run_upload(prepare_upload(str(folder), NAME, on_wait=told.append))
     assert_holds(server, folder)
-    assert server.repository(NAME).tags == {"schema-1": server.repository(NAME).head.sha}
+    assert server.repository(NAME).tags == {"schema-2": server.repository(NAME).head.sha}
     assert len(server.repository(NAME).history) == 2
     assert all("503" in line and "trying again in 0.0" in line for line in told)
 
@@ -325,10 +325,10 @@ def test_names_move_only_where_they_may(server, folder):
     assert len(server.repository(NAME).history) == 2
     second = upload(folder, tag="v2", message="With more")
     tags = server.repository(NAME).tags
-    assert tags["schema-1"] == tags["v2"] == second.commit != tags["v1"]
+    assert tags["schema-2"] == tags["v2"] == second.commit != tags["v1"]
     assert server.repository(NAME).head.title == "With more"
-    del tags["schema-1"]
-    assert upload(folder).tags == ("schema-1",), "a name that a killed upload had not set is set"
+    del tags["schema-2"]
+    assert upload(folder).tags == ("schema-2",), "a name that a killed upload had not set is set"
 
 
 @pytest.mark.parametrize("other", [{"revision": "next"}, {"tag": "v1"}])

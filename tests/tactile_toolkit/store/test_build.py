@@ -3,7 +3,6 @@ from __future__ import annotations
 import errno
 import gc
 import importlib.metadata
-import json
 import os
 import shutil
 import signal
@@ -152,16 +151,6 @@ def test_damaged_manifest_is_named(tmp_path):
     with pytest.raises(IntegrityError, match=r"manifest\.json' is damaged: "):
         make(tmp_path / "set")
     assert gc.isenabled(), "manifests are read without collecting garbage"
-
-
-def test_later_schema_is_refused(tmp_path):
-    make(tmp_path / "set")
-    file = tmp_path / "set" / "manifest.json"
-    values = json.loads(file.read_text())
-    assert values["schema_version"] == 1, "what was released reads up to 1"
-    file.write_text(json.dumps(values | {"schema_version": 2}))
-    with pytest.raises(IntegrityError, match="schema version 2, this toolkit reads up to 1"):
-        make(tmp_path / "set")
 
 
 def test_dead_worker_is_replaced(tmp_path):
