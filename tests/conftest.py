@@ -13,6 +13,7 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from tests.real_input import NO_REAL_INPUT, SHARED
+from tests.s3_fixtures import bucket, new_clients, s3, s3_server  # noqa: F401  # one server for each worker
 
 # A slow or busy machine must not fail a property. README's command draws few examples, for a quick answer;
 # `pytest -m ""` draws many. A server draws the same ones every time, and new ones in a run that

@@ -1,4 +1,4 @@
-"""Fixtures of tests that talk to an object store: one server for a file of tests, a new bucket for each."""
+"""Fixtures of tests that talk to an object store: one server for each worker, a new bucket for each test."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.s3_server import S3Server, serve
 _NUMBERS = itertools.count()
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def s3_server() -> Iterator[S3Server]:
     import s3fs
 

@@ -22,13 +22,12 @@ pytest.importorskip("moto")
 
 CARDS = ("README.md", "croissant.json")
 
-from tests.s3_fixtures import bucket, new_clients, s3, s3_server  # noqa: E402, F401
 from tests.s3_server import KEY, SECRET  # noqa: E402
 
 SCENES = ("generate", "--scenes", "train=6,test=3", "--stars", "1", "--workers", "1", "--quiet")
 
 
-def stored(s3, bucket, prefix):  # noqa: F811
+def stored(s3, bucket, prefix):
     """Return what lies below a folder of a bucket, as ``folder_bytes`` does for local ones."""
     objects = s3.objects(bucket).items()
     return {
@@ -36,7 +35,7 @@ def stored(s3, bucket, prefix):  # noqa: F811
     }
 
 
-def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkeypatch, capfd):  # noqa: F811
+def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkeypatch, capfd):
     import starstruck_gen
 
     place, local = f"s3://{bucket}/scenes", tmp_path / "scenes"
@@ -99,7 +98,7 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         assert stored(s3, bucket, "back") == copied
 
 
-def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):  # noqa: F811
+def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):
     import realtouch
 
     assert call("starstruck", *SCENES, "--out", f"s3://{bucket}/objects") == 0
@@ -126,7 +125,7 @@ def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):  # noqa: F811
     assert call("realtouch", "resize", touches, "--out", f"{touches}/inside", "--size", "8x8", "--quiet") == 2
 
 
-def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):  # noqa: F811
+def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):
     from tests.realtouch import factories
 
     truths = [factories.make_round(index, 4, (64, 64), (4, 5)) for index in range(3)]
@@ -160,7 +159,7 @@ def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):  # n
 
 @pytest.mark.usefixtures("new_clients")
 @pytest.mark.parametrize("debug", [(), ("--debug",)])
-def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp_path, debug):  # noqa: F811
+def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp_path, debug):
     monkeypatch.setenv("AWS_SESSION_TOKEN", "a-token-that-no-output-may-hold")
     monkeypatch.chdir(tmp_path)
 

@@ -16,7 +16,6 @@ pytestmark = pytest.mark.s3
 pytest.importorskip("s3fs")
 pytest.importorskip("moto")
 
-from tests.s3_fixtures import bucket, s3, s3_server  # noqa: E402, F401
 
 COLUMNS = realtouch.ImportColumns(round="round_id", object_id="object_id", split="split")
 
@@ -31,8 +30,8 @@ def test_what_lies_in_a_store_becomes_what_a_folder_becomes(
     layout: Any,
     single_folder: Path,
     tmp_path: Path,
-    s3: Any,  # noqa: F811
-    bucket: str,  # noqa: F811
+    s3: Any,
+    bucket: str,
 ) -> None:
     columns = COLUMNS
     if layout == "folder":
@@ -65,7 +64,7 @@ def test_what_lies_in_a_store_becomes_what_a_folder_becomes(
         assert one.split_table() == made.split_table()
 
 
-def test_addresses_that_cannot_be_read(tmp_path: Path, s3: Any, bucket: str) -> None:  # noqa: F811
+def test_addresses_that_cannot_be_read(tmp_path: Path, s3: Any, bucket: str) -> None:
     DataFolder(f"s3://{bucket}/images").write_bytes("a.jpg", b"no table here")
     for place, out, words in (
         (f"s3://{bucket}/nothing", tmp_path / "out", "does not exist"),

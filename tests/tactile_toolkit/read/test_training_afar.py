@@ -15,10 +15,9 @@ pytest.importorskip("moto")
 
 from starstruck_gen.torch import SceneTensors  # noqa: E402
 from tactile_toolkit.read.torch import TrainingBatches  # noqa: E402
-from tests.s3_fixtures import bucket, s3, s3_server  # noqa: E402, F401
 
 
-def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, monkeypatch):  # noqa: F811
+def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, monkeypatch):
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr("starstruck_gen.make._LARGEST_SHARD", 8)
     spec = starstruck_gen.GenerateSpec(scenes=(("train", 60), ("test", 1)))

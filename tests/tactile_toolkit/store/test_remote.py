@@ -28,12 +28,11 @@ pytestmark = pytest.mark.s3
 pytest.importorskip("s3fs")
 pytest.importorskip("moto")
 
-from tests.s3_fixtures import bucket, new_clients, s3, s3_server  # noqa: E402, F401
 from tests.s3_server import KEY, SECRET  # noqa: E402
 
 
 @pytest.fixture
-def folder(bucket):  # noqa: F811
+def folder(bucket):
     return DataFolder(f"s3://{bucket}/deep/set")
 
 
@@ -60,7 +59,7 @@ def test_what_is_written_is_listed_with_its_size_and_read_again(folder):
         folder.read_bytes("data/a")
 
 
-def test_a_file_of_several_megabytes_is_one_request(folder, s3, bucket):  # noqa: F811
+def test_a_file_of_several_megabytes_is_one_request(folder, s3, bucket):
     content = bytes(101 << 20)  # more than the client sends in one piece by itself
     s3.traffic.reset()
     folder.write_bytes("data/large", content)
@@ -69,7 +68,7 @@ def test_a_file_of_several_megabytes_is_one_request(folder, s3, bucket):  # noqa
     assert folder.size_bytes("data/large") == len(content)
 
 
-def test_of_a_large_file_that_cannot_be_sent_whole_no_piece_stays(folder, s3, bucket, tmp_path):  # noqa: F811
+def test_of_a_large_file_that_cannot_be_sent_whole_no_piece_stays(folder, s3, bucket, tmp_path):
     with (tmp_path / "report").open("wb") as file:
         file.truncate(101 << 20)
     s3.refuse = lambda asked: (
@@ -82,7 +81,7 @@ def test_of_a_large_file_that_cannot_be_sent_whole_no_piece_stays(folder, s3, bu
     assert folder.names("reports") == []
 
 
-def test_what_another_client_writes_is_seen_at_once(folder, s3, bucket):  # noqa: F811
+def test_what_another_client_writes_is_seen_at_once(folder, s3, bucket):
     folder.write_bytes("data/a", b"1")
     assert folder.names("data") == ["a"]
     import boto3
@@ -111,7 +110,7 @@ def test_of_many_writers_at_once_one_creates_a_file(folder):
     assert len(set(found)) == 1
 
 
-def test_a_creation_whose_answer_was_lost_is_not_a_failure(folder, s3):  # noqa: F811
+def test_a_creation_whose_answer_was_lost_is_not_a_failure(folder, s3):
     folder.exists()  # the store has answered once
     state = {"put": 0}
 
@@ -129,7 +128,7 @@ def test_a_creation_whose_answer_was_lost_is_not_a_failure(folder, s3):  # noqa:
     assert folder.read_bytes("plan.json") == b"mine"
 
 
-def boto_put(s3, key, body, folder):  # noqa: F811
+def boto_put(s3, key, body, folder):
     import boto3
 
     boto3.client("s3", endpoint_url=s3.endpoint).put_object(
@@ -140,7 +139,7 @@ def boto_put(s3, key, body, folder):  # noqa: F811
 @pytest.mark.parametrize(
     "act", [lambda folder: folder.require_folder(), lambda folder: folder.write_bytes("a", b"1")]
 )
-def test_no_bucket_is_ever_made(s3, act):  # noqa: F811
+def test_no_bucket_is_ever_made(s3, act):
     before = s3.buckets()
     with pytest.raises(
         InputError, match=r"bucket 'mistyped' of 's3://mistyped/set' does not exist; .*; next: "
@@ -153,19 +152,19 @@ def test_no_bucket_is_ever_made(s3, act):  # noqa: F811
     )
 
 
-def test_a_name_that_no_bucket_can_have_is_named(s3):  # noqa: F811
+def test_a_name_that_no_bucket_can_have_is_named(s3):
     with pytest.raises(InputError, match=r"'s3://two words/set.*' holds no name that a bucket or file can"):
         DataFolder("s3://two words/set").names()
 
 
-def test_a_file_in_the_place_of_the_folder_is_refused(folder, bucket):  # noqa: F811
+def test_a_file_in_the_place_of_the_folder_is_refused(folder, bucket):
     folder.write_bytes("data/a", b"1")
     with pytest.raises(InputError, match="is a file, a folder was expected"):
         DataFolder(f"{folder.url}/data/a").require_folder()
 
 
 @pytest.mark.parametrize("code", ["SlowDown", "InternalError", "503"])
-def test_what_fails_in_passing_is_tried_again(folder, s3, code):  # noqa: F811
+def test_what_fails_in_passing_is_tried_again(folder, s3, code):
     answers = iter([("503 Slow Down", code), ("503 Slow Down", code)])
     s3.refuse = lambda _: next(answers, None)
     folder.write_bytes("a", b"1")
@@ -180,7 +179,7 @@ def test_what_fails_in_passing_is_tried_again(folder, s3, code):  # noqa: F811
         lambda folder: folder.open("data/a").read() == b"1" * 999,
     ],
 )
-def test_an_answer_that_ends_too_early_is_asked_for_again(folder, s3, act):  # noqa: F811
+def test_an_answer_that_ends_too_early_is_asked_for_again(folder, s3, act):
     folder.write_bytes("data/a", b"1" * 999)
     asked = []
 
@@ -193,7 +192,7 @@ def test_an_answer_that_ends_too_early_is_asked_for_again(folder, s3, act):  # n
     assert asked.count("GET") == 2
 
 
-def test_answers_that_always_end_too_early_are_named(folder, s3, monkeypatch):  # noqa: F811
+def test_answers_that_always_end_too_early_are_named(folder, s3, monkeypatch):
     folder.write_bytes("a", b"1" * 999)
     monkeypatch.setattr(remote, "_PATIENCE_S", 1.0)
     s3.shorten = lambda _: 50
@@ -202,7 +201,7 @@ def test_answers_that_always_end_too_early_are_named(folder, s3, monkeypatch):  
     assert "400, message" not in str(told.value).partition("(")[0]
 
 
-def test_a_status_without_a_reason_names_the_region(folder, s3):  # noqa: F811
+def test_a_status_without_a_reason_names_the_region(folder, s3):
     """A question for one file of a bucket in another region: the answer has no body that could say so."""
     folder.write_bytes("a", b"1")
     s3.refuse = lambda _: ("400 Bad Request", "AuthorizationHeaderMalformed")
@@ -215,7 +214,7 @@ def test_a_status_without_a_reason_names_the_region(folder, s3):  # noqa: F811
 
 
 @pytest.mark.parametrize("mark", ["\n", "\r", "\x1b"])
-def test_a_line_break_in_an_address_is_refused_and_no_bucket_is_called_missing(bucket, mark):  # noqa: F811
+def test_a_line_break_in_an_address_is_refused_and_no_bucket_is_called_missing(bucket, mark):
     with pytest.raises(InputError, match=r"control characters.*; next: ") as told:
         DataFolder(f"s3://{bucket}/se{mark}t").write_bytes("a", b"1")
     assert mark not in str(told.value)
@@ -232,7 +231,7 @@ def test_a_line_break_in_an_address_is_refused_and_no_bucket_is_called_missing(b
         ("NotImplemented", "failed: NotImplemented: .*as the test wants"),
     ],
 )
-def test_a_refusal_is_named_at_once_and_nothing_counts_as_absent(folder, s3, code, words):  # noqa: F811
+def test_a_refusal_is_named_at_once_and_nothing_counts_as_absent(folder, s3, code, words):
     folder.write_bytes("a", b"1")
     s3.refuse = lambda _: ("403 Forbidden", code)
     for act in (folder.names, lambda: folder.write_bytes("b", b"1")):
@@ -257,7 +256,7 @@ def test_a_file_that_is_replaced_while_it_is_read_is_not_read_on(folder):
 
 
 @pytest.mark.usefixtures("new_clients")
-def test_a_store_that_is_not_there_is_named_in_bounded_time(s3, monkeypatch, capfd):  # noqa: F811
+def test_a_store_that_is_not_there_is_named_in_bounded_time(s3, monkeypatch, capfd):
     monkeypatch.setattr(remote, "_PATIENCE_S", 1.0)
     monkeypatch.setenv("AWS_ENDPOINT_URL", "http://127.0.0.1:9")
     with pytest.raises(
@@ -269,7 +268,7 @@ def test_a_store_that_is_not_there_is_named_in_bounded_time(s3, monkeypatch, cap
 
 
 @pytest.mark.usefixtures("new_clients")
-def test_without_credentials_the_way_to_give_some_is_named(s3, monkeypatch, tmp_path):  # noqa: F811
+def test_without_credentials_the_way_to_give_some_is_named(s3, monkeypatch, tmp_path):
     for name in ("AWS_ACCESS_KEY_ID", "AWS_SECRET_ACCESS_KEY"):
         monkeypatch.delenv(name)
     monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "none"))
@@ -288,7 +287,7 @@ def wide_plan(rows=2_000):
     return replace(plan, tasks=tasks)
 
 
-def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucket):  # noqa: F811
+def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucket):
     written = []
     made = build(folder, wide_plan(), InlineRunner(), write_card=lambda *_: written.append("card"))
     size = sum(map(len, s3.objects(bucket).values()))
@@ -307,7 +306,7 @@ def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucke
 
 
 @pytest.mark.parametrize("path", ["data/train-00001-of-00004.parquet", "reports/toy.parquet"])
-def test_damage_of_the_same_size_is_put_right_where_it_is_asked_for(folder, s3, bucket, path):  # noqa: F811
+def test_damage_of_the_same_size_is_put_right_where_it_is_asked_for(folder, s3, bucket, path):
     made = build(folder, wide_plan(), InlineRunner())
     before = s3.objects(bucket)
     content = bytearray(folder.read_bytes(path))
@@ -319,7 +318,7 @@ def test_damage_of_the_same_size_is_put_right_where_it_is_asked_for(folder, s3, 
     assert s3.objects(bucket) == before
 
 
-def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, bucket, tmp_path):  # noqa: F811
+def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, bucket, tmp_path):
     build(folder, toy_plan(), InlineRunner())
     build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
@@ -327,7 +326,7 @@ def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, buc
     assert verify(folder, SCHEMA).ok
 
 
-def test_the_report_of_splits_made_in_turn_is_that_of_one_run(folder, s3, bucket, tmp_path, monkeypatch):  # noqa: F811
+def test_the_report_of_splits_made_in_turn_is_that_of_one_run(folder, s3, bucket, tmp_path, monkeypatch):
     # Shards lie across row groups, as they do in large sets.
     monkeypatch.setattr(derived, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
     for split in ("test", "train"):
@@ -337,7 +336,7 @@ def test_the_report_of_splits_made_in_turn_is_that_of_one_run(folder, s3, bucket
     assert stored == folder_bytes(tmp_path)
 
 
-def test_parts_at_once_in_a_store_give_the_bytes_of_one_process(folder, s3, bucket, tmp_path):  # noqa: F811
+def test_parts_at_once_in_a_store_give_the_bytes_of_one_process(folder, s3, bucket, tmp_path):
     """Nothing but the store stands between them: three at work at once, one of which had been stopped."""
     plan = toy_plan()
     broken = (*plan.tasks[:4], replace(plan.tasks[4], error=RuntimeError("stopped")), *plan.tasks[5:])
@@ -357,7 +356,7 @@ def test_parts_at_once_in_a_store_give_the_bytes_of_one_process(folder, s3, buck
         build(folder, other, Part(0, 3))
 
 
-def test_verify_brings_each_shard_once(folder, s3):  # noqa: F811
+def test_verify_brings_each_shard_once(folder, s3):
     manifest = build(folder, wide_plan(), InlineRunner())
     size = sum(record.bytes for record in manifest.shards)
     s3.traffic.reset()
@@ -376,7 +375,7 @@ def test_verify_brings_each_shard_once(folder, s3):  # noqa: F811
 
 @pytest.mark.usefixtures("new_clients")
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-def test_a_store_that_takes_connections_and_says_nothing_is_named(s3, monkeypatch):  # noqa: F811
+def test_a_store_that_takes_connections_and_says_nothing_is_named(s3, monkeypatch):
     """Its silence ends the first request at the time limit, which is here a second instead of twenty."""
     monkeypatch.setitem(remote._LIMITS, "read_timeout", 1)
     monkeypatch.setattr(remote, "_PATIENCE_S", 1.0)
@@ -402,7 +401,7 @@ build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.2), ProcessRunner(2), on_progr
 """
 
 
-def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bucket, tmp_path):  # noqa: F811
+def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bucket, tmp_path):
     done = subprocess.run([sys.executable, "-c", _KILLED, folder.url], check=False)
     assert done.returncode == -9
     assert any(name.endswith(".json") for name in folder.names(".pending"))
@@ -415,7 +414,7 @@ def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bu
     assert s3.uploads(bucket) == []
 
 
-def test_a_set_in_a_store_is_never_replaced_and_stays_readable(folder, s3, bucket):  # noqa: F811
+def test_a_set_in_a_store_is_never_replaced_and_stays_readable(folder, s3, bucket):
     build(folder, toy_plan(), InlineRunner())
     before = s3.objects(bucket)
     with pytest.raises(InputError, match="--overwrite replaces none in an object store"):
@@ -424,7 +423,7 @@ def test_a_set_in_a_store_is_never_replaced_and_stays_readable(folder, s3, bucke
     assert verify(folder, SCHEMA).ok
 
 
-def test_a_run_that_fails_in_a_store_leaves_it_as_it_was(folder, s3, bucket):  # noqa: F811
+def test_a_run_that_fails_in_a_store_leaves_it_as_it_was(folder, s3, bucket):
     with pytest.raises(RuntimeError):
         build(folder, toy_plan(error=RuntimeError("no")), InlineRunner())
     assert s3.objects(bucket) == {}
