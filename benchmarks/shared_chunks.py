@@ -1,21 +1,20 @@
-"""How much of a data set the Hub has already where 1 % of its rows differ: pages cut by content, and not.
+"""How much of a data set the Hub has already where 1 % of its rows differ, in both versions of the schema.
 
     python benchmarks/shared_chunks.py digits touches
 
 The Hub's storage cuts files by content (a rolling gear hash, 64 KiB on average) and keeps equal chunks once.
-Each folder given is written with the row groups that it has: as it is, and with 1 % of its rows replaced by
-others or removed. Printed is the share of the second set's bytes that lie in chunks of the first.
+The shards of each folder given are written in the style of the first version of the schema, and in that of
+now: as they are, and with 1 % of the rows replaced by others or removed. Printed is the share of the second
+set's bytes that lie in chunks of the first.
 """
 
 from __future__ import annotations
 
 import hashlib
-import io
 import sys
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numba
 import numpy as np
@@ -23,18 +22,18 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from mnist3d.columns import PARQUET_STYLE
+from tactile_sim import GenerateSpec, TouchPlan
+from tactile_sim.generation import TouchMaking
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
+from tactile_toolkit.store.versions import first_style
+
 # Any 256 random numbers cut alike; these are not those of the Hub.
 GEAR = np.random.default_rng(0).integers(0, 1 << 64, 256, dtype=np.uint64)
 MASK = np.uint64(0xFFFF << 48)
 LEAST_BYTES, MOST_BYTES = 8 << 10, 128 << 10
-WAYS: dict[str, dict[str, Any]] = {
-    "as stored": {},
-    "by content": {"use_content_defined_chunking": True, "write_page_index": True},
-    "by content, 64-256 KiB": {
-        "use_content_defined_chunking": {"min_chunk_size": 64 << 10, "max_chunk_size": 256 << 10},
-        "write_page_index": True,
-    },
-}
 
 
 @numba.njit
@@ -66,49 +65,45 @@ def shared(first: list[bytes], second: list[bytes]) -> float:
     return sum(size for digest, size in chunks(second) if digest in known) / sum(map(len, second))
 
 
-def encode(table: pa.Table, like: pq.FileMetaData, way: dict[str, Any]) -> list[bytes]:
-    """Write a table as files of the rows, row groups and encodings of another, ours but for checksums."""
-    group = like.row_group(0)
-    columns = [group.column(index) for index in range(group.num_columns)]
-    special = {"PLAIN", "BYTE_STREAM_SPLIT", "DELTA_BINARY_PACKED"}
-    kinds = {each.path_in_schema: next(iter(special & {*each.encodings}), None) for each in columns}
-    plain = {each.path_in_schema for each in columns if each.has_dictionary_page}
-    encodings = {path: kind for path, kind in kinds.items() if kind and path not in plain}
-    files = []
-    for start in range(0, len(table), like.num_rows):
-        stream = io.BytesIO()
-        pq.write_table(
-            table.slice(start, like.num_rows),
-            stream,
-            row_group_size=group.num_rows,
-            compression="zstd",
-            compression_level=3,
-            use_dictionary=[path for path in kinds if path not in encodings],
-            column_encoding=encodings or None,
-            **way,
-        )
-        files.append(stream.getvalue())
-    return files
+def styles(folder: DataFolder) -> tuple[ParquetStyle, ParquetStyle]:
+    """Return the style in which the first version stored such a set, and that of now."""
+    manifest = read_manifest(folder)
+    assert manifest is not None
+    if manifest.kind == "mnist3d":
+        return first_style(PARQUET_STYLE), PARQUET_STYLE
+    options = manifest.spec["options"]
+    spec = GenerateSpec(tuple(options["size_px"]), plan=TouchPlan(touches=options["plan"]["touches"]))
+    layout = TouchMaking(spec, {}, {}).layout()
+    assert layout.former is not None
+    return first_style(layout.former.style), layout.style
+
+
+def changed(tables: list[pa.Table]) -> tuple[list[pa.Table], list[pa.Table], list[pa.Table]]:
+    """Return shards, the same with 1 % of their rows replaced by some of the last, and with these removed."""
+    rows = sum(map(len, tables))
+    few = max(1, rows // 100)
+    spare, tables = tables[-1].slice(0, few), [*tables[:-1], tables[-1].slice(few)]
+    chosen = np.random.default_rng(1).choice(rows - few, few, replace=False)
+    replaced, removed, start, used = [], [], 0, 0
+    for table in tables:
+        inside = np.sort(chosen[(chosen >= start) & (chosen < start + len(table))]) - start
+        order = np.arange(len(table))
+        order[inside] = len(table) + used + np.arange(len(inside))
+        replaced.append(pa.concat_tables([table, spare]).combine_chunks().take(pa.array(order)))
+        removed.append(table.take(pa.array(np.delete(np.arange(len(table)), inside))))
+        start, used = start + len(table), used + len(inside)
+    return tables, replaced, removed
 
 
 def main() -> None:
-    for folder in sys.argv[1:]:
-        paths = sorted(Path(folder, "data").glob("*.parquet"))
-        like = pq.read_metadata(paths[0])
-        table = pa.concat_tables([pq.read_table(path) for path in paths]).combine_chunks()
-        few = max(1, len(table) // 100)
-        rows = np.arange(len(table) - few)  # the last are what others are replaced by
-        chosen = np.random.default_rng(1).choice(rows, few, replace=False)
-        replaced = rows.copy()
-        replaced[chosen] = len(rows) + np.arange(few)
-        print(f"{folder}: {len(table):,} rows, {like.row_group(0).num_rows:,} in a row group")
-        for name, way in WAYS.items():
-            first, *others = (
-                encode(table.take(pa.array(each)), like, way)
-                for each in (rows, replaced, np.delete(rows, chosen))
-            )
+    for name in sys.argv[1:]:
+        paths = sorted(Path(name, "data").glob("*.parquet"))
+        sets = changed([pq.read_table(path).combine_chunks() for path in paths])
+        print(f"{name}: {sum(map(len, sets[0])):,} rows in {len(paths):,} shards")
+        for version, style in zip(("before", "now"), styles(DataFolder(name)), strict=True):
+            first, *others = ([encode_parquet(table, style) for table in tables] for tables in sets)
             shares = " ".join(f"{shared(first, other):6.1%}" for other in others)
-            print(f"  {name:22} {sum(map(len, first)):>12,} bytes; replaced, removed: {shares}")
+            print(f"  {version:6} {sum(map(len, first)):>12,} bytes; replaced, removed: {shares}")
 
 
 if __name__ == "__main__":

@@ -52,8 +52,9 @@ _SMALLEST_SHARD_BYTES = 2 << 20
 _SHARDS = 32  # of sets that need no more: several for each worker, so that all end at about the same time
 _GROUP_BYTES = 8 << 20
 # Untouched pictures repeat from round to round: shorter pages would hide that from zstd, longer ones change
-# more where a round does.
+# more where a round does. Of larger pictures, groups have few rounds anyway.
 _ROUNDS_PER_PAGE = 8
+_PAGE_BYTES = 1 << 20
 _IMAGE_BYTES = "sensor_image.list.element.bytes"
 # The published 64 x 64 touches take 0.21 (110,578,548 bytes of 128,000 pictures).
 _JPEG_BYTES_PER_PX = 0.25
@@ -231,11 +232,12 @@ class TouchMaking(making.Making):
     def layout(self) -> making.Layout:
         """Return how rows are stored: pictures and drawn numbers have no dictionary."""
         most, former = self._rounds_for(_SHARD_BYTES), ((_IMAGE_BYTES, "PLAIN"),)
+        has_small_rounds = self._rounds_for(_PAGE_BYTES) >= _ROUNDS_PER_PAGE
         style = ParquetStyle(
             self._rounds_for(_GROUP_BYTES),
             compression_level=3,
             encodings=(*former, *((f"{name}.list.element.list.element", "PLAIN") for name in DRAWN)),
-            values_per_page=_ROUNDS_PER_PAGE * self.spec.plan.touches,
+            values_per_page=_ROUNDS_PER_PAGE * self.spec.plan.touches if has_small_rounds else None,
         )
         layout = making.Layout(
             style,
