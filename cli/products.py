@@ -196,57 +196,55 @@ def preview_touches(
 
 
 @dataclass(frozen=True, slots=True)
-class Page:
-    """Where a page goes, and how it is made."""
+class Job:
+    """How files other than those of a data set are made."""
 
-    out: LocalOut = Path("gallery")
     workers: Workers = 0
-    overwrite: bool = switch(
-        False, panel=JOB, help="Replace an existing gallery; other files are never replaced."
-    )
+    overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier run that differ.")
     dry_run: DryRun = False
 
-    def make(self, sink: Sink, gallery: Gallery) -> None:
-        """Make a gallery with progress and print what was made, or only what would be made."""
-        from tactile_toolkit.gallery.site import build_site, forecast_site
 
-        out, nouns, workers = self.out, gallery.nouns[1], process_count(self.workers)
-        if self.dry_run:
-            view = forecast_site(gallery, str(out), workers, overwrite=self.overwrite)
-            sink.document(asdict(view))
-            sink.table(("split", nouns), list(view.splits.items()))
-            sink.line(
-                f"would make {out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "
-                f"{duration_text(view.seconds)} with {counted(workers, 'workers')} (measured on "
-                f"{counted(view.sampled, nouns)}); nothing was written"
-            )
-            if not view.fits:
-                sink.info("that is too large and would be refused; choose fewer with --limit or --split")
-            return
-        start_s = time.monotonic()
-        try:
-            with sink.progress("making the gallery", nouns) as update:
-                site = build_site(gallery, str(out), workers, overwrite=self.overwrite, on_progress=update)
-        except KeyboardInterrupt as error:
-            # The usual words promise that finished work is kept, but half a page would be of no use.
-            raise KeyboardInterrupt(
-                f"interrupted; nothing was left behind, {out} is as it was before"
-            ) from error
-        index = str(Path(site.path) / "index.html")
-        made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
-        sink.document({"page": index, **made})
-        sink.table(("split", nouns), list(site.splits.items()))
-        took = duration_text(time.monotonic() - start_s)
-        items, files = counted(site.items, nouns), counted(site.files, "files")
-        sink.line(f"made {out} in {took}: {items}, {files}, {bytes_text(site.bytes)}")
-        sink.line(f"next: open {index} in a browser")
+def _make_page(sink: Sink, gallery: Gallery, out: Path, job: Job) -> None:
+    """Make a gallery with progress and print what was made, or only what would be made."""
+    from tactile_toolkit.gallery.site import build_site, forecast_site
+
+    nouns, workers = gallery.nouns[1], process_count(job.workers)
+    if job.dry_run:
+        view = forecast_site(gallery, str(out), workers, overwrite=job.overwrite)
+        sink.document(asdict(view))
+        sink.table(("split", nouns), list(view.splits.items()))
+        sink.line(
+            f"would make {out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "
+            f"{duration_text(view.seconds)} with {counted(workers, 'workers')} (measured on "
+            f"{counted(view.sampled, nouns)}); nothing was written"
+        )
+        if not view.fits:
+            sink.info("that is too large and would be refused; choose fewer with --limit or --split")
+        return
+    start_s = time.monotonic()
+    try:
+        with sink.progress("making the gallery", nouns) as update:
+            site = build_site(gallery, str(out), workers, overwrite=job.overwrite, on_progress=update)
+    except KeyboardInterrupt as error:
+        # The usual words promise that finished work is kept, but half a page would be of no use.
+        raise KeyboardInterrupt(f"interrupted; nothing was left behind, {out} is as it was before") from error
+    index = str(Path(site.path) / "index.html")
+    made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
+    sink.document({"page": index, **made})
+    sink.table(("split", nouns), list(site.splits.items()))
+    took = duration_text(time.monotonic() - start_s)
+    items, files = counted(site.items, nouns), counted(site.files, "files")
+    sink.line(f"made {out} in {took}: {items}, {files}, {bytes_text(site.bytes)}")
+    sink.line(f"next: open {index} in a browser")
 
 
 def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
     """Add ``gallery`` to the command line of a kind of meshes."""
 
     @command(app)
-    def gallery(*, name: AnySet, chosen: Chosen, page: Page, sink: Sink) -> None:
+    def gallery(
+        *, name: AnySet, chosen: Chosen, out: LocalOut = Path("gallery"), job: Job, sink: Sink
+    ) -> None:
         """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
 
         Takes about 40 kB per digit, 8 kB per scene; at most 20,000 items and 2 GB.
@@ -255,7 +253,7 @@ def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
         """
         from tactile_toolkit.catalog.choose import Choice
 
-        page.make(sink, kind.plan_gallery(Choice(name, **chosen.given())))
+        _make_page(sink, kind.plan_gallery(Choice(name, **chosen.given())), out, job)
 
 
 def gallery_of_touches(
@@ -264,7 +262,8 @@ def gallery_of_touches(
     chosen: Chosen,
     touches: int = integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
     revision: Revision = None,
-    page: Page,
+    out: LocalOut = Path("gallery"),
+    job: Job,
     sink: Sink,
 ) -> None:
     """Make a page of rounds: touches as a grid, clips frame by frame; no network or server is needed.
@@ -276,21 +275,29 @@ def gallery_of_touches(
     from realtouch.gallery import RoundChoice, plan_gallery
 
     choice = RoundChoice(name, **chosen.given(), touches=touches, revision=revision)
-    page.make(sink, plan_gallery(choice))
+    _make_page(sink, plan_gallery(choice), out, job)
 
 
 _ROWS_SHOWN = 20
 
 
 @dataclass(frozen=True, slots=True)
-class Job:
-    """Where files go, and how they are made."""
+class Form:
+    """What is written."""
 
-    out: LocalOut = Path("prints")
-    workers: Workers = 0
-    overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier export that differ.")
-    dry_run: bool = switch(
-        False, panel=JOB, help="Print which files would be made and their size; write nothing."
+    file_format: str | None = choice(
+        None,
+        ("stl", "3mf", "ply", "obj", "glb", *MODELS, "flat"),
+        optional=True,
+        name="--format",
+        shown="stl, plates 3mf",
+        help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
+        "Parquet tables with a row for each object, its mesh as GLB.",
+    )
+    scale: float = real(1.0, help="Factor for all lengths.")
+    plate: str | None = text(
+        metavar="256x256|prusa-mk4",
+        help="Pack the objects on build plates of this size, in mm, or of this printer.",
     )
 
 
@@ -301,23 +308,11 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
     def export(
         *,
         name: AnySet,
-        file_format: str | None = choice(
-            None,
-            ("stl", "3mf", "ply", "obj", "glb", *MODELS, "flat"),
-            optional=True,
-            name="--format",
-            shown="stl, plates 3mf",
-            help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
-            "Parquet tables with a row for each object, its mesh as GLB.",
-        ),
+        form: Form,
         chosen: Chosen,
-        scale: float = real(1.0, help="Factor for all lengths."),
-        plate: str | None = text(
-            metavar="256x256|prusa-mk4",
-            help="Pack the objects on build plates of this size, in mm, or of this printer.",
-        ),
         distances: Annotated[dict[str, Any], OptionsOf(PlateSpec)],
         material: Annotated[dict[str, Any], OptionsOf(Physics)],
+        out: LocalOut = Path("prints"),
         job: Job,
         sink: Sink,
     ) -> None:
@@ -339,28 +334,30 @@ def add_export(app: typer.Typer, kind: DatasetKind) -> None:
         from tactile_toolkit.catalog.choose import choose_rows, open_splits
         from tactile_toolkit.printing.objects import choose
 
-        some = chosen.given()
+        some, file_format, scale = chosen.given(), form.file_format, form.scale
         datasets = open_splits(name, some.pop("split"), kind.load, kind.nouns).items()
         # What cannot be used is reported before any work.
         if file_format == "flat":
-            given = {**distances, **material, "plate": plate, "scale": None if scale == 1 else scale}
+            given = {**distances, **material, "plate": form.plate, "scale": None if scale == 1 else scale}
             why = "about files, not about tables of meshes as they are stored"
             _refuse([name for name, value in given.items() if value is not None], why, "leave it out")
-            _export_flat(sink, kind, name, choose_rows(datasets, **some), some, job)
+            _export_flat(sink, kind, name, choose_rows(datasets, **some), some, str(out), job)
             return
         if file_format not in MODELS:
             _refuse(material, "about bodies for simulators", "add --format mjcf, urdf or usd")
-        if plate is None:
+        if form.plate is None:
             _refuse(distances, "about build plates", "add --plate 256x256")
             objects = choose(datasets, **some)
-            failures = _export_files(sink, objects, file_format or "stl", scale, Physics(**material), job)
+            bodies = Physics(**material)
+            failures = _export_files(sink, objects, file_format or "stl", scale, bodies, str(out), job)
         else:
-            spec = PlateSpec.parse(plate, **distances)
+            spec = PlateSpec.parse(form.plate, **distances)
             if file_format not in (None, "3mf", "mjcf"):
                 _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
             # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
-            bodies = Physics(**material) if file_format == "mjcf" else None
-            failures = _export_plates(sink, choose(datasets, **some), spec, scale, bodies, job)
+            on_floor = Physics(**material) if file_format == "mjcf" else None
+            objects = choose(datasets, **some)
+            failures = _export_plates(sink, objects, spec, scale, on_floor, str(out), job)
         for failure in failures:
             sink.warn(f"failed: {failure.name}: {failure.detail}")
         if failures:
@@ -374,11 +371,10 @@ def _refuse(given: Iterable[str], why: str, instead: str) -> None:
 
 
 def _export_files(
-    sink: Sink, objects: list[PrintObject], ending: str, scale: float, physics: Physics, job: Job
+    sink: Sink, objects: list[PrintObject], ending: str, scale: float, physics: Physics, out: str, job: Job
 ) -> tuple[Failure, ...]:
     from tactile_toolkit.printing.objects import export_files, forecast_files
 
-    out = str(job.out)
     if job.dry_run:
         view = forecast_files(objects, out, ending, scale=scale, physics=physics, overwrite=job.overwrite)
         sink.document({"out": out, **asdict(view)})
@@ -411,7 +407,7 @@ def _export_files(
 
 
 def _export_flat(
-    sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], job: Job
+    sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], out: str, job: Job
 ) -> None:
     from tactile_toolkit.exchange.tables import forecast_tables, plan_tables
     from tactile_toolkit.run.processes import runner_for
@@ -426,7 +422,6 @@ def _export_flat(
         "limit": some["limit"],
         **({} if some["per_class"] is None else {"per_class": some["per_class"]}),
     }
-    out = str(job.out)
     plan = plan_tables(kind, name, choices, chosen_by, out)
     if job.dry_run:
         rows, size = forecast_tables(plan, out, overwrite=job.overwrite)
@@ -448,12 +443,17 @@ def _export_flat(
 
 
 def _export_plates(
-    sink: Sink, objects: list[PrintObject], spec: PlateSpec, scale: float, bodies: Physics | None, job: Job
+    sink: Sink,
+    objects: list[PrintObject],
+    spec: PlateSpec,
+    scale: float,
+    bodies: Physics | None,
+    out: str,
+    job: Job,
 ) -> tuple[Failure, ...]:
     from tactile_toolkit.printing.packing import arrange, measure
     from tactile_toolkit.printing.plates import TABLE_FILE, forecast_plates, write_plates
 
-    out = str(job.out)
     with sink.progress("measuring", "objects") as update:
         measured = measure(objects, spec, scale, update)
     with sink.progress("packing", "objects") as update:
