@@ -43,7 +43,6 @@ from tactile_toolkit.store.origin import (
     DownloadRecord,
     HubFile,
     digest_like,
-    has_digest,
     read_record,
     write_record,
 )
@@ -132,8 +131,8 @@ def plan_download(
 
 
 def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder | None) -> DownloadPlan:
-    earlier = _own_record(folder, repository) if folder is not None else None
-    repository = _answered(repository, earlier)
+    earlier = _earlier_record(folder, repository) if folder is not None else None
+    repository = _with_snapshot(repository, earlier)
     snapshot, recorded = repository.snapshot, earlier.files if earlier else {}
     # In place of a silent Hub: all that the record lists stays wanted.
     known, manifest = earlier if snapshot.is_cache else None, repository.manifest
@@ -143,7 +142,7 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
     before = {shard.split for shard in shard_files(recorded)}
     wanted = {*splits, *before} if splits or known else set(all_splits)
     chosen = tuple(split for split in all_splits if split in wanted)
-    paths = list(known.files) if known else _extras(repository, chosen, fitted=folder is None)
+    paths = list(known.files) if known else _accompanying_files(repository, chosen, fitted=folder is None)
     # Of a repository without shards, the usual split is reported missing.
     for split in dict.fromkeys([*chosen, *splits] or ["train"]):
         paths += [file.path for file in hub_split(repository, shards, split)]
@@ -181,7 +180,7 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
     return DownloadPlan(repository, folder, chosen, missing, is_done, record, earlier)
 
 
-def _answered(repository: HubRepository, record: DownloadRecord | None) -> HubRepository:
+def _with_snapshot(repository: HubRepository, record: DownloadRecord | None) -> HubRepository:
     """Return the repository with what it holds: as the Hub states, or else as the record of a folder does."""
     try:
         if record is None or not repository.snapshot.is_cache:
@@ -202,16 +201,14 @@ def _is_intact(folder: DataFolder, file: HubFile, earlier: DownloadRecord | None
     path, digest = file.path, file.digest
     if digest is None or not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
         return False
-    if folder.is_local:
-        return has_digest(Path(folder.address(path)), digest)
     # A store changes no bit by itself: what a finished download wrote there is known by its size.
-    if earlier is not None and earlier.finished and earlier.files.get(path) == file:
+    if not folder.is_local and earlier and earlier.finished and earlier.files.get(path) == file:
         return True
     with folder.open(path) as stream:
         return digest_like(stream, digest) == digest
 
 
-def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord | None:
+def _earlier_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord | None:
     """Return the record of an earlier download of the same repository; refuse a folder of anything else."""
     names = folder.names()  # before the record, which another download writes first
     record = read_record(folder)
@@ -229,7 +226,7 @@ def _own_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord
     return record
 
 
-def _extras(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -> list[str]:
+def _accompanying_files(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -> list[str]:
     """Return what goes with the shards of some splits: small files, and pictures where the set has any.
 
     With ``fitted``, cards and manifest too, as they are.
