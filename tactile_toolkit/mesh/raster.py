@@ -8,7 +8,6 @@ numpy. Height maps, pictures and the cells of build plates are all made here.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,36 +25,6 @@ _AT_ONCE = 1 << 20
 # Heights that :func:`highest_faces` distinguishes: 1e-7 mm on a solid of 10 cm.
 # Next to 32 bits of the triangle's number this fills a signed integer of 64.
 _DEPTH_STEPS = 1 << 30
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Triangles:
-    """Triangles that run counter-clockwise seen from above and may cover a pixel centre.
-
-    Attributes
-    ----------
-    face, first_row, rows : ndarray of int64, shape (n,)
-        Which triangle, and the rows of pixel centres that it meets.
-    sides : ndarray, shape (3, 4, n)
-        For each edge ``l, l', r, r'``: row y covers columns from ``l + l' y`` to ``r + r' y``.
-    columns : ndarray, shape (2, n)
-        Least and greatest column.
-    start : ndarray, shape (3, n)
-        Column, row and height of the first corner.
-    slope : ndarray, shape (2, n)
-        What the height grows by along a row, and from one row to the next.
-    heights : ndarray, shape (2, n)
-        Least and greatest height.
-    """
-
-    face: Indices
-    first_row: Indices
-    rows: Indices
-    sides: Numbers
-    columns: Numbers
-    start: Numbers
-    slope: Numbers
-    heights: Numbers
 
 
 def highest_values(
@@ -100,21 +69,28 @@ def covered_pixels(
     have integers, and height of each vertex; ``shape`` is rows and columns, and what lies outside is cut off.
     Triangles that run clockwise seen from above cover something only with ``both_sides``.
     """
-    triangles = _prepared(points, np.asarray(faces), shape, both_sides)
-    for start, stop in _parts(triangles.rows):
-        count = triangles.rows[start:stop]
+    face, first_row, rows, reach, plane = _prepared(points, np.asarray(faces), shape, both_sides)
+    for start, stop in _parts(rows):
+        count = rows[start:stop]
         owner = np.repeat(np.arange(start, stop), count)
-        row = triangles.first_row[owner] + positions_in_runs(count)
-        face, first, count, height, rise = _cut(triangles, owner, row, shape[1])
+        row = first_row[owner] + positions_in_runs(count)
+        owner, first, count, height, rise = _cut(reach, plane, owner, row, shape[1])
         for begin, end in _parts(count):
             pixels = count[begin:end]
             line, within = np.repeat(np.arange(begin, end), pixels), positions_in_runs(pixels)
-            yield face, line, first[line] + within, height[line] + rise[line] * within
+            yield face[owner], line, first[line] + within, height[line] + rise[line] * within
 
 
 def _prepared(
     points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int], both_sides: bool
-) -> _Triangles:
+) -> tuple[Indices, Indices, Indices, Numbers, Numbers]:
+    """Return the triangles that may cover a pixel centre, turned counter-clockwise as seen from above.
+
+    That is which they are, the first row of pixel centres that each meets, and how many; their reach, shape
+    (14, n): least and greatest column, and for each edge ``l, l', r, r'``, which leaves columns from
+    ``l + l' y`` to ``r + r' y`` to row y; and their plane, shape (7, n): column, row and height of the first
+    corner, what the height grows by along a row and from one row to the next, least and greatest height.
+    """
     corners = [np.take(points[:2], corner, axis=1) for corner in faces.T]
     last_pixel = np.array([[shape[1] - 1], [shape[0] - 1]], np.float64)
     first = np.maximum(np.ceil(np.minimum.reduce(corners) - _EDGE_PX), 0.0)
@@ -131,20 +107,16 @@ def _prepared(
     a, b, c = (np.take(points, corner, axis=1) for corner in named)
     ab, ac = b - a, c - a
     low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
-    return _Triangles(
-        face=kept,
-        first_row=first[1, kept].astype(np.int64),
-        rows=(last[1] - first[1])[kept].astype(np.int64) + 1,
-        sides=np.stack([_side(a, b), _side(b, c), _side(c, a)]),
-        columns=np.stack([low[0] - _EDGE_PX, high[0] + _EDGE_PX]),
-        start=a,
-        slope=np.stack([ab[2] * ac[1] - ab[1] * ac[2], ab[0] * ac[2] - ab[2] * ac[0]]) / area,
-        heights=np.stack([low[2], high[2]]),
-    )
+    slope = np.stack([ab[2] * ac[1] - ab[1] * ac[2], ab[0] * ac[2] - ab[2] * ac[0]]) / area
+    columns = np.stack([low[0] - _EDGE_PX, high[0] + _EDGE_PX])
+    reach = np.concatenate([columns, _side(a, b), _side(b, c), _side(c, a)])
+    plane = np.concatenate([a, slope, low[2:], high[2:]])
+    rows = (last[1] - first[1])[kept].astype(np.int64) + 1
+    return kept, first[1, kept].astype(np.int64), rows, reach, plane
 
 
 def _side(start: Numbers, end: Numbers) -> Numbers:
-    """Return which columns an edge leaves to a row: ``l, l', r, r'`` of :class:`_Triangles`."""
+    """Return which columns an edge leaves to a row: ``l, l', r, r'`` of :func:`_prepared`."""
     # The inside is left of every edge. So an edge that runs down the rows bounds them from below, one that
     # runs up from above, and a level one not at all.
     along_x, along_y = end[0] - start[0], end[1] - start[1]
@@ -163,15 +135,15 @@ def _side(start: Numbers, end: Numbers) -> Numbers:
 
 
 def _cut(
-    triangles: _Triangles, owner: Indices, row: Indices, columns: int
+    reach: Numbers, plane: Numbers, owner: Indices, row: Indices, columns: int
 ) -> tuple[Indices, Indices, Indices, Numbers, Numbers]:
     """Find the scan lines of triangles in given rows.
 
     Returns the triangle of each, the number of its first pixel, how many it covers, the height above the
     first, and what the height grows by from one pixel to the next.
     """
-    left, right = np.take(triangles.columns, owner, axis=1)
-    for side in triangles.sides:
+    left, right = np.take(reach[:2], owner, axis=1)
+    for side in reach[2:].reshape(3, 4, -1):
         low, low_per_row, high, high_per_row = np.take(side, owner, axis=1)
         left = np.maximum(left, low + low_per_row * row)
         right = np.minimum(right, high + high_per_row * row)
@@ -179,14 +151,12 @@ def _cut(
     there = np.flatnonzero(first <= last)
     owner, row, first, last = owner[there], row[there], first[there], last[there]
     column, steps = first.astype(np.int64), (last - first).astype(np.int64)
-    x, y, z = np.take(triangles.start, owner, axis=1)
-    along_row, along_column = np.take(triangles.slope, owner, axis=1)
-    low, high = np.take(triangles.heights, owner, axis=1)
+    x, y, z, along_row, along_column, low, high = np.take(plane, owner, axis=1)
     level = z + along_column * (row - y)
     # From end to end instead of by the slope: so no height leaves the triangle's own range, however steep.
     start, end = (np.clip(level + along_row * (edge - x), low, high) for edge in (first, last))
     rise = (end - start) / np.maximum(steps, 1)
-    return triangles.face[owner], row * columns + column, steps + 1, start, rise
+    return owner, row * columns + column, steps + 1, start, rise
 
 
 def _parts(counts: Indices) -> Iterator[tuple[int, int]]:
