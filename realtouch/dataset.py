@@ -19,14 +19,14 @@ from realtouch.damage import Damage, missing_column
 from realtouch.images import SensorImages
 from realtouch.integrity import check_round, readable_rows, stated_class_names, stored_touch_counts
 from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.touch import Touch, touch_id
+from realtouch.touch import Touch
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, nearest, positions
+from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, positions
 from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.schema import (
@@ -393,12 +393,6 @@ class Touches(LazySequence[Touch], Generic[R]):
         name, _, touch = str(id).rpartition("_")
         wanted = int(touch) if touch.isdecimal() else -1
         return np.flatnonzero((self.column("id") == name) & (self.touch_indices == wanted))
-
-    def _near_ids(self, id: Any) -> list[str]:
-        ids, name = self.column("id").tolist(), str(id).rpartition("_")[0]
-        rounds = {name} & set(ids) or nearest(ids, name)
-        numbered = zip(ids, self.touch_indices.tolist(), strict=True)
-        return nearest((touch_id(each, touch) for each, touch in numbered if each in rounds), str(id))
 
     @property
     def object_ids(self) -> NDArray[np.int64]:

@@ -5,9 +5,7 @@ from __future__ import annotations
 import html
 import operator
 from abc import abstractmethod
-from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
 from copy import copy
 from dataclasses import asdict, dataclass
 from functools import reduce
@@ -26,6 +24,7 @@ T = TypeVar("T")
 
 _SHOWN_PICTURES = 8
 _MOST_NAMES = 10
+_SHOWN_IDS = 4
 # 0.7 + 0.2 + 0.1 is 0.9999999999999999.
 _ROUNDING = 1e-9
 
@@ -78,18 +77,6 @@ def checked_index(index: int, length: int, of: str, things: str) -> int:
     if not -length <= index < length:
         raise IndexError(f"{of} {index} is out of range for {length} {things}")
     return index + length if index < 0 else index
-
-
-def nearest(known: Iterable[Any], wanted: Any) -> list[Any]:
-    """Return the neighbours of a value among others in their order: at most two before and two after it.
-
-    Of values that cannot be compared with it, the first.
-    """
-    ordered = sorted({each for each in known if each is not None and each == each})  # neither null nor NaN
-    place = 0
-    with suppress(TypeError):
-        place = bisect_left(ordered, wanted)
-    return ordered[max(place - 2, 0) : place + 2]
 
 
 def flattened(values: Iterable[Any]) -> Iterator[Any]:
@@ -251,14 +238,16 @@ class LazySequence(Sequence[T], Generic[T]):
         Raises
         ------
         InputError
-            No item has it; names the nearest ids. Or the items have no ids.
+            No item has it, or the items have no ids.
         """
         number = plain_number(id)
         places = self._places_of_id(number)
         if not len(places):
-            near = ", ".join(map(repr, self._near_ids(number))) or "(none, it is empty)"
+            # Those of items, for touches have others than the column of their rounds.
+            first = [repr(getattr(item, "id", None)) for item in self[:_SHOWN_IDS]]
             raise InputError(
-                f"{', '.join(self._description())}: there is no id {id!r}", next=f"give one such as {near}"
+                f"{', '.join(self._description())}: there is no id {id!r}",
+                next=f"give one such as {', '.join(first) or '(none, it is empty)'}",
             )
         return self._item(int(places[0]))
 
@@ -481,9 +470,6 @@ class LazySequence(Sequence[T], Generic[T]):
 
     def _places_of_id(self, id: Any) -> NDArray[np.int64]:
         return np.flatnonzero(self.column("id") == id)
-
-    def _near_ids(self, id: Any) -> list[Any]:
-        return nearest(self.column("id").tolist(), id)
 
     def _each(self) -> Iterator[tuple[int, T]]:
         """Yield place and item of all, in whatever order is quickest, for looking at small fields."""
