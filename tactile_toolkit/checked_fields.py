@@ -13,7 +13,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Any, TypedDict, Unpack
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_count, is_integer, plain, plain_number, plain_pairs
+from tactile_toolkit.wording import is_count, is_integer, plain, plain_pairs
 
 _RULE = "rule"
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
@@ -54,14 +54,17 @@ def integer(
     **option: Unpack[OptionText],
 ) -> Any:
     """Declare an integer, or None where it is ``optional``."""
+    return _field(default, _integer_rule(least, most, optional, {"metavar": "N", **option}))
 
+
+def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
     def fits(value: Any) -> bool:
         if value is None:
             return optional
         return is_integer(value) and least <= value and (most is None or value <= most)
 
     span = f"of at least {least:,}" if most is None else f"from {least:,} to {most:,}"
-    return _field(default, Rule(int, fits, f"an integer {span}", {"metavar": "N", **option}))
+    return Rule(int, fits, f"an integer {span}", option)
 
 
 def real(
@@ -153,11 +156,7 @@ def _field(default: Any, rule: Rule) -> Any:
 
 def checked_integer(value: object, name: str, least: int = 0, most: int | None = None) -> int:
     """Return an integer within bounds; InputError, which names it, for anything else."""
-    number = plain_number(value)
-    if not (is_integer(number) and least <= number and (most is None or number <= most)):
-        bounds = f"from {least}" if most is None else f"from {least} to {most:,}"
-        raise InputError(f"{name} is {value!r}; expected an integer {bounds}")
-    return int(number)
+    return int(check_value(_integer_rule(least, most, False, {}), value, name))
 
 
 def split_counts(value: Any, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:

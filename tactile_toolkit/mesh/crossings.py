@@ -16,7 +16,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.mesh import Indices, Numbers
-from tactile_toolkit.mesh.raster import positions_in_runs
 
 _TOLERANCE = 2.0**-21
 # Each of them takes a pass over all faces.
@@ -101,6 +100,8 @@ def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
 
 def _rim_is_simple(points: Numbers, upper: Indices, on_level: NDArray[np.bool_]) -> bool:
     """Return whether the rim of the upper half is lines apart from each other that wind once at most."""
+    from tactile_toolkit.mesh.nearness import near_pairs
+
     both = on_level & np.roll(on_level, -1, axis=0)
     start, end = upper[both], np.roll(upper, -1, axis=0)[both]
     # An edge that the half has in both directions is not of its rim.
@@ -108,16 +109,8 @@ def _rim_is_simple(points: Numbers, upper: Indices, on_level: NDArray[np.bool_])
     start, end = start[rim], end[rim]
     if len(np.unique(start)) != len(start):
         return False  # lines that share a corner
-    # A sweep along x: only edges whose ranges overlap there are compared.
-    order = np.argsort(np.minimum(points[start, 0], points[end, 0]), kind="stable")
-    start, end = start[order], end[order]
     p, q = points[start], points[end]
-    low, high = np.minimum(p, q), np.maximum(p, q)
-    count = np.searchsorted(low[:, 0], high[:, 0], side="right") - np.arange(len(p)) - 1
-    one = np.repeat(np.arange(len(p)), count)
-    other = one + 1 + positions_in_runs(count)
-    meet = (low[one, 1] <= high[other, 1]) & (low[other, 1] <= high[one, 1])
-    one, other = one[meet], other[meet]
+    one, other = near_pairs(np.stack([p, q], axis=1), 0.0)
     a, b, c, d = p[one], q[one], p[other], q[other]
     turn_c, turn_d = _turn(a, b, c), _turn(a, b, d)
     # Edges cross unless one of them has both ends of the other on one side.

@@ -103,8 +103,11 @@ def _array_problem(mesh: Mesh) -> tuple[str, str] | None:
 
 
 def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
+    from tactile_toolkit.mesh.nearness import near_pairs
+
     outer = [part for part in parts if part.volume() > 0]
-    for one, other in _pairs_with_meeting_boxes(outer):
+    boxes_mm = np.array([part.bounding_box() for part in outer]).reshape(-1, 2, 3)
+    for one, other in near_pairs(boxes_mm, 0.0).T.tolist():
         shared_mm3 = (outer[one] ^ outer[other]).volume()
         if shared_mm3 > OVERLAP_MM3:
             return "overlap", f"two of {len(outer)} bodies overlap by {shared_mm3:.3g} mm³"
@@ -122,19 +125,7 @@ def _crossing_problem(mesh: Mesh, bodies: int) -> tuple[str, str] | None:
     return "self-crossing", f"the surface of one body crosses itself, at ({where}) mm among others"
 
 
-def _pairs_with_meeting_boxes(parts: list[Any]) -> list[tuple[int, int]]:
-    boxes = np.array([part.bounding_box() for part in parts]).reshape(-1, 6)
-    pairs = []
-    for place, box in enumerate(boxes[:-1]):
-        # Strictly: bodies that touch share no volume.
-        meets = (boxes[place + 1 :, :3] < box[3:]) & (box[:3] < boxes[place + 1 :, 3:])
-        pairs += [(place, place + 1 + int(other)) for other in np.flatnonzero(meets.all(axis=1))]
-    return pairs
-
-
 def _encloses(body: Any, cavity: Any) -> bool:
-    if not _pairs_with_meeting_boxes([body, cavity]):
-        return False
     inside_out = Mesh.from_manifold(cavity)
     filling = Mesh(inside_out.vertices_m, np.ascontiguousarray(inside_out.faces[:, ::-1])).to_manifold()
     return bool((filling ^ body).volume() >= filling.volume() - OVERLAP_MM3)

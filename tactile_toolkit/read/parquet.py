@@ -51,7 +51,7 @@ _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 _MOST_EXPANSION = 500
 
 _FEW_SHARDS = 8
-_REMOTE_READERS = 16
+_READERS = 16  # most of them wait, for a disk or a network
 
 T = TypeVar("T")
 
@@ -92,13 +92,12 @@ def _file(key: Key) -> Path:
     return _UNPACKED.path("{}-{:05d}-{:05d}.arrow".format(*key))
 
 
-def _is_kept(key: Key) -> bool:
-    """Return whether a block lies in the cache, and note that it is used."""
-    file = _file(key)
-    if file.exists():
+def _are_kept(keys: Sequence[Key]) -> bool:
+    """Return whether blocks lie in the cache, and note that they are used."""
+    files = list(map(_file, keys))
+    for file in files:
         _UNPACKED.mark_used(file)
-        return True
-    return False
+    return all(file.exists() for file in files)
 
 
 def _keep(key: Key, table: Any) -> bool:
@@ -300,11 +299,11 @@ class Shard:
         """
         rows = self.group_starts[index + 1] - self.group_starts[index]
         keys = [(self.digest, index, number) for number in range(-(-rows // self.block_rows[index]))]
-        if all(map(_is_kept, keys)) or _UNPACKED.is_given_up:
+        if _UNPACKED.is_given_up or _are_kept(keys):
             return not _UNPACKED.is_given_up
         with _locked_file(self.digest):
             # Whoever held the lock may have unpacked it meanwhile.
-            return all(map(_is_kept, keys)) or all(
+            return _are_kept(keys) or all(
                 _keep(key, group.table) for key, group in zip(keys, self.blocks(index), strict=True)
             )
 
@@ -445,10 +444,8 @@ class Shard:
 
 
 def _in_threads(function: Callable[[Shard], T], shards: Sequence[Shard]) -> Iterator[T]:
-    """Yield what a function gives for each shard, in order; many are read at once, those afar above all."""
-    if len(shards) < _FEW_SHARDS:
-        return map(function, shards)
-    return in_threads(function, shards, _REMOTE_READERS if shards[0].is_remote else os.cpu_count() or 1)
+    """Yield what a function gives for each shard, in order; many are read at once."""
+    return in_threads(function, shards, 1 if len(shards) < _FEW_SHARDS else _READERS)
 
 
 def _small_column(small: tuple[Shard, str] | None, shards: Sequence[Shard], name: str) -> Any:

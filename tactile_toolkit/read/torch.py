@@ -8,7 +8,6 @@ from __future__ import annotations
 import contextlib
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from tactile_toolkit.checked_fields import checked_integer
@@ -28,6 +27,8 @@ _FORMAT = "tactile_toolkit_training"
 _VERSION = 1
 # How torchdata 0.11 calls the batches that a StatefulDataLoader has given since it asked its workers.
 _SINCE = "_steps_since_snapshot"
+_POSITION = ("epoch", "start", "batches")
+"""Where a pass is, in one process: its epoch, the item it began at, and how many batches were given since."""
 # The table that workers share is made before anyone knows how many there will be.
 _MOST_WORKERS = 255
 
@@ -39,15 +40,6 @@ def shared_zeros(*shape: int) -> torch.Tensor:
     with contextlib.suppress(RuntimeError):
         zeros.share_memory_()
     return zeros
-
-
-@dataclass
-class _Pass:
-    """One pass over an epoch, as one process gives it: where it began, and how many batches it has given."""
-
-    epoch: int
-    start: int
-    batches: int = 0
 
 
 class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
@@ -140,7 +132,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self._sequence = sequence
         self._order = GlobalOrder(sequence._stored_parts(), seed, checked_integer(window, "window", 1))
         self._resumed = (0, 0)
-        self._current: _Pass | None = None
+        self._current: dict[str, int] = {}  # empty before a pass
         # What the next pass is, for this process and for each worker: epoch, start, batches given already,
         # and of how many workers it was one when it last began a pass (plus 1; 0 when it has not). Shared, so
         # that workers that live on see what is set here, and new ones what those before them began.
@@ -176,7 +168,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             epoch, start = (self.epoch, 0) if self._workers_began() else self._next[0, :2].tolist()
             # Of all rows: workers that take over next time begin there, too.
             self._next[:] = torch.tensor([epoch + 1, 0, 0, 0])
-            self._current = _Pass(epoch, start)
+            self._current = {"epoch": epoch, "start": start, "batches": 0}
             return self._batches(self._current, 0, 1)
         if worker.num_workers > _MOST_WORKERS:
             raise InputError(f"{worker.num_workers} workers; expected at most {_MOST_WORKERS}")
@@ -186,25 +178,25 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
                 f"{worker.num_workers} workers continue after {int(began.max()) - 1}",
                 next="call set_epoch() in between, so that all begin the same epoch",
             )
-        mine = self._next[1 + worker.id]
-        self._current = _Pass(*mine[:3].tolist())
-        mine[:] = torch.tensor([self._current.epoch + 1, 0, 0, worker.num_workers + 1])
+        self._current = self._planned(1 + worker.id)
+        following = [self._current["epoch"] + 1, 0, 0, worker.num_workers + 1]
+        self._next[1 + worker.id] = torch.tensor(following)
         return self._batches(self._current, worker.id, worker.num_workers)
 
-    def _batches(self, current: _Pass, worker: int, workers: int) -> Iterator[Any]:
-        share, order = self._share(current.start), self._order.epoch(current.epoch)
+    def _batches(self, current: dict[str, int], worker: int, workers: int) -> Iterator[Any]:
+        share, order = self._share(current["start"]), self._order.epoch(current["epoch"])
         turn = (self.rank * workers + worker) / (self.world_size * workers)
         ahead = Prefetcher(self._sequence, order, turn)
         make = self._maker()
         # Points on surfaces are other ones in each epoch.
         if hasattr(self.data, "set_epoch"):
-            self.data.set_epoch(current.epoch)
+            self.data.set_epoch(current["epoch"])
         try:
-            for index in range(worker + workers * current.batches, len(share), workers):
+            for index in range(worker + workers * current["batches"], len(share), workers):
                 numbers = share.batch(index)
                 ahead.enter(order.window_of(int(numbers[0])))
                 batch = make(order.positions(numbers).tolist())
-                current.batches += 1
+                current["batches"] += 1
                 yield batch
         finally:
             ahead.close()
@@ -239,15 +231,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
                 "workers make the batches, ahead of what the job was given",
                 next="save the state_dict() of a torchdata.stateful_dataloader.StatefulDataLoader",
             )
-        current = self._current or _Pass(*self._next[0, :3].tolist())
-        return {
-            _FORMAT: _VERSION,
-            "order": self._order.fingerprint,
-            "epoch": current.epoch,
-            "start": current.start,
-            "batches": current.batches,
-            **self._division(worker),
-        }
+        return {**self._identity, **(self._current or self._planned(0)), **self._division(worker)}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Continue where a pass was left, on any number of ranks and workers.
@@ -269,8 +253,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
                 "no state of TrainingBatches was given; expected state_dict() of the loader that gave them"
             )
         worker = torch.utils.data.get_worker_info()
-        expected = {_FORMAT: _VERSION, "order": self._order.fingerprint}
-        expected |= {} if worker is None else self._division(worker)
+        expected = {**self._identity, **({} if worker is None else self._division(worker))}
         for state in states:
             for name, value in expected.items():
                 if state[name] != value:
@@ -280,8 +263,8 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
                         "load_state_dict() of the TrainingBatches",
                     )
         if worker is not None:
-            self._current = None
-            self._next[1 + worker.id] = torch.tensor([*map(states[0].get, ("epoch", "start", "batches")), 0])
+            self._current = {}
+            self._next[1 + worker.id] = torch.tensor([*map(states[0].get, _POSITION), 0])
             return
         # Where a loader asks its workers for their states now and then only, it counts the batches since.
         since = [each[_SINCE] for each in _holding(_SINCE, state_dict)]
@@ -290,6 +273,14 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             epoch, reached = epoch + 1, 0  # a loader continues with the next epoch, too
         self._resumed = epoch, reached
         self._set(epoch, reached)
+
+    @property
+    def _identity(self) -> dict[str, Any]:
+        return {_FORMAT: _VERSION, "order": self._order.fingerprint}
+
+    def _planned(self, row: int) -> dict[str, int]:
+        """Return where the next pass of this process, or of the worker one below the row, begins."""
+        return dict(zip(_POSITION, self._next[row, :3].tolist(), strict=True))
 
     def _division(self, worker: Any) -> dict[str, int]:
         """Return among how many the items are divided."""
@@ -315,7 +306,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         return first["epoch"], min(first["start"] + items, len(self._order))
 
     def _set(self, epoch: int, start: int) -> None:
-        self._current = None
+        self._current = {}
         self._next[:] = torch.tensor([epoch, start, 0, 0])
 
     def _workers_began(self) -> bool:

@@ -216,7 +216,7 @@ def test_what_is_drawn_is_the_same_everywhere(rows: Rows) -> None:
     assert rows.sample(5, 7).ids.tolist() == rows.shuffle(7).ids.tolist()[:5]
     assert rows.shuffle(7).ids.tolist() != rows.shuffle(8).ids.tolist()
     for wrong in (-1, 1.5, None, "3", True):
-        with pytest.raises(InputError, match="expected an integer from 0"):
+        with pytest.raises(InputError, match="expected an integer of at least 0"):
             rows.shuffle(wrong)  # type: ignore[arg-type]
     for wrong in (101, -1, 2.5):
         with pytest.raises(InputError, match="expected an integer from 0 to 100"):
