@@ -130,7 +130,7 @@ def test_a_stored_scene_tells_what_was_rejected_while_it_was_made(folder, monkey
         assert traced(record, replace(CROWDED, stars=(1,))) is None
     monkeypatch.setattr(starstruck_gen.SceneRecord, "seed", -5)  # as another tool may have stored it
     assert traced(record, CROWDED) is None
-    with pytest.raises(InputError, match="seed of a scene is -5; expected an integer of at least 0"):
+    with pytest.raises(InputError, match="seed of a scene is -5; expected an integer from 0"):
         scene_rng(-5)
 
 
