@@ -114,7 +114,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     """
     # From the manifest, never from defaults: the card may be written again by a later version.
     spec = manifest.spec["source_spec"] if is_copy(manifest) else manifest.spec
-    words = words_of("copy" if spec is None else str(spec["source"]["name"]))
+    words = source_words("copy" if spec is None else str(spec["source"]["name"]))
     # Those of a folder of pictures are not the digits of MNIST 3D.
     is_own = words["name"] == FolderSource.name
     if is_copy(manifest):
@@ -137,7 +137,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
             "left out": [s.skipped for s in summaries],
         },
         values={
-            "source_text": describe_source(words, spec["source"]),
+            "source_text": source_description(words, spec["source"]),
             "split_rule": _split_rule(spec),
             "solid_text": (
                 f"{solid['profile']} profile, {solid['half_thickness_mm']:g} mm half thickness, "
@@ -213,13 +213,13 @@ def _limits(manifest: Manifest, summaries: list[SplitSummary], words: Mapping[st
     return "\n".join(f"- {line}" for line in lines)
 
 
-def words_of(name: str) -> dict[str, str]:
+def source_words(name: str) -> dict[str, str]:
     """Return the words about a source of digits; those of one that a user brought along claim nothing."""
     known = card_words("digit_words.toml")
     return {"name": name, **known.get(name, known["other"])}
 
 
-def describe_source(words: Mapping[str, str], fingerprint: Mapping[str, Any]) -> str:
+def source_description(words: Mapping[str, str], fingerprint: Mapping[str, Any]) -> str:
     """Write what a source is, with its fingerprint."""
     fields = dict(fingerprint)
     if words["name"] == "mnist":  # which comes in parts

@@ -86,10 +86,6 @@ class DigitMaking(making.Making):
             return cls(spec)
         return cls(replace(spec, split=replace(spec.split, by="none")))
 
-    def manifest(self) -> Mapping[str, Any]:
-        """Return the specification, with the fingerprint of the source."""
-        return self.spec.to_dict()
-
     def items(self) -> Mapping[str, Any]:
         """Return the ids of each split; reads only the source's catalog."""
         plan = plan_splits(self.spec.source.catalog(), self.spec.split)

@@ -124,7 +124,7 @@ def _published_sizes(available: int) -> dict[str, int]:
 
 
 def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
-    """Return the index of each digit's split, whole writers at a time."""
+    """Return the index of each digit's split, all digits of a writer in the same; sizes are then near."""
     sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
     shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
     writers, inverse, counts = np.unique(catalog.writers, return_inverse=True, return_counts=True)
@@ -135,22 +135,15 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
         )
     if shares.sum() == 0:
         raise InputError("all split sizes are 0; expected at least one split with digits")
-    return _share_writers(writers, counts, shares / shares.sum(), spec.seed)[inverse]
-
-
-def _share_writers(
-    writers: NDArray[np.int64], counts: NDArray[np.int64], shares: NDArray[np.float64], seed: int
-) -> NDArray[np.int64]:
-    """Return the index of each writer's split; every split with a share gets one while writers last."""
-    wanted, given = shares * counts.sum(), np.zeros(len(SPLITS))
+    wanted, given = shares / shares.sum() * counts.sum(), np.zeros(len(SPLITS))
     split_of = np.full(len(writers), -1, dtype=np.int64)
     # Every split first gets a writer: by shares alone, small ones of few writers would stay empty.
     unserved = [int(split) for split in np.flatnonzero(shares)]
-    for writer in np.argsort(_keys(writers, seed, stream=2)):
+    for writer in np.argsort(_keys(writers, spec.seed, stream=2)):
         split = unserved.pop(0) if unserved else int(np.argmax(wanted - given))
         split_of[writer] = split
         given[split] += counts[writer]
-    return split_of
+    return split_of[inverse]
 
 
 def _keys(ids: NDArray[np.integer[Any]], seed: int, stream: int) -> NDArray[np.uint64]:

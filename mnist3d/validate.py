@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -95,14 +96,8 @@ class Checked:
         return header, [item.table_row() for item in shown], title
 
 
-@dataclass(frozen=True, slots=True)
-class _Inspect:
-    """Picklable: inspect the mesh of one row."""
-
-    profile: PrintProfile
-
-    def __call__(self, row: Row) -> PrintReport:
-        return inspect(Mesh(row.array(VERTICES), row.array(FACES)), self.profile)
+def _inspect_row(row: Row, profile: PrintProfile) -> PrintReport:
+    return inspect(Mesh(row.array(VERTICES), row.array(FACES)), profile)
 
 
 def validate_paths(
@@ -148,7 +143,9 @@ def validate_paths(
     for path in paths:
         if is_remote(path) or Path(normalize_uri(path)).is_dir():
             shards = shards_to_check(path, split, "mnist3d generate")
-            rows = check_rows(shards, _Inspect(profile), _COLUMNS, limit, workers, on_progress)
+            rows = check_rows(
+                shards, partial(_inspect_row, profile=profile), _COLUMNS, limit, workers, on_progress
+            )
             items = []
             for row in rows:
                 report = row.found

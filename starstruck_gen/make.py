@@ -166,10 +166,6 @@ class SceneMaking(making.Making):
     spec: GenerateSpec
     kind = KIND
 
-    def manifest(self) -> Mapping[str, Any]:
-        """Return the specification."""
-        return self.spec.to_dict()
-
     def items(self) -> Mapping[str, range]:
         """Return the numbers of the scenes of each split."""
         return {split: range(self.spec.rows(split)) for split in SPLITS}

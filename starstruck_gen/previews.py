@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
@@ -45,7 +44,6 @@ if TYPE_CHECKING:
 
 REJECTED = (213, 94, 0)
 _AREA = (150, 156, 164)
-_DASH = 6.0 * SUPERSAMPLING
 _CROSS = 4.0 * SUPERSAMPLING
 _TILE_PX = 150
 _PANEL_PX = 600
@@ -103,7 +101,7 @@ def draw_one(record: SceneRecord, spec: SceneSpec | None, title: str) -> Pixels:
     else:
         above = np.asarray(draw_trace(trace.scene.placements, trace.rejected, known, px_per_mm))
         lost = "red: rejected positions" if trace.rejected else "no position was rejected"
-        caption = f"from above; {lost}; the dashed frame holds all centres"
+        caption = f"from above; {lost}; the frame holds all centres"
         given_up = sum(each.given_up for each in trace.rejected)
         facts += (
             f", {counted(trace.scene.distractor_count, 'other objects')}; "
@@ -135,21 +133,15 @@ def draw_trace(
     """Draw a scene with the room that collision takes around each object, and the positions not taken.
 
     Objects that were not placed are outlined in red where they would have stood, with a cross at their
-    centre; those of layouts that were given up have a grey cross only. The dashed frame holds all centres.
+    centre; those of layouts that were given up have a grey cross only. The frame holds all centres.
     """
     from PIL import ImageDraw
 
     picture = empty_plate(spec.cell_m, px_per_mm)
     scale = px_per_mm * 1e3 * SUPERSAMPLING
     pen = ImageDraw.Draw(picture)
-    half_x, half_y = (side * scale for side in spec.half_area_m)
-    corners = [(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)]
-    middle = np.array(picture.size) / 2
-    for start, end in zip(corners, [*corners[1:], corners[0]], strict=True):
-        begin, way, length = middle + start, np.subtract(end, start), math.dist(start, end)
-        for at in np.arange(0.0, length, 2 * _DASH).tolist():
-            dash = [begin + way * (share / length) for share in (at, min(at + _DASH, length))]
-            pen.line([tuple(point) for point in np.array(dash).tolist()], fill=_AREA, width=SUPERSAMPLING)
+    middle, half = np.array(picture.size) / 2, np.array(spec.half_area_m) * scale
+    pen.rectangle((*(middle - half), *(middle + half)), outline=_AREA, width=SUPERSAMPLING)
     for placement in placements:
         paint_object(picture, placement, scale)
         if spec.collision == "circles":

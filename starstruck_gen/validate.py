@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy as np
 from starstruck_gen.kind import KIND
 from starstruck_gen.loader import SceneRecord
 from starstruck_gen.placement import build_meshes
-from starstruck_gen.shapes import KINDS, Proportions, add_kind
+from starstruck_gen.shapes import Proportions
 from starstruck_gen.solid import own_kinds
 from tactile_toolkit.catalog.choose import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
@@ -93,7 +94,14 @@ def validate_folder(
     path = os.fspath(path)
     shards = shards_to_check(path, split, "starstruck generate")
     names = {shard.path: class_names(shard.schema, KIND.class_names) for _, shard in shards}
-    rows = check_rows(shards, _Prove(names, own_kinds()), _COLUMNS, limit, workers, on_progress)
+    rows = check_rows(
+        shards,
+        partial(_prove, names=names, shapes=[kind() for kind in own_kinds()]),
+        _COLUMNS,
+        limit,
+        workers,
+        on_progress,
+    )
     failures, bodies, stars = [], 0, 0
     for row in rows:
         null = f"field {row.null_field!r} of row {row.row} is null; expected a value"
@@ -106,25 +114,20 @@ def validate_folder(
     return Checked(path, len(rows), bodies, stars, tuple(failures), declares)
 
 
-@dataclass(frozen=True, slots=True)
-class _Prove:
-    """Picklable: prove the scene of one row; a new process must know the user's own shapes first."""
+def _prove(
+    row: Row, names: Mapping[str, Sequence[str]], shapes: Sequence[Proportions]
+) -> tuple[str | None, int, int]:
+    """Return what is wrong with a scene, the number of bodies, and that of declared stars.
 
-    names: Mapping[str, Sequence[str]]
-    kinds: tuple[type[Proportions], ...]
-
-    def __call__(self, row: Row) -> tuple[str | None, int, int]:
-        """Return what is wrong, the number of bodies, and that of declared stars."""
-        for kind in self.kinds:
-            if KINDS.get(kind.name) is not kind:
-                add_kind(kind)
-        record = SceneRecord(row)
-        try:
-            problem, bodies = _inspect(record, self.names[row.path])
-            return problem, bodies, record.star_count if record.has_placements else 0
-        except (InputError, TypeError, ValueError, OverflowError) as error:
-            # Columns of other types than those of a data set of scenes, and shapes that are not known.
-            return f"cannot be read as a scene: {error}", 0, 0
+    ``shapes`` are of the user's own kinds: a new process knows the kinds once it has unpickled these.
+    """
+    record = SceneRecord(row)
+    try:
+        problem, bodies = _inspect(record, names[row.path])
+        return problem, bodies, record.star_count if record.has_placements else 0
+    except (InputError, TypeError, ValueError, OverflowError) as error:
+        # Columns of other types than those of a data set of scenes, and shapes that are not known.
+        return f"cannot be read as a scene: {error}", 0, 0
 
 
 def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) -> str | None:

@@ -70,10 +70,12 @@ class Making(ABC):
     """
 
     kind: DatasetKind
+    spec: Any  # has `to_dict`
 
-    @abstractmethod
     def manifest(self) -> Mapping[str, Any]:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
+        values: Mapping[str, Any] = self.spec.to_dict()
+        return values
 
     @abstractmethod
     def items(self) -> Mapping[str, Any]:

@@ -58,10 +58,6 @@ class WrenchMaking(making.Making):
     spec: WrenchSpec
     kind = KIND
 
-    def manifest(self) -> Mapping[str, Any]:
-        """Return the specification."""
-        return self.spec.to_dict()
-
     def items(self) -> Mapping[str, range]:
         """Return one item, in a split that is called as that of the published wrench."""
         return {"train": range(1)}

@@ -161,25 +161,20 @@ _STRIDES = (
 """Fractions of the square roots of the first ten primes: no two digits repeat in step."""
 
 
-class Variation:
-    """Gives every number of a shape its value for one writer and one digit.
+def variation(writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float = 1.0) -> Vary:
+    """Return what gives every number of a shape its value for one writer and one digit.
 
     `writer` is the stream of this writer and shape, the same in all the writer's digits of that shape;
     `jitter` is the weight of the stream of this `digit`; `freedom` scales all spreads.
     """
+    of_writer, of_digit = _BETWEEN_WRITERS * freedom, jitter * freedom
 
-    __slots__ = ("_between_writers", "_digit", "_jitter", "_writer")
+    def vary(mean: float, spread: float) -> float:
+        # Nearly normal deviations; each takes numbers from both streams, in this order.
+        writer_noise, digit_noise = writer.approx_normal(), digit.approx_normal()
+        return mean + spread * (of_writer * writer_noise + of_digit * digit_noise)
 
-    def __init__(self, writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float = 1.0) -> None:
-        self._writer = writer
-        self._digit = digit
-        self._jitter = jitter * freedom
-        self._between_writers = _BETWEEN_WRITERS * freedom
-
-    def __call__(self, mean: float, spread: float) -> float:
-        """Return `mean` plus a nearly normal deviation of size `spread`."""
-        writer_noise, digit_noise = self._writer.approx_normal(), self._digit.approx_normal()
-        return mean + spread * (self._between_writers * writer_noise + self._jitter * digit_noise)
+    return vary
 
 
 def style_for_digit(hand: WriterStyle, label: int, vary: Vary) -> WriterStyle:

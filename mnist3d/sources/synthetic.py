@@ -13,13 +13,13 @@ from mnist3d.sources.digits import ALLOGRAPHS
 from mnist3d.sources.pen import (
     DIGIT_STYLES,
     KeyedRng,
-    Variation,
     WriterStyle,
     choose_allograph,
     draw,
     draw_style,
     on_page,
     style_for_digit,
+    variation,
 )
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError
@@ -120,7 +120,7 @@ class SyntheticSource:
         class_noise = KeyedRng(_CLASS_NOISE, self.seed, label)
         choice = choose_allograph(label, writer, class_noise, rng, hand.fidelity)
         writer_noise = KeyedRng(_WRITER_NOISE, self.seed, writer, label, choice)
-        vary = Variation(writer_noise, rng, hand.jitter, DIGIT_STYLES[label][2])
+        vary = variation(writer_noise, rng, hand.jitter, DIGIT_STYLES[label][2])
         hand = style_for_digit(hand, label, vary)
         shape, _ = ALLOGRAPHS[label][choice]
         # The pen's width as a share of the height between middle lines, larger in narrow hands.

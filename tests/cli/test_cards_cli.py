@@ -257,11 +257,11 @@ FINGERPRINTS = {
     ],
 )
 def test_sources_of_digits_are_named_with_their_terms(name, licence, words):
-    from mnist3d.card import describe_source, words_of
+    from mnist3d.card import source_description, source_words
 
-    source = words_of(name)
+    source = source_words(name)
     assert source["licence"] == licence
-    assert words in describe_source(source, {"name": name, **FINGERPRINTS[name]})
+    assert words in source_description(source, {"name": name, **FINGERPRINTS[name]})
 
 
 @pytest.mark.parametrize("kind", ["mnist3d", "starstruck"])

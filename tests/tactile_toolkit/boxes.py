@@ -41,7 +41,7 @@ class BoxRow(MeshRow):
 
 
 def schema():
-    return mesh_schema(BoxRow, KIND.class_names)
+    return mesh_schema(BoxRow, ("box",))
 
 
 @dataclass(frozen=True)
@@ -50,17 +50,17 @@ class BoxSpec:
     seed: int = integer(0)
     largest_mm: float = real(20.0, above=10)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         check_fields(self, "the boxes")
+
+    def to_dict(self):
+        return asdict(self)
 
 
 @dataclass(frozen=True)
 class BoxMaking(Making):
     spec: BoxSpec
     kind = KIND
-
-    def manifest(self):
-        return asdict(self.spec)
 
     def items(self):
         return {"train": range(self.spec.boxes)}
