@@ -139,8 +139,8 @@ DIGIT_STYLES = (
     (1.0, -0.03, 1.0),
     (1.02, 0.03, 0.95),
 )
-"""For each digit its width relative to the hand's, what it leans beyond the hand's slant, and how freely its
-shape is written."""
+"""For each digit its width relative to the writer's, what it leans beyond the writer's slant, and how freely
+its shape is written."""
 
 _ASPECT, _SLANT, _TILT, _BOW = 0.10, 0.10, 0.04, 0.02
 """Spread of a writer's traits from digit to digit."""
@@ -177,15 +177,15 @@ def variation(writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float =
     return vary
 
 
-def style_for_digit(hand: WriterStyle, label: int, vary: Vary) -> WriterStyle:
-    """Return the hand as it writes one digit: people write some digits wider or steeper than others."""
+def style_for_digit(style: WriterStyle, label: int, vary: Vary) -> WriterStyle:
+    """Return a style as it writes one digit: people write some digits wider or steeper than others."""
     width, lean, _ = DIGIT_STYLES[label]
     return replace(
-        hand,
-        aspect=hand.aspect * width * max(0.5, vary(1.0, _ASPECT)),
-        slant=hand.slant + lean + vary(0.0, _SLANT),
-        tilt=hand.tilt + vary(0.0, _TILT),
-        bow=hand.bow + vary(0.0, _BOW),
+        style,
+        aspect=style.aspect * width * max(0.5, vary(1.0, _ASPECT)),
+        slant=style.slant + lean + vary(0.0, _SLANT),
+        tilt=style.tilt + vary(0.0, _TILT),
+        bow=style.bow + vary(0.0, _BOW),
     )
 
 
@@ -238,7 +238,7 @@ Floats = NDArray[np.float32]
 
 def on_page(
     strokes: list[Stroke],
-    hand: WriterStyle,
+    style: WriterStyle,
     height_px: float,
     pen_px: float,
     vary: Vary,
@@ -250,11 +250,11 @@ def on_page(
     the right, y down, in pixels, samples about 7 px apart.
     """
     joined = [np.concatenate([through(run) for run in stroke]) for stroke in strokes]
-    bent = _bend(joined, hand, vary)
+    bent = _bend(joined, style, vary)
     low, high = _bounds(bent)
     height, widest = height_px - pen_px, _WIDEST_PX - pen_px
     scale = min(height / (high[1] - low[1]), widest / max(high[0] - low[0], 1e-6))
-    paths = [_relax((path - low) * scale, hand, rng) for path in bent]
+    paths = [_relax((path - low) * scale, style, rng) for path in bent]
     low, high = _bounds(paths)
     wish = 0.5 * PAGE_PX - 0.5 * (low + high) + _OFF_CENTRE_PX * rng.approx_normals(2)
     edge = 0.5 * pen_px + _MARGIN_PX
@@ -264,7 +264,7 @@ def on_page(
     return [np.floor((path + shift) * _GRID + 0.5) / _GRID for path in paths]
 
 
-def _bend(paths: Paths, hand: WriterStyle, vary: Vary) -> Paths:
+def _bend(paths: Paths, style: WriterStyle, vary: Vary) -> Paths:
     """Bend, stretch and slant the strokes like one sheet of rubber: what meets stays together."""
     low, high = _bounds(paths)
     wide, tall = max(high[0] - low[0], 1e-6), high[1] - low[1]
@@ -274,11 +274,11 @@ def _bend(paths: Paths, hand: WriterStyle, vary: Vary) -> Paths:
     for path in paths:
         across, down = (path[:, 0] - low[0]) / wide, (path[:, 1] - low[1]) / tall
         middle, waistline = 4.0 * across * (1.0 - across), 4.0 * down * (1.0 - down)
-        x = hand.aspect * wide * (across - 0.5 + lopside * middle) * (1.0 + taper * (2.0 * down - 1.0))
+        x = style.aspect * wide * (across - 0.5 + lopside * middle) * (1.0 + taper * (2.0 * down - 1.0))
         y = tall * (down + waist * waistline)
-        wound = x + hand.slant * (1.0 - y) + (hand.bow + sway * (1.0 - 2.0 * down)) * waistline
+        wound = x + style.slant * (1.0 - y) + (style.bow + sway * (1.0 - 2.0 * down)) * waistline
         bent.append(
-            np.stack([wound, y - hand.tilt * x + (arch + sag * (1.0 - 2.0 * across)) * middle], axis=1)
+            np.stack([wound, y - style.tilt * x + (arch + sag * (1.0 - 2.0 * across)) * middle], axis=1)
         )
     return bent
 
@@ -288,17 +288,17 @@ def _bounds(paths: Paths) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _relax(path: NDArray[np.float64], hand: WriterStyle, rng: KeyedRng) -> NDArray[np.float64]:
+def _relax(path: NDArray[np.float64], style: WriterStyle, rng: KeyedRng) -> NDArray[np.float64]:
     path = resample(path, SPACING_PX)
     knots = int(len(path) * SPACING_PX / _WAVE_PX) + 3
     at = np.arange(len(path)) * ((knots - 1) / len(path))
     for axis in (0, 1):
-        path[:, axis] += np.interp(at, np.arange(knots), hand.tremor_px * rng.approx_normals(knots))
-    return smooth(path, 1 + hand.roundness)
+        path[:, axis] += np.interp(at, np.arange(knots), style.tremor_px * rng.approx_normals(knots))
+    return smooth(path, 1 + style.roundness)
 
 
 def draw(
-    paths: list[NDArray[np.float64]], pen_px: float, hand: WriterStyle, rng: KeyedRng
+    paths: list[NDArray[np.float64]], pen_px: float, style: WriterStyle, rng: KeyedRng
 ) -> NDArray[np.uint8]:
     """Ink the paths with the writer's pen.
 
@@ -307,24 +307,24 @@ def draw(
 
     Paths are in pixels, evenly sampled; `pen_px` is the mean width of a stroke.
     """
-    radii = [_radii(path, 0.5 * pen_px, hand, rng) for path in paths]
+    radii = [_radii(path, 0.5 * pen_px, style, rng) for path in paths]
     field = np.full(_NODES * _NODES, _FAR_PX, dtype=np.float32)
     for path, radius in zip(paths, radii, strict=True):
         _stamp(field, path.astype(np.float32), radius)
-    page = _rasterise(field.reshape(_NODES, _NODES) + _roughness(hand.roughness_px, rng))
-    _add_speckles(page, paths, radii, hand, rng)
+    page = _rasterise(field.reshape(_NODES, _NODES) + _roughness(style.roughness_px, rng))
+    _add_speckles(page, paths, radii, style, rng)
     return page
 
 
-def _radii(path: NDArray[np.float64], half_px: float, hand: WriterStyle, rng: KeyedRng) -> Floats:
+def _radii(path: NDArray[np.float64], half_px: float, style: WriterStyle, rng: KeyedRng) -> Floats:
     number = len(path)
     knots = int(number * SPACING_PX / _PRESSURE_WAVE_PX) + 3
     at = np.arange(number) * ((knots - 1) / number)
-    press = 1.0 + hand.pressure * np.interp(at, np.arange(knots), rng.approx_normals(knots))
+    press = 1.0 + style.pressure * np.interp(at, np.arange(knots), rng.approx_normals(knots))
     step = path[np.minimum(np.arange(number) + 1, number - 1)] - path[np.maximum(np.arange(number) - 1, 0)]
-    along = step[:, 0] + hand.nib_lean * step[:, 1]
-    square = (step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) * (1.0 + hand.nib_lean * hand.nib_lean)
-    chisel = 1.0 + hand.nib * (0.5 - along * along / np.maximum(square, 1e-6))
+    along = step[:, 0] + style.nib_lean * step[:, 1]
+    square = (step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]) * (1.0 + style.nib_lean * style.nib_lean)
+    chisel = 1.0 + style.nib * (0.5 - along * along / np.maximum(square, 1e-6))
     radius = half_px * np.clip(press * chisel, _DRY, _WIDE)
     return np.asarray(np.floor(radius * 64.0 + 0.5) / 64.0, dtype=np.float32)
 
@@ -389,11 +389,11 @@ def _add_speckles(
     page: NDArray[np.uint8],
     paths: list[NDArray[np.float64]],
     radii: list[Floats],
-    hand: WriterStyle,
+    style: WriterStyle,
     rng: KeyedRng,
 ) -> None:
     """Add light speckles to the ink and dark ones next to it."""
-    for number, light in ((hand.gaps, True), (hand.specks, False)):
+    for number, light in ((style.gaps, True), (style.specks, False)):
         for _ in range(int(number * 2.0 * rng.unit())):
             stroke = rng.pick([float(len(path)) for path in paths])
             sample = int(rng.unit() * len(paths[stroke]))

@@ -114,18 +114,18 @@ class SyntheticSource:
                 next="choose such an id or raise the source's count",
             )
         writer, label = digit_id // _PER_WRITER, digit_id % _PER_WRITER // _PER_CLASS
-        hand, rng = self.hand(writer), KeyedRng(_DIGIT, self.seed, digit_id)
-        height_px = hand.height_px * (1.0 + _SIZE_JITTER * hand.jitter * rng.approx_normal())
-        pen_px = hand.pen_px * (1.0 + _SIZE_JITTER * hand.jitter * rng.approx_normal())
+        style, rng = self.hand(writer), KeyedRng(_DIGIT, self.seed, digit_id)
+        height_px = style.height_px * (1.0 + _SIZE_JITTER * style.jitter * rng.approx_normal())
+        pen_px = style.pen_px * (1.0 + _SIZE_JITTER * style.jitter * rng.approx_normal())
         class_noise = KeyedRng(_CLASS_NOISE, self.seed, label)
-        choice = choose_allograph(label, writer, class_noise, rng, hand.fidelity)
+        choice = choose_allograph(label, writer, class_noise, rng, style.fidelity)
         writer_noise = KeyedRng(_WRITER_NOISE, self.seed, writer, label, choice)
-        vary = variation(writer_noise, rng, hand.jitter, DIGIT_STYLES[label][2])
-        hand = style_for_digit(hand, label, vary)
+        vary = variation(writer_noise, rng, style.jitter, DIGIT_STYLES[label][2])
+        style = style_for_digit(style, label, vary)
         shape, _ = ALLOGRAPHS[label][choice]
         # The pen's width as a share of the height between middle lines, larger in narrow hands.
-        strokes = shape(vary, pen_px / (height_px - pen_px) / min(hand.aspect, 1.0))
-        paths = on_page(strokes, hand, height_px, pen_px, vary, rng)
+        strokes = shape(vary, pen_px / (height_px - pen_px) / min(style.aspect, 1.0))
+        paths = on_page(strokes, style, height_px, pen_px, vary, rng)
         # Ink has a stream of its own: how it flows does not depend on how many numbers the shape took.
-        pixels = draw(paths, pen_px, hand, KeyedRng(_INK, self.seed, digit_id))
+        pixels = draw(paths, pen_px, style, KeyedRng(_INK, self.seed, digit_id))
         return DigitImage(digit_id, label, pixels, writer)
