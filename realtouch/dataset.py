@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from copy import copy
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
@@ -704,14 +705,9 @@ class TouchStream:
 
     def part(self, index: int, count: int) -> TouchStream:
         """Return every ``count``-th shard from ``index`` on, for workers that share the work."""
-        part = TouchStream(
-            self.shards[index::count],
-            self.kind,
-            skip_damage=self.skip_damage,
-            expected_touches=self._expected_touches,
-            left_out=self._left_out[index::count],
-        )
-        part._stated_names = self._stated_names
+        part = copy(self)
+        part.shards, part._left_out = self.shards[index::count], self._left_out[index::count]
+        part.skipped = list(part._left_out)
         return part
 
     def touches(self) -> Touches[Any]:
@@ -739,16 +735,16 @@ class TouchStream:
             yield from map(record, stored_rows(self.shards))
             return
         for found in readable_rows(self.shards):
-            damage = [found] if isinstance(found, Damage) else self._check(found)
+            if isinstance(found, Damage):
+                self.skipped.append(found)
+                continue
+            damage = check_round(found, self._expected_touches, class_names=self._stated_names)
             self.skipped += damage
             lost = {each.touch for each in damage}
-            if isinstance(found, Row) and None not in lost:
+            if None not in lost:
                 intact = record(found)
                 kept = [touch for touch in range(intact.touch_count) if touch not in lost]
                 yield intact.with_touches(kept) if lost else intact
-
-    def _check(self, row: Row) -> list[Damage]:
-        return check_round(row, self._expected_touches, class_names=self._stated_names)
 
     def __repr__(self) -> str:
         words = with_origins(counted(len(self.shards), "shards"), [ShardedTable(self.shards)])

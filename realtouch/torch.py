@@ -88,7 +88,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.touches = dataset if isinstance(dataset, Touches) else dataset.touches()
         self.transform = transform
         self.target = _require_target(target)
-        self.frames = _require_frames(frames)
+        self.frames = None if frames is None else require_method(frames)
         self.channels_last = channels_last
         self._rounds: MemoryCache[int, Any] = MemoryCache(_ROUNDS_KEPT)
 
@@ -212,10 +212,6 @@ def _given(
         return given, torch.tensor(pose.translation, dtype=torch.float32)
     # Names are looked up here and not kept as functions: a function without a name does not pickle.
     return given, (TARGETS[target] if isinstance(target, str) else target)(touch)
-
-
-def _require_frames(frames: str | None) -> str | None:
-    return None if frames is None else require_method(frames)
 
 
 def _require_target(target: Target) -> Target:
