@@ -16,9 +16,10 @@ import pyarrow as pa
 
 from realtouch.convert.plan import Made, checksums, with_files, write_changed
 from realtouch.convert.steps import POSE_COLUMNS
+from realtouch.exchange import webdataset
 from realtouch.exchange.flat import IMAGE, as_jpeg, plan_rows
 from realtouch.exchange.items import ImportColumns, Item
-from realtouch.exchange.tars import items_of_tars, tar_of
+from realtouch.exchange.webdataset import tar_of
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -70,7 +71,7 @@ plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_counts)
 def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each sample of the tars of one split; the folder's name is that of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
-    for item in items_of_tars(home, columns, table):
+    for item in webdataset.items(home, columns, table):
         values = {"split": split, **item.values}
         if set(_POSE) <= set(values) and POSE_COLUMNS[0] not in values:
             for number, (theirs, ours) in enumerate(zip(_POSE, POSE_COLUMNS, strict=True)):
