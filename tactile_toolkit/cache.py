@@ -190,7 +190,7 @@ class MemoryCache(Generic[K, V]):
     share between threads. A process that received it pickled starts with an empty cache.
     """
 
-    def __init__(self, limit: int, size_of: Callable[[V], int] = lambda _: 1) -> None:
+    def __init__(self, limit: int, size_of: Callable[[V], int] | None = None) -> None:
         self.limit = limit
         self.size = 0
         self._size_of = size_of
@@ -216,7 +216,7 @@ class MemoryCache(Generic[K, V]):
         """Keep a value, and let go of those used longest ago while there are too many; returns it."""
         with _LOCK:
             self.pop(key)
-            size = self._size_of(value)
+            size = 1 if self._size_of is None else self._size_of(value)
             self._kept[key] = value, size
             self.size += size
             while self.size > self.limit and len(self._kept) > min(self.limit, 1):

@@ -177,11 +177,11 @@ class Prefetcher:
         size_bytes = self._unpack(window)
         limit_bytes = cache_limit_bytes()
         if size_bytes > limit_bytes:
-            message = (
+            message = ToolkitError(
                 f"shards of one window unpack to {size_bytes:,} bytes; the cache keeps {limit_bytes:,}, so "
-                "that row groups are unpacked again and again; next: take a smaller window, or set "
-                f"{CACHE_LIMIT_VARIABLE}={2 * size_bytes >> 20}"
-            )
+                "that row groups are unpacked again and again",
+                next=f"take a smaller window, or set {CACHE_LIMIT_VARIABLE}={2 * size_bytes >> 20}",
+            ).message
             warnings.warn(message, RuntimeWarning, stacklevel=2)
         if 2 * size_bytes <= limit_bytes:  # the next one must not drive this one out
             # A job that ends in the middle of an epoch does not wait for row groups that are not needed.

@@ -215,6 +215,7 @@ def test_a_copy_in_another_process_starts_empty():
     memory.put("a", b"1")
     copy = pickle.loads(pickle.dumps(memory))
     assert (copy.limit, len(copy), copy.get("a")) == (10, 0, None)
+    assert pickle.loads(pickle.dumps(MemoryCache[str, bytes](3))).limit == 3
     run_forked(_fork_while_a_thread_fills_it)
 
 
