@@ -49,7 +49,7 @@ def test_it_takes_what_load_takes(
     realtouch.select(str(single_folder), str(tmp_path / "chosen"), labels=[0, 1])
     file = next((tmp_path / "chosen" / "data").glob("train-*"))
     pq.write_table(pq.read_table(file).slice(0, 1), file)
-    assert "digest" in realtouch.verify("~/chosen").findings[0].problem  # by the manifest, there too
+    assert "sha256 is" in realtouch.verify("~/chosen").findings[0].problem  # by the manifest, there too
     with pytest.raises(InputError, match="is not a name of a data set"):
         realtouch.verify(3)
 
