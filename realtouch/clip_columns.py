@@ -80,7 +80,7 @@ def stamps_s(row: Row, touch: int | None = None) -> list[NDArray[np.float64]] | 
     found = [_as_seconds(times) for times in cut(row, "time_stamp_rel_seq", 0, touch)]
     for number, times in enumerate(found, touch or 0):
         # A comparison with NaN is false, so this finds missing times too.
-        if not (times[1:] >= times[:-1]).all() or not math.isfinite(times[:1].sum()):
+        if not (times[1:] >= times[:-1]).all() or (len(times) and not math.isfinite(times[0])):
             raise damaged(row, "time_stamp_rel_seq", "times that are missing or run backwards", number)
     return found
 

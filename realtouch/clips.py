@@ -316,7 +316,8 @@ class TouchClip(Sequence[Pixels]):
 
     def _decode(self, frame: int, out: Pixels | None = None) -> Pixels:
         with naming(self._row, "sensor_video", self.touch, f"frame {frame}: "):
-            return decode_image(self.encoded(frame), out)
+            assert self._avi is not None
+            return decode_image(self._avi.frame(frame), out)
 
     def _naming(self) -> AbstractContextManager[None]:
         """Turn a ValueError into damage of this clip."""
@@ -376,24 +377,16 @@ class SensorClips(Sequence[TouchClip]):
         return f"SensorClips({self._count} touches)"
 
 
-def contact_windows_of(clips: SensorClips) -> list[slice]:
-    """Return the frames of contact of every clip of a round, see :func:`realtouch.contact.contact_window`.
-
-    Raises IntegrityError when times are missing or impossible.
-    """
-    times = stamps_s(clips.row)
-    if times is None:
-        times = [clip.media_times_s for clip in clips]
-    ends = (each.tolist() for each in times_of_touches(clips.row))
-    return [contact_window(*each) for each in zip(times, *ends, strict=True)]
-
-
 def contact_frames_of(clips: SensorClips, method: ContactMethod) -> list[int]:
     """Return the frame of every clip of a round that shows the contact, by time or pose, not by the picture.
 
     See :meth:`TouchClip.contact_index`. Raises IntegrityError when times or poses are missing or impossible.
     """
-    windows = contact_windows_of(clips)
+    times = stamps_s(clips.row)
+    if times is None:
+        times = [clip.media_times_s for clip in clips]
+    ends = (each.tolist() for each in times_of_touches(clips.row))
+    windows = [contact_window(*each) for each in zip(times, *ends, strict=True)]
     if method == "contact_start":
         return [window.start for window in windows]
     if method == "contact_end":

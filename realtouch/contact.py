@@ -57,8 +57,8 @@ def contact_window(time_s: NDArray[np.float64], start_s: float, end_s: float) ->
     frame lies between them, the one frame nearest to ``end_s`` (the earlier of two equally near) is returned,
     so that a window always holds a frame of a clip that has any.
     """
-    start = int(np.searchsorted(time_s, start_s - CLOCK_TOLERANCE_S, side="left"))
-    stop = int(np.searchsorted(time_s, end_s + CLOCK_TOLERANCE_S, side="right"))
+    start = int(time_s.searchsorted(start_s - CLOCK_TOLERANCE_S, side="left"))
+    stop = int(time_s.searchsorted(end_s + CLOCK_TOLERANCE_S, side="right"))
     if start < stop:
         return slice(start, stop)
     nearest = int(np.argmin(np.abs(time_s - end_s))) if len(time_s) else 0

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.clip_columns import clip_lengths, frame_times, pose_sequences, poses, touch_durations
-from realtouch.clips import SensorClips, contact_frames_of, contact_windows_of, decode_frames
+from realtouch.clips import SensorClips, contact_frames_of, decode_frames
 from realtouch.columns import entries_of, int_value, intended_positions, plain_value, read_info, touch_total
 from realtouch.contact import require_method
 from realtouch.images import SensorImages, in_parallel
@@ -274,17 +274,13 @@ class TouchSeqRound(TouchRound):
         """
         clips = self.sensor_video
         wanted = positions(touches, len(clips))
-        windows = contact_windows_of(clips)
-        starts, stops = (
-            np.array([(each.start, each.stop) for each in windows], np.int64).reshape(-1, 2)[wanted].T
-        )
-        counts = stops - starts
-        last = np.cumsum(counts)
-        pixels = clips.room(int(counts.sum()))
-        frames = np.arange(len(pixels)) + np.repeat(starts - (last - counts), counts)
+        windows = [clips[touch].contact_window for touch in wanted.tolist()]
+        counts = [window.stop - window.start for window in windows]
+        pixels = clips.room(sum(counts))
+        frames = [frame for window in windows for frame in range(window.start, window.stop)]
         owners = np.repeat(wanted, counts)
-        decode_frames(clips, owners.tolist(), frames.tolist(), pixels, _cores(threads))
-        return tuple(np.split(pixels, last[:-1])) if len(wanted) else ()
+        decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
+        return tuple(np.split(pixels, np.cumsum(counts)[:-1])) if len(wanted) else ()
 
 
 def _cores(threads: int | None) -> int:

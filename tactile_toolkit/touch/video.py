@@ -69,7 +69,8 @@ class Avi:
     def _read_index(self, index: tuple[int, int], movie: tuple[int, int]) -> None:
         entries = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0]).reshape(-1, 4)
         plain, packed = (int.from_bytes(name, "little") for name in self._names)
-        entries = entries[(entries[:, 0] == plain) | (entries[:, 0] == packed)]
+        is_frame = (entries[:, 0] == plain) | (entries[:, 0] == packed)
+        entries = entries if is_frame.all() else entries[is_frame]
         if len(entries) > MAX_CLIP_FRAMES:
             raise ValueError(f"a clip of {len(entries):,} frames; the limit is {MAX_CLIP_FRAMES:,}")
         self.slots = np.flatnonzero(entries[:, 3])
@@ -83,8 +84,9 @@ class Avi:
         self.starts, self.sizes = entries[:, 2] + (bases[0] + _CHUNK.size), entries[:, 3]
         ends = self.starts + self.sizes
         # A small file whose frames overlap would decode to any amount of pixels.
-        fits = (self.starts >= np.append(movie[0], ends[:-1])) & (ends <= sum(movie))
-        if not fits.all():
+        apart = (self.starts[1:] >= ends[:-1]).all()
+        if not apart or self.starts[0] < movie[0] or ends[-1] > sum(movie):
+            fits = (self.starts >= np.append(movie[0], ends[:-1])) & (ends <= sum(movie))
             found = f"frame {fits.argmin()} of {len(self)} outside of it or over another"
             raise ValueError(f"an AVI whose index has {found}; expected that of the stream")
 
