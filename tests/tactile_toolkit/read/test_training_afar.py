@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 import starstruck_gen
@@ -13,13 +15,15 @@ torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not instal
 pytest.importorskip("s3fs")
 pytest.importorskip("moto")
 
+from starstruck_gen.make import SceneMaking  # noqa: E402
 from starstruck_gen.torch import SceneTensors  # noqa: E402
 from tactile_toolkit.read.torch import TrainingBatches  # noqa: E402
 
 
 def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, monkeypatch):
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
-    monkeypatch.setattr("starstruck_gen.make._LARGEST_SHARD", 8)
+    layout = SceneMaking.layout
+    monkeypatch.setattr(SceneMaking, "layout", lambda self: replace(layout(self), largest=8))
     spec = starstruck_gen.GenerateSpec(scenes=(("train", 60), ("test", 1)))
     starstruck_gen.generate(spec, tmp_path / "scenes")
     place = DataFolder(f"s3://{bucket}/scenes")
