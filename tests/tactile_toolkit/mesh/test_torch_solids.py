@@ -178,7 +178,7 @@ def test_what_cannot_be_is_refused() -> None:
 def test_without_torch_the_extra_is_named(room: str, tmp_path: Path) -> None:
     (tmp_path / "torch.py").write_text("raise ImportError('no torch')")
     code = (
-        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nimport {room}, {room}.dataset\n"
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nimport {room}, {room}.loader\n"
         "assert 'torch' not in sys.modules\n"
         f"try:\n    import {room}.torch\n"
         "except Exception as error:\n    print(type(error).__name__, error)"
