@@ -27,7 +27,8 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.manifest import Manifest, read_manifest
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from tactile_toolkit.store.names import typed
 from tactile_toolkit.store.origin import read_record
 from tactile_toolkit.store.parquet import has_page_checksums, is_unchanged
 from tactile_toolkit.store.shards import Finding
@@ -102,8 +103,14 @@ def verify(
     if folder is not None and has_checksums:
         listed = verify_files(folder, check_card=check_card, workers=workers).findings
         findings += [Damage(each.file, None, None, "", each.problem) for each in listed]
-    if folder is not None and manifest is not None and manifest.spec.get("operation") in ("frames", "export"):
-        return _verify_index(folder, manifest, findings, on_progress, decode=not quick)
+    if folder is not None and manifest is not None:
+        operation = manifest.spec.get("operation")
+        if operation in ("frames", "export"):
+            return _verify_index(folder, manifest, findings, on_progress, decode=not quick)
+        try:
+            typed(operation, str, MANIFEST_FILE, "spec.operation")
+        except IntegrityError as error:
+            findings.append(Damage(MANIFEST_FILE, None, None, "", str(error)))
     parts: Sequence[str] = ("train",)  # files come without a split
     if isinstance(place, str):
         parts = (split,) if split is not None else splits_of(place, revision=revision)

@@ -39,7 +39,7 @@ class ParquetStyle:
 
     A page ends at 1 MiB; with ``values_per_page``, with the row in which it has so many values of its column,
     if that is 32 KiB at least: a changed row then leaves the pages after its own as they were. With
-    ``chunks_by_content`` Arrow ends pages where the content states it to, eight rows apart or more: for rows
+    ``chunks_by_content`` Arrow ends pages where the content requires it, eight rows apart or more: for rows
     of some 100 kB at most, several of which differ in size. With ``page_index`` the file has an index of its
     pages.
     """
