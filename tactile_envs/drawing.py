@@ -95,20 +95,8 @@ def draw(
     middle = (_SIDE_PX - 1) / 2
     x_px, y_px = placement[:2] * per_m + middle
     turn = float(placement[2])
-    grid = pool.grids[number]
-    raise_object(
-        heights,
-        pool.vertices,
-        pool.faces,
-        pool.starts,
-        grid,
-        float(np.cos(turn)),
-        float(np.sin(turn)),
-        x_px,
-        y_px,
-        per_m,
-        _SIDE_PX,
-    )
+    placed = float(np.cos(turn)), float(np.sin(turn)), float(x_px), float(y_px), per_m
+    raise_object(heights, pool.arrays, number, placed)
     surface = heights[::-1, :_SIDE_PX]
     down, right = np.gradient(surface * np.float32(per_m))
     # Light from the upper left; what stands higher is brighter.

@@ -26,7 +26,7 @@ from tactile_toolkit.errors import InputError
 
 _TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of
 _NO_DRIFT = np.zeros(3)
-_PARTS_A_THREAD = 4
+_PARTS_A_THREAD = 8
 _PLACE = "initial_sensor_target_pose"
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
 Observation = dict[str, NDArray[Any]]
@@ -110,7 +110,8 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._log = EpisodeLog(num_envs, config.step_limit)
         self._step_number, self._done = 0, False
         self._chosen, self._next = np.full(num_envs, -1, np.int64), np.full(num_envs, -1, np.int64)
-        self._objects = np.zeros((num_envs, 3))
+        self._objects, self._upright = np.zeros((num_envs, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (num_envs, 1))
+        self._upright.flags.writeable = False  # what poses of all steps share
         self._sensors, self._targets = np.zeros((num_envs, 3)), np.zeros((num_envs, 3))
         self._felt: NDArray[np.float32] = np.zeros(0, np.float32)
         self._predicted: tuple[NDArray[Any], NDArray[Any]] | None = None
@@ -326,7 +327,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         if config.timeout_behavior == "terminate":
             progress = np.float32(self._step_number / config.step_limit * 2 - 1)
             observation["time_step"] = np.full(count, progress)
-        info: dict[str, Any] = {"sensor_pose": Poses(self._sensors.copy(), _upright(count))}
+        info: dict[str, Any] = {"sensor_pose": Poses(self._sensors.copy(), self._upright)}
         if config.depth_in_info:
             info["depth"] = depths_m
         return observation, info
@@ -418,7 +419,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
     @property
     def current_sensor_target_poses_platform_frame(self) -> Poses:
         """Where the sensors were sent, metres."""
-        return Poses(self._targets.copy(), _upright(self.num_envs))
+        return Poses(self._targets.copy(), self._upright)
 
     @property
     def spec(self) -> Any:
@@ -429,10 +430,6 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
     def spec(self, spec: Any) -> None:
         self._spec = copy.copy(spec)
         self._spec.max_episode_steps = self.config.step_limit
-
-
-def _upright(count: int) -> NDArray[np.float64]:
-    return np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
 
 
 class TactileEnv(ap_gym.ActivePerceptionVectorToSingleWrapper):  # type: ignore[misc]

@@ -100,54 +100,28 @@ _EDGE_PX = 1e-6
 _SLACK = 2e-6
 
 
-@compiled
-def raise_object(
-    heights: NDArray[np.float32],
-    vertices: NDArray[np.float32],
-    faces: NDArray[np.integer[Any]],
-    starts: NDArray[np.int32],
-    grid: NDArray[np.float64],
-    cosine: float,
-    sine: float,
-    x_px: float,
-    y_px: float,
-    px_per_m: float,
-    columns: int,
-) -> None:
-    """Raise pixels to the highest triangle of an object over each of them.
+Pool = tuple[NDArray[np.float32], NDArray[Any], NDArray[np.int32], NDArray[np.float64]]
+"""Vertices, faces, starts and grids of a :class:`tactile_envs.meshes.MeshPool`."""
 
-    ``heights``, shape (H, columns + PADDING), metres above the plate, has its first row at the bottom; the
-    object is turned by an angle and its origin lies at ``x_px``, ``y_px``, in pixels that look at whole
-    numbers. ``grid`` is the object's row of :attr:`tactile_envs.meshes.MeshPool.grids`.
+Placed = tuple[float, float, float, float, float]
+"""How an object lies in a window: cosine and sine of its turn, column, row of its origin, pixels a metre."""
+
+
+@compiled
+def raise_object(heights: NDArray[np.float32], pool: Pool, number: int, placed: Placed) -> None:
+    """Raise pixels to the highest triangle of mesh ``number`` over each of them.
+
+    ``heights``, shape (H, W + PADDING), metres above the plate, has its first row at the bottom; pixels look
+    at whole numbers.
     """
-    rows = heights.shape[0]
-    first_vertex, first_face, large, first_start = int(grid[0]), int(grid[1]), int(grid[2]), int(grid[3])
+    starts, grid = pool[2], pool[3][number]
+    first_face, large, first_start = int(grid[1]), int(grid[2]), int(grid[3])
     across, up = int(grid[4]), int(grid[5])
-    left_m, bottom_m, cell_m, reach_m = grid[6], grid[7], grid[8], grid[9]
-    turn_x, turn_y = cosine * px_per_m, sine * px_per_m
-    _raise_run(
-        heights,
-        vertices,
-        faces,
-        first_face,
-        first_face + large,
-        first_vertex,
-        turn_x,
-        turn_y,
-        x_px,
-        y_px,
-        columns,
-    )
-    # The corners of the window in the object's frame, from the corner of its grid on.
-    corner_x, corner_y = np.empty(4), np.empty(4)
-    for corner in range(4):
-        column = columns - 1.0 + _EDGE_PX if corner == 1 or corner == 2 else -_EDGE_PX
-        row = rows - 1.0 + _EDGE_PX if corner >= 2 else -_EDGE_PX
-        over_x, over_y = (column - x_px) / px_per_m, (row - y_px) / px_per_m
-        corner_x[corner] = cosine * over_x + sine * over_y - left_m
-        corner_y[corner] = cosine * over_y - sine * over_x - bottom_m
-    lowest, highest = corner_y.min() - reach_m, corner_y.max() + reach_m
+    cell_m, reach_m = grid[8], grid[9]
     small = first_face + large
+    _raise_run(heights, pool, number, first_face, small, placed)
+    corner_x, corner_y = _corners_in_grid(heights, grid, placed)
+    lowest, highest = corner_y.min() - reach_m, corner_y.max() + reach_m
     for line in range(max(math.floor(lowest / cell_m), 0), min(math.floor(highest / cell_m), up - 1) + 1):
         # A triangle lies at most `reach_m` from the middle that says which cell it is in.
         from_y, to_y = line * cell_m - reach_m, (line + 1) * cell_m + reach_m
@@ -156,19 +130,25 @@ def raise_object(
         end_cell = min(math.floor((most + reach_m) / cell_m), across - 1)
         if begin_cell <= end_cell:
             cell = first_start + line * across
-            _raise_run(
-                heights,
-                vertices,
-                faces,
-                small + starts[cell + begin_cell],
-                small + starts[cell + end_cell + 1],
-                first_vertex,
-                turn_x,
-                turn_y,
-                x_px,
-                y_px,
-                columns,
-            )
+            first, last = starts[cell + begin_cell], starts[cell + end_cell + 1]
+            _raise_run(heights, pool, number, small + first, small + last, placed)
+
+
+@compiled
+def _corners_in_grid(
+    heights: NDArray[np.float32], grid: NDArray[np.float64], placed: Placed
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return x and y of the corners of the window in the object's frame, from the corner of its grid on."""
+    cosine, sine, x_px, y_px, px_per_m = placed
+    rows, columns = heights.shape[0], heights.shape[1] - PADDING
+    corner_x, corner_y = np.empty(4), np.empty(4)
+    for corner in range(4):
+        column = columns - 1.0 + _EDGE_PX if corner == 1 or corner == 2 else -_EDGE_PX
+        row = rows - 1.0 + _EDGE_PX if corner >= 2 else -_EDGE_PX
+        over_x, over_y = (column - x_px) / px_per_m, (row - y_px) / px_per_m
+        corner_x[corner] = cosine * over_x + sine * over_y - grid[6]
+        corner_y[corner] = cosine * over_y - sine * over_x - grid[7]
+    return corner_x, corner_y
 
 
 @compiled
@@ -194,31 +174,19 @@ def _extent_between(
 
 @compiled
 def _raise_run(
-    heights: NDArray[np.float32],
-    vertices: NDArray[np.float32],
-    faces: NDArray[np.integer[Any]],
-    first: int,
-    last: int,
-    first_vertex: int,
-    turn_x: float,
-    turn_y: float,
-    x_px: float,
-    y_px: float,
-    columns: int,
+    heights: NDArray[np.float32], pool: Pool, number: int, first: int, last: int, placed: Placed
 ) -> None:
     """Raise pixels to some triangles, all of which face upwards."""
-    rows, stride = heights.shape
-    pixels = heights.reshape(heights.size)
+    vertices, faces, _, grids = pool
+    first_vertex, pixels = int(grids[number, 0]), heights.reshape(heights.size)
+    rows, columns = heights.shape[0], heights.shape[1] - PADDING
     for face in range(first, last):
         a = first_vertex + np.int64(faces[face, 0])
         b = first_vertex + np.int64(faces[face, 1])
         c = first_vertex + np.int64(faces[face, 2])
-        x, y = np.float64(vertices[a, 0]), np.float64(vertices[a, 1])
-        ax, ay = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
-        x, y = np.float64(vertices[b, 0]), np.float64(vertices[b, 1])
-        bx, by = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
-        x, y = np.float64(vertices[c, 0]), np.float64(vertices[c, 1])
-        cx, cy = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
+        ax, ay = _in_window(vertices, a, placed)
+        bx, by = _in_window(vertices, b, placed)
+        cx, cy = _in_window(vertices, c, placed)
         first_column = max(math.ceil(min(min(ax, bx), cx) - _EDGE_PX), 0)
         last_column = min(math.floor(max(max(ax, bx), cx) + _EDGE_PX), columns - 1)
         first_row = max(math.ceil(min(min(ay, by), cy) - _EDGE_PX), 0)
@@ -230,20 +198,18 @@ def _raise_run(
         # Weights of the second and the third corner, and what they grow by along x and y.
         b_step, c_step = acy * per_area, -aby * per_area
         b_up, c_up = -acx * per_area, abx * per_area
-        b_slack, c_slack = (
-            np.float32(_SLACK * abs(b_step) + _SLACK),
-            np.float32(_SLACK * abs(c_step) + _SLACK),
-        )
-        low = vertices[a, 2]
-        b_rise, c_rise = vertices[b, 2] - low, vertices[c, 2] - low
+        b_slack = np.float32(_SLACK * abs(b_step) + _SLACK)
+        c_slack = np.float32(_SLACK * abs(c_step) + _SLACK)
         away_x, away_y = first_column - ax, first_row - ay
         b_row, c_row = b_step * away_x + b_up * away_y, c_step * away_x + c_up * away_y
+        low = vertices[a, 2]
+        b_rise, c_rise = vertices[b, 2] - low, vertices[c, 2] - low
         for row in range(first_row, last_row + 1):
             b_here, c_here = b_row, c_row
             for column in range(first_column, last_column + 1, LANES):
                 raise_pixels(
                     pixels,
-                    row * stride + column,
+                    row * heights.shape[1] + column,
                     np.float32(b_here),
                     np.float32(c_here),
                     np.float32(b_step),
@@ -260,9 +226,13 @@ def _raise_run(
             c_row += c_up
 
 
-Pool = tuple[
-    NDArray[np.float32], NDArray[Any], NDArray[np.int32], NDArray[np.float64]
-]  # vertices, faces, starts, grids of a MeshPool
+@compiled
+def _in_window(vertices: NDArray[np.float32], vertex: int, placed: Placed) -> tuple[float, float]:
+    """Return column and row of a vertex."""
+    cosine, sine, x_px, y_px, px_per_m = placed
+    turn_x, turn_y = cosine * px_per_m, sine * px_per_m
+    x, y = np.float64(vertices[vertex, 0]), np.float64(vertices[vertex, 1])
+    return turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
 
 
 @compiled
@@ -309,50 +279,21 @@ def touch(
 ) -> None:
     """Bring sensors down where they are, and let the objects slip: for environments begin to end.
 
-    Parameters
-    ----------
-    window : ndarray, shape (4,)
-        Pixels a metre, column and row of the middle, counted from the bottom, and press depth, metres.
-    motion : ndarray, shape (8,)
-        As of :func:`aim`.
-    drift : ndarray, shape (3,)
-        How objects slip afterwards, in their own frame: metres and radians.
-    pool, chosen
-        Meshes, and which of them each object is.
-    sensors : ndarray, shape (n, 3)
-        Positions, metres; the height is written.
-    objects : ndarray, shape (n, 3)
-        Position, metres, and turn, radians; slip in place.
-    heights : ndarray, shape (H, W + PADDING)
-        Room to work in.
-    images : ndarray, shape (n, H, W)
-        Depth images.
-    depths : ndarray, shape (n, H, W) or (0, 0, 0)
-        Distances from the gel's camera, metres, where they are wanted.
-    positions : ndarray, shape (n, 3)
-        What the sensors observe of their positions, -1 to 1.
-    is_bare : ndarray, shape (n,)
-        Whether the plate alone was met.
+    ``window`` (4,) is pixels a metre, column and row of the middle, counted from the bottom, and press depth,
+    metres; ``motion`` is as of :func:`aim`; ``drift`` (3,) how objects slip afterwards, in their own frame,
+    metres and radians; ``chosen`` which mesh of the pool each object is; ``heights`` (H, W + PADDING) room to
+    work in. Of ``sensors`` (n, 3), metres, the height is written; ``objects`` (n, 3), position, metres, and
+    turn, radians, slip in place. Written are depth images (n, H, W); ``depths``, likewise or (0, 0, 0) where
+    nobody wants them, distances from the gel's camera, metres; ``positions`` (n, 3), what sensors observe of
+    theirs, -1 to 1; ``is_bare`` (n,), whether the plate alone was met.
     """
-    vertices, faces, starts, grids = pool
-    columns = images.shape[2]
-    greatest = np.empty(columns, np.float32)
+    greatest = np.empty(images.shape[2], np.float32)
     for i in range(begin, end):
         cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
+        x_px = (objects[i, 0] - sensors[i, 0]) * window[0] + window[1]
+        y_px = (objects[i, 1] - sensors[i, 1]) * window[0] + window[2]
         heights[:, :] = 0.0
-        raise_object(
-            heights,
-            vertices,
-            faces,
-            starts,
-            grids[chosen[i]],
-            cosine,
-            sine,
-            (objects[i, 0] - sensors[i, 0]) * window[0] + window[1],
-            (objects[i, 1] - sensors[i, 1]) * window[0] + window[2],
-            window[0],
-            columns,
-        )
+        raise_object(heights, pool, chosen[i], (cosine, sine, x_px, y_px, window[0]))
         highest = _highest(heights, greatest)
         is_bare[i] = highest == 0.0
         _show(images[i], heights, highest, window[3])
@@ -442,14 +383,10 @@ def place(
 
 @compiled
 def classify(
-    logits: NDArray[np.float32],
-    labels: NDArray[np.int64],
-    scale: float,
-    loss: NDArray[np.float64],
-    certainty: NDArray[np.float32],
-    is_right: NDArray[np.float32],
-) -> None:
-    """Score logits (n, classes): scaled cross entropy, probability of the label, and whether it is first."""
+    logits: NDArray[np.float32], labels: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return cross entropies of logits (n, classes), and whether the label has the first of the greatest."""
+    entropies, is_right = np.empty(len(logits)), np.empty(len(logits), np.bool_)
     for i in range(len(logits)):
         best, most = 0, logits[i, 0]
         for k in range(1, logits.shape[1]):
@@ -458,10 +395,9 @@ def classify(
         total = 0.0
         for k in range(logits.shape[1]):
             total += math.exp(np.float64(logits[i, k]) - most)
-        unlikely = math.log(total) - (np.float64(logits[i, labels[i]]) - most)
-        loss[i] = unlikely * scale
-        certainty[i] = math.exp(-unlikely)
-        is_right[i] = 1.0 if best == labels[i] else 0.0
+        entropies[i] = math.log(total) - (np.float64(logits[i, labels[i]]) - most)
+        is_right[i] = best == labels[i]
+    return entropies, is_right
 
 
 @compiled

@@ -76,13 +76,10 @@ class Classification:
 
     def score(self, predictions: NDArray[Any], targets: NDArray[np.int64]) -> Score:
         """Score logits, shape (n, classes)."""
-        count = len(targets)
-        loss = np.empty(count)
-        certainty, is_right = np.empty(count, np.float32), np.empty(count, np.float32)
-        classify(
-            np.ascontiguousarray(predictions, np.float32), targets, self._scale, loss, certainty, is_right
-        )
-        return Score(loss, {"correct_label_prob": certainty, "accuracy": is_right})
+        entropies, is_right = classify(np.ascontiguousarray(predictions, np.float32), targets)
+        certainty = np.exp(-entropies).astype(np.float32)
+        metrics = {"correct_label_prob": certainty, "accuracy": is_right.astype(np.float32)}
+        return Score(entropies * self._scale, metrics)
 
     def shown(self, predictions: NDArray[Any], targets: NDArray[np.int64]) -> Shown:
         """Show the probability of each class."""

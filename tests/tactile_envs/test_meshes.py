@@ -65,8 +65,8 @@ def test_what_is_drawn_is_what_pressing_gives(name, assets):
         heights[:] = 0
         middle = 31.5 - np.array(sensor.sample_px)
         x_px, y_px = (lies[:2, 3] - gel[:2, 3]) * per_m + middle
-        turned = np.cos(turn), np.sin(turn)
-        raise_object(heights, *pool.arrays[:3], pool.grids[number], *turned, x_px, y_px, per_m, 64)
+        placed = float(np.cos(turn)), float(np.sin(turn)), float(x_px), float(y_px), per_m
+        raise_object(heights, pool.arrays, number, placed)
         found = heights[::-1, :64]
         depth_m = np.minimum(sensor.press_m + found.max() - found, sensor.gel_m)
         truth = render_touch(Pressable.of(meshes[number], check=False), lies, gel, sensor).depth_m
