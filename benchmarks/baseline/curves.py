@@ -1,4 +1,4 @@
-"""Draw the curves of all seeds, and print their table: ``python benchmarks/baseline/curves.py runs``."""
+"""Draw the curves of all seeds, and print their tables: ``python benchmarks/baseline/curves.py runs``."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def interval(right: np.ndarray, random: np.random.Generator) -> tuple[float, flo
 
 
 def main() -> None:
-    """Write the picture, and print the table."""
+    """Write the picture, and print the tables."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("runs", type=Path)
     parser.add_argument("--out", type=Path, default=Path())
@@ -56,7 +56,15 @@ def main() -> None:
     axes.set(xlabel="touches", ylabel="digits read, %", xlim=(1, 16), ylim=(0, 100))
     axes.legend(frameon=False, fontsize=8)
     figure.savefig(options.out / "curves.png", dpi=150)
-    print(f"{len(runs)} seeds, {runs[0]['digits']['test']} digits of `test`, intervals over digits")
+    print(f"{len(runs)} seeds, {runs[0]['digits']['test']} digits of `test`, intervals over digits\n")
+    print("| who touches | probability of the digit, final | average | above 10 %, final | average |")
+    print("| --- | --- | --- | --- | --- |")
+    for name in ("rule", "learned", "random"):
+        certainty = np.array([run[name]["certainty"] for run in runs])
+        shares = [
+            100 * each.mean() for kind in (certainty, certainty > 0.1) for each in (kind[..., -1], kind)
+        ]
+        print(f"| {NAMES[name]} | " + " | ".join(f"{share:.1f} %" for share in shares) + " |")
 
 
 if __name__ == "__main__":

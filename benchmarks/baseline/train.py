@@ -7,7 +7,8 @@
 3. lets a policy imitate the rule on its own episodes until it does as well, then improves it by PPO, with the
    loss of the reader as the cost.
 
-``result.json`` holds which digits of ``test`` were read after each touch; ``curves.py`` draws all seeds.
+``result.json`` holds which digits of ``test`` were read after each touch, and how certainly; ``curves.py``
+draws all seeds.
 """
 
 from __future__ import annotations
@@ -183,17 +184,24 @@ def improve(policy: Policy, reader: torch.nn.Module, player: Player, seconds: fl
     return touches
 
 
-def evaluate(reader: torch.nn.Module, player: Player, act: Act, digits: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return whether each digit was read right, and had been met, after each touch, (digits, 16) each."""
-    right, met = [], []
+def evaluate(reader: torch.nn.Module, player: Player, act: Act, digits: int) -> dict[str, np.ndarray]:
+    """Return what was found after each touch, (digits, 16) each.
+
+    ``right``: whether the digit was read; ``certainty``: how probable the reader held it; ``met``: whether it
+    had been touched.
+    """
+    found: dict[str, list[np.ndarray]] = {"right": [], "certainty": [], "met": []}
     for first in range(0, digits, player.count):
         objects = np.arange(first, first + player.count) % digits
         episode = player.play(act, objects)
         with torch.inference_mode():
-            read = reader(tensor(episode["centred"])).argmax(1).numpy().reshape(TOUCHES - 1, -1)
-        right.append((read == episode["labels"]).T[: digits - first])
-        met.append((episode["centred"][:, :, 0].max(axis=(2, 3)) > OBJECT_CM).T[: digits - first])
-    return np.concatenate(right), np.concatenate(met)
+            shares = reader(tensor(episode["centred"])).softmax(1).view(TOUCHES - 1, player.count, 10).numpy()
+        is_met = episode["centred"][:, :, 0].max(axis=(2, 3)) > OBJECT_CM
+        certainty = np.take_along_axis(shares, episode["labels"][None, :, None], axis=2)[..., 0]
+        right = shares.argmax(2) == episode["labels"]
+        for name, values in (("right", right), ("certainty", certainty), ("met", is_met)):
+            found[name].append(values.T[: digits - first])
+    return {name: np.concatenate(values) for name, values in found.items()}
 
 
 def main() -> None:
@@ -216,12 +224,14 @@ def main() -> None:
     result: dict[str, Any] = {"seed": options.seed, "minutes": options.minutes, "digits": digits}
 
     def measure(name: str, touches: int, read: torch.nn.Module, act: Act) -> None:
-        right, met = evaluate(read, tested, act, digits["test"])
+        found = evaluate(read, tested, act, digits["test"])
+        right = found["right"]
         result[name] = {
             "touches": touches,
             "minutes": time.process_time() / 60,
-            "met": met.mean(0).tolist(),
+            "met": found["met"].mean(0).tolist(),
             "right": right.astype(int).tolist(),
+            "certainty": found["certainty"].astype(float).round(4).tolist(),
         }
         print(f"{name:12} final {right[:, -1].mean():.1%}, average {right.mean():.1%}", flush=True)
         options.out.mkdir(parents=True, exist_ok=True)

@@ -1,12 +1,16 @@
 """Training code drives native environments: the wrappers of gymnasium, of ap-gym, and those of APPLE.
 
 APPLE (https://github.com/TimSchneider42/apple) is the training code of the paper. Its wrappers need JAX and
-modules of its own; what they ask of an environment is asked here in the same order (``__prepare_env``).
+modules of its own; what they ask of an environment is asked here in the same order (``__prepare_env``). Where
+APPLE_FOLDER names a copy of it, and what it needs is installed, its own training runs, too.
 """
 
 from __future__ import annotations
 
 import copy
+import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -111,8 +115,26 @@ def test_a_vector_seen_as_one(assets):
     assert observation["time_step"] == 1
 
 
-class _Checked(ap_gym.ActivePerceptionVectorWrapper):
-    """Single precision, limits of steps and a policy of its own, as wrappers of APPLE ask for them."""
+def _in_32_bits(space: Any) -> Any:
+    """Make a space again from its parts, with integers and numbers of 32 bits."""
+    seed = space._np_random
+    if isinstance(space, gym.spaces.Dict):
+        return type(space)({name: _in_32_bits(part) for name, part in space.spaces.items()})
+    if isinstance(space, gym.spaces.MultiDiscrete):
+        return gym.spaces.MultiDiscrete(space.nvec, dtype=np.int32, seed=seed, start=space.start)
+    if isinstance(space, gym.spaces.Discrete):
+        return gym.spaces.Discrete(space.n, seed=seed, start=space.start, dtype=np.int32)
+    options = {"dtype": np.float32, "seed": seed}
+    if isinstance(space, ap_gym.ImageSpace):
+        size = (space.width, space.height, space.channels)
+        options.update(low=space.low, high=space.high, dtype=space.dtype)
+        return ap_gym.ImageSpace(*size, batch_shape=space.batch_shape, **options)
+    kind = ap_gym.LogitSpace if isinstance(space, ap_gym.LogitSpace) else gym.spaces.Box
+    return kind(space.low, space.high, space.shape, **options)
+
+
+class _RandomActions(ap_gym.ActivePerceptionVectorWrapper):
+    """Takes predictions alone, and acts at random."""
 
     def __init__(self, env: Any) -> None:
         super().__init__(env)
@@ -121,22 +143,55 @@ class _Checked(ap_gym.ActivePerceptionVectorWrapper):
             gym.spaces.Tuple(()), self.single_prediction_space
         )
         self._action_space = batch_space(self._single_action_space, env.num_envs)
-        self._steps = np.zeros(self.num_envs, np.int32)
 
     def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         self._actions.seed(seed)
+        return super().reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> Any:
+        return super().step({"action": self._actions.sample(), "prediction": action["prediction"]})
+
+
+class _Checked(ap_gym.ActivePerceptionVectorWrapper):
+    """Spaces and values in single precision, and a limit of steps."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        self._observation_space = _in_32_bits(env.observation_space)
+        self._single_observation_space = _in_32_bits(env.single_observation_space)
+        self._prediction_target_space = _in_32_bits(env.prediction_target_space)
+        self._single_prediction_target_space = _in_32_bits(env.single_prediction_target_space)
+        self._steps = np.zeros(self.num_envs, np.int32)
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
         self._steps[:] = 0
         return super().reset(seed=seed, options=options)
 
     def step(self, action: Any) -> Any:
         self._steps += 1
         assert (self._steps <= self.spec.max_episode_steps).all()
-        whole = {"action": self._actions.sample(), "prediction": action["prediction"]}
-        observation, reward, done, cut, info = super().step(whole)
+        observation, reward, done, cut, info = super().step(action)
         self._steps[done | cut] = -1
         for name, values in observation.items():
             assert values.dtype == self.observation_space[name].dtype
         return observation, reward.astype(np.float32), done, cut, info
+
+
+class _Masked(ap_gym.ActivePerceptionVectorWrapper):
+    """Makes predictions a part of what is done, and takes the loss away."""
+
+    def __init__(self, env: Any) -> None:
+        super().__init__(env)
+        nothing = gym.spaces.Tuple(())
+        self.single_action_space = ap_gym.ActivePerceptionActionSpace(self.env.single_action_space, nothing)
+        self.action_space = ap_gym.ActivePerceptionActionSpace(self.env.action_space, nothing)
+        self._loss_fn = ap_gym.ZeroLossFn()
+
+    def step(self, action: Any) -> Any:
+        observation, reward, done, cut, info = super().step(action["action"])
+        info["base_reward"] = reward
+        info["prediction"]["loss"] = np.zeros_like(info["prediction"]["loss"])
+        return observation, reward, done, cut, info
 
 
 class _BinaryReward(ap_gym.ActivePerceptionVectorWrapper):
@@ -179,7 +234,8 @@ def test_the_stack_of_apple(assets, sparse):
     assert env.metadata["render_fps"] == 5
     env = ap_gym.ensure_active_perception_vector_env(gym.vector.VectorWrapper(env))
     env = env if sparse else _BinaryReward(env)
-    env = _Checked(_Pictures(env))
+    env = _Checked(_RandomActions(_Pictures(env)))
+    assert env.prediction_target_space.sample() is not None
     for observation, reward, done, info in drive(env, 40):
         assert observation["pixels"].dtype == np.uint8
         assert reward.dtype == np.float32
@@ -194,6 +250,40 @@ def test_the_stack_of_apple(assets, sparse):
                     assert np.asarray(stats[kind][key])[valid].shape == (valid.sum(),)
             lengths = {len(curve) for curve in stats["vector"]["accuracy"]}
             assert lengths == {env.spec.max_episode_steps}
+
+
+def test_the_stack_of_apple_without_a_loss(assets):
+    """Predictions are actions there, and rewards say how good they were."""
+    env = _Checked(_Masked(ap_gym.ensure_active_perception_vector_env(make(assets))))
+    for _, reward, _, info in drive(env):
+        assert not info["prediction"]["loss"].any()
+        assert (info["base_reward"].astype(np.float32) == reward).all()
+
+
+@pytest.mark.skipif("APPLE_FOLDER" not in os.environ, reason="APPLE_FOLDER names no copy of APPLE")
+@pytest.mark.parametrize(
+    ("name", "experiment"),
+    [("TactileMNIST-Depth", "vit/sac=random_act"), ("TactileMNISTVolume-Depth", "vit/sac=sac")],
+)
+def test_apple_itself(assets, tmp_path, name, experiment):
+    folder = Path(os.environ["APPLE_FOLDER"])
+    options = {
+        "+experiments/" + experiment.split("=")[0]: experiment.split("=")[1],
+        "env_id": f"'tactile_envs:{name}-train-v0'",
+        "eval_env_id": f"'tactile_envs:{name}-train-v0'",
+        "+env_kwargs.assets": assets,
+        "base_output_dir": tmp_path,
+        "algorithm.total_env_steps": 240,
+        "algorithm.learning_starts": 80,
+        "algorithm.eval_every": 20,
+        "algorithm.video_log_count": 4,
+    }
+    command = [sys.executable, "python/main.py", *(f"{name}={value}" for name, value in options.items())]
+    paths = os.pathsep.join([str(folder / "python"), str(Path(__file__).parents[2])])
+    environment = {**os.environ, "PYTHONPATH": paths, "JAX_PLATFORMS": "cpu"}
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert list(tmp_path.rglob("events.out.tfevents*"))
 
 
 def test_a_single_one_through_the_wrappers_of_ap_gym(assets):
