@@ -227,7 +227,7 @@ def _raise_run(
 
 
 @compiled
-def _in_window(vertices: NDArray[np.float32], vertex: int, placed: Placed) -> tuple[float, float]:
+def _in_window(vertices: NDArray[np.float32], vertex: np.int64, placed: Placed) -> tuple[float, float]:
     """Return column and row of a vertex."""
     cosine, sine, x_px, y_px, px_per_m = placed
     turn_x, turn_y = cosine * px_per_m, sine * px_per_m

@@ -8,9 +8,6 @@ APPLE_FOLDER names a copy of it, and what it needs is installed, its own trainin
 from __future__ import annotations
 
 import copy
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -258,32 +255,6 @@ def test_the_stack_of_apple_without_a_loss(assets):
     for _, reward, _, info in drive(env):
         assert not info["prediction"]["loss"].any()
         assert (info["base_reward"].astype(np.float32) == reward).all()
-
-
-@pytest.mark.skipif("APPLE_FOLDER" not in os.environ, reason="APPLE_FOLDER names no copy of APPLE")
-@pytest.mark.parametrize(
-    ("name", "experiment"),
-    [("TactileMNIST-Depth", "vit/sac=random_act"), ("TactileMNISTVolume-Depth", "vit/sac=sac")],
-)
-def test_apple_itself(assets, tmp_path, name, experiment):
-    folder = Path(os.environ["APPLE_FOLDER"])
-    options = {
-        "+experiments/" + experiment.split("=")[0]: experiment.split("=")[1],
-        "env_id": f"'tactile_envs:{name}-train-v0'",
-        "eval_env_id": f"'tactile_envs:{name}-train-v0'",
-        "+env_kwargs.assets": assets,
-        "base_output_dir": tmp_path,
-        "algorithm.total_env_steps": 240,
-        "algorithm.learning_starts": 80,
-        "algorithm.eval_every": 20,
-        "algorithm.video_log_count": 4,
-    }
-    command = [sys.executable, "python/main.py", *(f"{name}={value}" for name, value in options.items())]
-    paths = os.pathsep.join([str(folder / "python"), str(Path(__file__).parents[2])])
-    environment = {**os.environ, "PYTHONPATH": paths, "JAX_PLATFORMS": "cpu"}
-    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
-    assert list(tmp_path.rglob("events.out.tfevents*"))
 
 
 def test_a_single_one_through_the_wrappers_of_ap_gym(assets):
