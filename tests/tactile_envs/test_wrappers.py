@@ -1,8 +1,7 @@
 """Training code drives native environments: the wrappers of gymnasium, of ap-gym, and those of APPLE.
 
 APPLE (https://github.com/TimSchneider42/apple) is the training code of the paper. Its wrappers need JAX and
-modules of its own; what they ask of an environment is asked here in the same order (``__prepare_env``). Where
-APPLE_FOLDER names a copy of it, and what it needs is installed, its own training runs, too.
+modules of its own; what they ask of an environment is asked here in the same order (``__prepare_env``).
 """
 
 from __future__ import annotations
