@@ -112,7 +112,7 @@ def raise_object(heights: NDArray[np.float32], pool: Pool, number: int, placed: 
     """Raise pixels to the highest triangle of mesh ``number`` over each of them.
 
     ``heights``, shape (H, W + PADDING), metres above the plate, has its first row at the bottom; pixels look
-    at whole numbers.
+    at integers.
     """
     starts, grid = pool[2], pool[3][number]
     first_face, large, first_start = int(grid[1]), int(grid[2]), int(grid[3])
@@ -284,7 +284,7 @@ def touch(
     metres and radians; ``chosen`` which mesh of the pool each object is; ``heights`` (H, W + PADDING) room to
     work in. Of ``sensors`` (n, 3), metres, the height is written; ``objects`` (n, 3), position, metres, and
     turn, radians, slip in place. Written are depth images (n, H, W); ``depths``, likewise or (0, 0, 0) where
-    nobody wants them, distances from the gel's camera, metres; ``positions`` (n, 3), what sensors observe of
+    not wanted, distances from the gel's camera, metres; ``positions`` (n, 3), what sensors observe of
     theirs, -1 to 1; ``is_bare`` (n,), whether the plate alone was met.
     """
     greatest = np.empty(images.shape[2], np.float32)
