@@ -27,7 +27,7 @@ from cli.options import (
     place_of_data,
     process_count,
 )
-from cli.output import Sink
+from cli.output import Sink, flat_lines
 from cli.products import preview_touches
 from realtouch.kind import KIND
 from tactile_toolkit.checked_fields import choice, integer, switch, text
@@ -111,8 +111,9 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
         where = f"{name}/{MANIFEST_FILE}"
         operation = typed(manifest.spec.get("operation"), str, where, "spec.operation")
         values = typed(manifest.spec.get("options") or {}, dict, where, "spec.options")
-        options = ", ".join(f"{key} {value}" for key, value in values.items())
-        sink.line(f"made by tactile-toolkit {manifest.toolkit_version}: {operation}, {options}")
+        sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {operation} with")
+        for line in flat_lines(values):
+            sink.line(f"  {line}")
 
 
 @command(app)
