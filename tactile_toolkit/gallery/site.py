@@ -28,7 +28,7 @@ from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask, natural_order
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.files import expanded, locked, named_failures
+from tactile_toolkit.store.files import LOCK_FILE, expanded, locked, named_failures
 
 MARKER_FILE = "gallery.json"
 """What a site is, and its files; nothing else is ever replaced."""
@@ -253,7 +253,7 @@ def _require_gallery(path: Path) -> tuple[set[str], dict[str, Any] | None]:
     listed = set(map(str, marker["files"])) if marker else set()
     # A run that was killed may leave a folder of its files empty.
     folders = {str(PurePosixPath(name).parent) for name in listed}
-    known = {MARKER_FILE, *listed, *folders} if marker else set()
+    known = {LOCK_FILE} | ({MARKER_FILE, *listed, *folders} if marker else set())
     for name in found:
         if name not in known:
             raise InputError(

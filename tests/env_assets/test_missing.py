@@ -4,11 +4,13 @@ import re
 import shlex
 import signal
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import env_assets
+from starstruck_gen.make import SceneMaking
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
@@ -124,9 +126,10 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
 
 
 DIE = """
-import os, signal, sys
+import dataclasses, os, signal, sys
 import starstruck_gen.make, tactile_toolkit.store.build, env_assets
-starstruck_gen.make._SMALLEST_SHARD = 2
+layout = starstruck_gen.make.SceneMaking.layout
+starstruck_gen.make.SceneMaking.layout = lambda making: dataclasses.replace(layout(making), smallest=2)
 write_record = tactile_toolkit.store.build.write_record
 def write_and_die(*arguments):
     write_record(*arguments)
@@ -138,7 +141,8 @@ env_assets.AssetProvider(sys.argv[1], generate=True, per_class=2).meshes("starst
 
 def test_a_killed_process_lets_the_next_one_go_on(tmp_path, monkeypatch):
     """Of three shards one is finished; the next process does not wait and keeps it."""
-    monkeypatch.setattr("starstruck_gen.make._SMALLEST_SHARD", 2)
+    layout = SceneMaking.layout
+    monkeypatch.setattr(SceneMaking, "layout", lambda making: replace(layout(making), smallest=2))
     died = start_forked(DIE, tmp_path)
     assert died.end() == -signal.SIGKILL, died.err
     (shard,) = (tmp_path / "starstruck" / "data").glob("train-*")
