@@ -24,7 +24,7 @@ from cli.options import (
     Split,
     Workers,
     local_place,
-    place_of_data,
+    parse_address,
     process_count,
 )
 from cli.output import BYTES, Sink, bytes_text, flat_lines
@@ -481,7 +481,7 @@ def add_download(app: typer.Typer, kind: DatasetKind) -> None:
         out: str | None = text(
             name="--out -o",
             metavar="DIR",
-            read=place_of_data,
+            read=parse_address,
             help="Folder to write; the Hub's own cache by default.",
         ),
         dry_run: bool = switch(False, help="Print what would be fetched; fetch nothing."),

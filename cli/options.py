@@ -45,7 +45,7 @@ def _runner_name(text: str) -> str:
     return text
 
 
-def place_of_data(text: str | Path) -> str:
+def parse_address(text: str | Path) -> str:
     """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
     from tactile_toolkit.store.files import expanded
     from tactile_toolkit.store.names import is_remote
@@ -67,16 +67,16 @@ def _out(help: str, parser: Any) -> Any:
 
 
 Folder = Annotated[
-    str, typer.Argument(metavar="DIR", help="Folder of a generated data set.", parser=place_of_data)
+    str, typer.Argument(metavar="DIR", help="Folder of a generated data set.", parser=parse_address)
 ]
 Folders = Annotated[
     list[str],
-    typer.Argument(parser=place_of_data, metavar="DIR|FILE...", help="Data set folders, or files of meshes."),
+    typer.Argument(parser=parse_address, metavar="DIR|FILE...", help="Data set folders, or files of meshes."),
 ]
 AnySet = Annotated[
     str, typer.Argument(metavar="DIR", help="Data set: a folder, a Parquet file or a Hub repository.")
 ]
-Out = Annotated[str, _out("Folder to write.", place_of_data)]
+Out = Annotated[str, _out("Folder to write.", parse_address)]
 LocalOut = Annotated[Path, _out("Folder to write.", local_place)]
 Split = Annotated[
     str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")

@@ -1,4 +1,4 @@
-"""Where words go: data on stdout, talk on stderr."""
+"""Where words go: data on stdout, messages on stderr."""
 
 from __future__ import annotations
 

@@ -23,8 +23,8 @@ from cli.options import (
     TouchSet,
     Work,
     Workers,
+    parse_address,
     parse_ids,
-    place_of_data,
     process_count,
 )
 from cli.output import Sink, flat_lines
@@ -218,7 +218,7 @@ def _print_summary(sink: Sink, split: str, summary: Summary) -> None:
 
 _SKIPPED_SHOWN = 20
 
-FormerOut = Annotated[str | None, typer.Argument(metavar="OUT", hidden=True, parser=place_of_data)]
+FormerOut = Annotated[str | None, typer.Argument(metavar="OUT", hidden=True, parser=parse_address)]
 
 
 def _frame() -> Any:
@@ -373,7 +373,7 @@ def _add(
         source: TouchSet,
         former_out: FormerOut = None,
         out: str | None = text(
-            name="--out -o", metavar="DIR", read=place_of_data, help="Folder to write; required."
+            name="--out -o", metavar="DIR", read=parse_address, help="Folder to write; required."
         ),
         options: Any,
         split: Split = None,

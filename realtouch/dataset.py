@@ -117,8 +117,8 @@ class TouchDataset(RecordDataset[R]):
                     contact_z_m(self[position]._row, self.kind, touch)  # states what is wrong
         return z_m, starts
 
-    def _joined(self, other: Self) -> Self:
-        joined, offset = super()._joined(other), int(self._starts[-1])
+    def _concat(self, other: Self) -> Self:
+        joined, offset = super()._concat(other), int(self._starts[-1])
         moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
         joined._skipped = (*self._skipped, *moved)
         return joined
@@ -561,7 +561,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         place, touch = self._located(row)
         return Touch(self.dataset[place], touch)
 
-    def _joined(self, other: Self) -> Self:
+    def _concat(self, other: Self) -> Self:
         if self.dataset is other.dataset:
             return self._view(np.concatenate([self._row_numbers, other._row_numbers]))
         moved = other._row_numbers + self._starts[-1]

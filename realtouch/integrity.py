@@ -223,7 +223,9 @@ def _picture_size(
             data = clip.encoded(frame)
             sizes.append(decode_image(data).shape[:2] if decode else image_size(data))
             if sizes[-1] != sizes[0]:
-                raise ValueError(f"{_words(sizes[-1])}; expected {_words(sizes[0])} as of the first frame")
+                raise ValueError(
+                    f"{_describe(sizes[-1])}; expected {_describe(sizes[0])} as of the first frame"
+                )
     return sizes[0] if sizes else ()
 
 
@@ -233,11 +235,11 @@ def _odd_sizes(row: Row, sizes: dict[int, tuple[int, ...]], media: str) -> Itera
     modal = max(known.values(), key=list(known.values()).count, default=())
     for touch, size in known.items():
         if size != modal:
-            problem = f"{_words(size)}; expected {_words(modal)} as of the other touches"
+            problem = f"{_describe(size)}; expected {_describe(modal)} as of the other touches"
             yield Damage(row.path, row.number, touch, media, problem)
 
 
-def _words(size: tuple[int, ...]) -> str:
+def _describe(size: tuple[int, ...]) -> str:
     return f"{size[1]} x {size[0]} pixels"
 
 

@@ -145,7 +145,7 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     """
     outlines = [prisms(tuple([placement.shape for placement in layout])) for layout in layouts]
     vertices = _vertices(layouts, outlines)
-    faces = _joined([made.faces for made in outlines], 3, np.int32)
+    faces = _concat([made.faces for made in outlines], 3, np.int32)
     return SceneMeshes(
         RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
         RaggedColumn(faces, _offsets([len(made.faces) for made in outlines])),
@@ -171,9 +171,9 @@ def _vertices(layouts: Sequence[Sequence[Placement]], outlines: Sequence[Prisms]
         for _, x, y, angle, radius, height in layout
         for cosine, sine in (cosine_sine(angle),)
     ]
-    counts = _joined([made.corner_counts for made in outlines], None, np.int64)
+    counts = _concat([made.corner_counts for made in outlines], None, np.int64)
     x, y, c, s, height = np.array(poses, dtype=np.float64).reshape(-1, 5).T.repeat(counts, axis=1)
-    corners = _joined([made.corners for made in outlines], 2, np.float64)
+    corners = _concat([made.corners for made in outlines], 2, np.float64)
     # In double precision up to here and rounded once, so that a scene's bytes do not depend on its batch.
     vertices = np.zeros((len(corners), 2, 3), dtype=np.float32)
     vertices[:, :, 0] = (c * corners[:, 0] - s * corners[:, 1] + x)[:, None]
@@ -182,7 +182,7 @@ def _vertices(layouts: Sequence[Sequence[Placement]], outlines: Sequence[Prisms]
     return vertices.reshape(-1, 3)
 
 
-def _joined(parts: list[NDArray[Any]], width: int | None, dtype: type[np.generic]) -> NDArray[Any]:
+def _concat(parts: list[NDArray[Any]], width: int | None, dtype: type[np.generic]) -> NDArray[Any]:
     return np.concatenate(parts) if parts else np.zeros((0, width) if width else 0, dtype)
 
 

@@ -90,14 +90,14 @@ class MeshPool:
                 parts = _parts_of(records)
                 size = sum(part.nbytes for column in parts for part in column)
                 is_kept = _POOLS.write(name, size, lambda stream: _write(stream, parts))
-                found = (_found(path) if is_kept else None) or _joined(parts)
+                found = (_found(path) if is_kept else None) or _concat(parts)
         _POOLS.mark_used(path)
         return cls(*found)
 
     @classmethod
     def packed(cls, records: Iterable[Any]) -> MeshPool:
         """Take the meshes of records into memory."""
-        return cls(*_joined(_parts_of(records)))
+        return cls(*_concat(_parts_of(records)))
 
     def __len__(self) -> int:
         return len(self.grids)
@@ -181,7 +181,7 @@ def _packed(vertices_m: NDArray[np.float32], faces: NDArray[Any]) -> Parts:
     return [kept, rank[number].reshape(-1, 3), starts, hull, grid]
 
 
-def _joined(parts: list[Parts]) -> Parts:
+def _concat(parts: list[Parts]) -> Parts:
     arrays = [np.concatenate(column) for column in parts]
     for array in arrays:
         array.flags.writeable = False  # as mapped ones are, for which the kernels are compiled

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from tactile_sim.pressing import depth_image
 from tactile_sim.sensor import Sensor
-from tactile_toolkit.arithmetic import cosine_sine, decay
+from tactile_toolkit.arithmetic import cosine_sine, exp_neg
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch.jpeg import resized
@@ -248,7 +248,7 @@ def _half_kernel(sigma_px: float) -> Numbers:
     taps = np.round(np.sqrt(-2 * np.log(1e-5 * np.sqrt(2 * np.pi) * sigma_px)) * sigma_px)
     half = int(taps) // 2
     place = np.arange(half + 1) / sigma_px
-    weights = decay(0.5 * place * place)
+    weights = exp_neg(0.5 * place * place)
     # Added one by one: `sum` of numpy adds in blocks that depend on the processor.
     total = weights[0]
     for weight in weights[1:]:

@@ -24,7 +24,7 @@ _QUARTER_TURN_LOW = float.fromhex("0x1.0b4611a626331p-34")
 _SINE = tuple((-1) ** term / math.factorial(2 * term + 1) for term in range(8, 0, -1))
 _COSINE = tuple((-1) ** term / math.factorial(2 * term) for term in range(8, 1, -1))
 
-# exp(-20) is 2e-9, less than what decay() may be off.
+# exp(-20) is 2e-9, less than what exp_neg() may be off.
 _FARTHEST = 20.0
 _SQUARINGS = 6
 
@@ -43,7 +43,7 @@ def cosine_sine(angle_rad: float) -> tuple[float, float]:
     return ((cosine, sine), (-sine, cosine), (-cosine, -sine), (sine, -cosine))[quarters % 4]
 
 
-def decay(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
+def exp_neg(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return ``exp(-exponents)`` of numbers of 0 or more, right to 2e-8 and 0 from 20 on."""
     near = exponents < _FARTHEST
     # Of a 64th of it four terms are enough; squaring six times gives the whole.

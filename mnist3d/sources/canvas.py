@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.arithmetic import decay
+from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ def _solved(matrix: NDArray[np.floating[Any]], right: NDArray[np.floating[Any]])
 def _blur_matrix(count: int, out: int) -> csr_array:
     fine = count * _MESH
     distance = (_centres(fine, out)[:, None] - np.arange(fine)) / (_BLUR_PX * _MESH)
-    return _sparse(decay(0.5 * distance * distance))
+    return _sparse(exp_neg(0.5 * distance * distance))
 
 
 def _sparse(weights: NDArray[np.floating[Any]]) -> csr_array:

@@ -237,7 +237,7 @@ def render_card(template: str, values: Mapping[str, str]) -> str:
     return Template(text).substitute(values)
 
 
-def addressed(card: str, name: str) -> str:
+def with_repo_name(card: str, name: str) -> str:
     """Return a card whose lines of code load the data set by another name: a folder or repository."""
     found = _LOADED_NAME.search(card)
     return card if found is None else card.replace(f'"{found["name"]}"', f'"{name}"')

@@ -15,7 +15,7 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, TypeVar
 
-from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, addressed
+from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, with_repo_name
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
 from tactile_toolkit.cards.facts import configs, folder_facts, with_head
@@ -362,7 +362,7 @@ def _files_to_send(
     others, _ = _others(paths, target.files, delete=options.delete)
     # Where the pattern of a split would take one of the others for its own, its files are named one by one.
     wanted = configs(facts, others)
-    stored = addressed(place.read_bytes(CARD_FILE).decode(), target.repo_id)
+    stored = with_repo_name(place.read_bytes(CARD_FILE).decode(), target.repo_id)
     text = with_head(stored, lambda head: head.update(configs=wanted))
     _require_sound(check_card(place, text, held={*paths, *others}, manifest=manifest))
     rendered = {CARD_FILE: text.encode(), MANIFEST_FILE: described}

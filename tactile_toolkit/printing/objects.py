@@ -262,7 +262,7 @@ class PrintObject:
     load: Callable[[], Mesh | SolidRecord]
 
 
-def standing(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
+def place_on_plate(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
     """Stand an object on the plate in the pose that it has: only its height above the plate changes.
 
     Corners with the very same coordinates are made one, as solids need it; ``scale`` is a factor on all
@@ -364,7 +364,7 @@ class FileForecast:
 
 
 def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
-    mesh = standing(item.load(), scale)
+    mesh = place_on_plate(item.load(), scale)
     verdict = require_solid(mesh)
     read: Callable[[Path], Mesh]
     if ending in FORMATS:

@@ -20,7 +20,7 @@ from scipy import fft, ndimage
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.raster import highest_values, positions_in_runs
 from tactile_toolkit.mesh.solid_check import require_solid
-from tactile_toolkit.printing.objects import Failure, PrintObject, Progress, require_scale, standing
+from tactile_toolkit.printing.objects import Failure, PrintObject, Progress, place_on_plate, require_scale
 from tactile_toolkit.printing.spec import Physics, PlateSpec
 
 if TYPE_CHECKING:
@@ -60,7 +60,7 @@ class Outline:
         """How many separate parts are seen from above."""
         return len(self.section.decompose())
 
-    def claimed(self) -> Outline:
+    def footprint(self) -> Outline:
         """Return what no other object may enter: of one part, the outline; of several, their convex hull.
 
         Parts that stand alone could not be distinguished from those of another object that stands among them.
@@ -190,7 +190,7 @@ def measure(
 
 
 def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
-    verdict = require_solid(standing(item.load(), scale))
+    verdict = require_solid(place_on_plate(item.load(), scale))
     outline = outline_of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
     # Outlines as wide as the plate fit, whatever their last bits.
@@ -202,10 +202,10 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
             next=f"a larger --plate, a smaller {'--margin-mm or ' if margins else ''}--scale, or other --ids",
         )
     box = verdict.manifold.bounding_box()
-    claimed = outline.claimed()
-    area_mm2 = float(claimed.grown(spec.gap_mm / 2).area())
+    footprint = outline.footprint()
+    area_mm2 = float(footprint.grown(spec.gap_mm / 2).area())
     height_mm = float(box[5] - box[2])
-    return Placed(item, outline, height_mm, verdict.volume_mm3, cells_of(spec, claimed), area_mm2)
+    return Placed(item, outline, height_mm, verdict.volume_mm3, cells_of(spec, footprint), area_mm2)
 
 
 def arrange(measured: Layout, on_progress: Progress = lambda _done, _total: None) -> Layout:

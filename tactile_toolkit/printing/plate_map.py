@@ -154,7 +154,7 @@ def _draw_field(sheet: _Sheet, placed: Placed, spec: PlateSpec) -> None:
     """Draw what only one object stands on: its hull and a little of the gap around it."""
     import manifold3d
 
-    hull = placed.outline.claimed().grown(min(spec.gap_mm / 2, _FIELD_MM))
+    hull = placed.outline.footprint().grown(min(spec.gap_mm / 2, _FIELD_MM))
     plate = manifold3d.CrossSection.square(spec.sides_mm)
     sheet.area((hull.translate((placed.x_mm, placed.y_mm)) ^ plate).to_polygons(), _PAPER)
 

@@ -30,9 +30,9 @@ from tactile_toolkit.printing.objects import (
     content_of,
     export,
     local_folder,
+    place_on_plate,
     require_free,
     require_same_solid,
-    standing,
 )
 from tactile_toolkit.printing.packing import Layout, Placed
 from tactile_toolkit.printing.plate_map import draw_map
@@ -155,7 +155,7 @@ def _plate_file(layout: Layout, number: int, size_bytes: int, state: str) -> Pla
 
 
 def _item(placed: Placed, layout: Layout) -> BuildItem:
-    mesh = standing(placed.item.load(), layout.scale)
+    mesh = place_on_plate(placed.item.load(), layout.scale)
     # Adding zero writes -0 as 0, as plates always had it: the bytes of an export stay those of the last one.
     return BuildItem(placed.item.name, mesh.vertices_mm + 0.0, mesh.faces, placed.offset_mm)
 

@@ -312,7 +312,7 @@ class RecordDataset(LazySequence[T]):
         record: T = self.record_class(self._row(row))
         return record
 
-    def _joined(self, other: Self) -> Self:
+    def _concat(self, other: Self) -> Self:
         offset = int(self._starts[-1])
         joined = self._view(np.concatenate([self._row_numbers, other._row_numbers + offset]))
         joined._tables = (*self._tables, *other._tables)

@@ -37,7 +37,7 @@ from tactile_toolkit.read.columns import (
     stored_class_names,
 )
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.derived import MADE_OF
+from tactile_toolkit.store.derived import SOURCE_DIGEST
 from tactile_toolkit.store.files import locked, readable, resource_shortage
 from tactile_toolkit.store.folder import VERSION_KEYS, split_uri
 from tactile_toolkit.store.parquet import open_checked
@@ -454,7 +454,7 @@ def _small_column(small: tuple[Shard, str] | None, shards: Sequence[Shard], name
     with contextlib.suppress(IntegrityError):
         if small is not None:
             file, made_of = small
-            is_theirs = (file.schema.metadata or {}).get(MADE_OF) == made_of.encode()
+            is_theirs = (file.schema.metadata or {}).get(SOURCE_DIGEST) == made_of.encode()
             if is_theirs and name in file.schema.names and sum(map(len, shards)) == len(file):
                 return file.column(name)
     return None

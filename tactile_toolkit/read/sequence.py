@@ -166,7 +166,7 @@ class LazySequence(Sequence[T], Generic[T]):
         """Return one of the items that are stored."""
 
     @abstractmethod
-    def _joined(self, other: Self) -> Self:
+    def _concat(self, other: Self) -> Self:
         """Return a view of all items of both."""
 
     @abstractmethod
@@ -430,7 +430,7 @@ class LazySequence(Sequence[T], Generic[T]):
             return NotImplemented
         if other.label_names != self.label_names:
             raise InputError(f"cannot join data sets with classes {self.label_names} and {other.label_names}")
-        return self._joined(other)
+        return self._concat(other)
 
     def __iter__(self) -> Iterator[T]:
         for position in range(len(self)):

@@ -30,7 +30,7 @@ from tactile_toolkit.store.parquet import (
 )
 from tactile_toolkit.store.shards import ShardName, ShardRecord
 
-MADE_OF = b"made_of"
+SOURCE_DIGEST = b"made_of"
 """Key of the schema's metadata: the checksum of the checksums of the shards."""
 
 _SHARDS_TOGETHER = 1024
@@ -191,7 +191,7 @@ def _is_current(folder: DataFolder, file: SmallFile, checksum: str) -> bool:
     if not folder.exists(file.path) or file_sha256(folder, file.path) != checksum:
         return False
     metadata = open_parquet(folder, file.path).schema_arrow.metadata or {}
-    return bool(metadata.get(MADE_OF) == file.made_of.encode())
+    return bool(metadata.get(SOURCE_DIGEST) == file.made_of.encode())
 
 
 def _small_table(folder: DataFolder, file: SmallFile) -> Any:
@@ -216,7 +216,7 @@ def _small_table(folder: DataFolder, file: SmallFile) -> Any:
         if all(types.get(field.name) == field.type for types in every)
     ]
     table = pa.concat_tables([table.select(names).replace_schema_metadata(None) for table in tables])
-    return table.combine_chunks().replace_schema_metadata({MADE_OF: file.made_of.encode()})
+    return table.combine_chunks().replace_schema_metadata({SOURCE_DIGEST: file.made_of.encode()})
 
 
 def _plain_columns(schema: Any) -> list[str]:

@@ -237,7 +237,7 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
             for each in (manifest, new)
         )
         _refuse_difference(folder, found, wanted)
-        _refuse_strays(folder, plan)
+        _reject_unexpected_files(folder, plan)
         intact = _intact_records(folder, plan, manifest, {task.shard for task in tasks}, check)
         job = Job(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
         if job.remaining and manifest.libraries and manifest.libraries != new.libraries:
@@ -446,7 +446,7 @@ def _short(value: Any) -> str:
     return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
 
 
-def _refuse_strays(folder: DataFolder, plan: BuildPlan) -> None:
+def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan) -> None:
     """Refuse a file among the shards that is none, which would be found to be wrong ever after.
 
     A shard of a split that is not asked for may be of a run that is at work on it.

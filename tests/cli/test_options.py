@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from cli.options import _runner_name, local_place, place_of_data
+from cli.options import _runner_name, local_place, parse_address
 from starstruck_gen.options import SceneOptions
 from starstruck_gen.spec import SceneSpec
 from tactile_sim import GenerateSpec
@@ -39,8 +39,8 @@ def test_a_folder_whose_name_begins_with_a_tilde_is_not_the_home_folder(tmp_path
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     meant = tmp_path / os.path.normpath(text)
-    assert local_place(text) == Path(place_of_data(text)) == Path(DataFolder(text).address()) == meant
-    assert Path(DataFolder(place_of_data(text)).address()) == meant  # read twice, as commands do
+    assert local_place(text) == Path(parse_address(text)) == Path(DataFolder(text).address()) == meant
+    assert Path(DataFolder(parse_address(text)).address()) == meant  # read twice, as commands do
 
 
 def test_commands_leave_the_home_folder_alone(tmp_path, monkeypatch):

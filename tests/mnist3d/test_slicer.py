@@ -18,7 +18,7 @@ from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.printing.objects import choose, export_files, standing
+from tactile_toolkit.printing.objects import choose, export_files, place_on_plate
 from tactile_toolkit.printing.packing import Placed, arrange, measure
 from tactile_toolkit.printing.plates import write_plates
 from tactile_toolkit.printing.spec import PlateSpec
@@ -207,7 +207,7 @@ def test_the_usual_margin_leaves_room_for_a_skirt(spec: PlateSpec, fits: bool, t
 
 def test_the_check_sees_a_broken_file(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
     """What is asserted above fails for a surface without three triangles."""
-    whole = standing(digits[0])
+    whole = place_on_plate(digits[0])
     write_mesh(tmp_path / "broken.stl", Mesh(whole.vertices_m, whole.faces[3:]))
     (seen,) = seen_in(tmp_path / "broken.stl")
     assert "manifold = no" in seen.complaints

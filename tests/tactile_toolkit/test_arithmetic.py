@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from tactile_toolkit.arithmetic import cosine_sine, decay, inverse_affine, moved
+from tactile_toolkit.arithmetic import cosine_sine, exp_neg, inverse_affine, moved
 
 NUMBERS = st.floats(-100, 100)
 
@@ -22,7 +22,7 @@ def test_cosine_and_sine_are_right_to_the_last_places(angle: float) -> None:
 
 @given(st.floats(0, 100))
 def test_decay_is_the_exponential(exponent: float) -> None:
-    found = float(decay(np.array([exponent]))[0])
+    found = float(exp_neg(np.array([exponent]))[0])
     assert abs(found - math.exp(-exponent)) < 2e-8
     assert (found == 0) == (exponent >= 20)
 

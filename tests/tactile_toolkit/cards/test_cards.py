@@ -26,7 +26,13 @@ from mnist3d.card import write_card
 from mnist3d.make import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.cards.card import addressed, column_type_text, markdown_table, megabytes, render_card
+from tactile_toolkit.cards.card import (
+    column_type_text,
+    markdown_table,
+    megabytes,
+    render_card,
+    with_repo_name,
+)
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.cards.facts import folder_facts, size_category, yaml_features
 from tactile_toolkit.errors import InputError
@@ -308,11 +314,11 @@ def test_a_folder_without_rows_has_no_facts(tmp_path):
 
 def test_the_card_takes_another_name(made):
     card = (made / "README.md").read_text()
-    named = addressed(card, "someone/digits")
+    named = with_repo_name(card, "someone/digits")
     assert card.count('"FOLDER"') == named.count('"someone/digits"') == 3
     assert '"FOLDER"' not in named
-    assert addressed(named, "other/name") == addressed(card, "other/name")
-    assert addressed("no code here", "other/name") == "no code here"
+    assert with_repo_name(named, "other/name") == with_repo_name(card, "other/name")
+    assert with_repo_name("no code here", "other/name") == "no code here"
 
 
 @given(st.integers(0, 10**15))

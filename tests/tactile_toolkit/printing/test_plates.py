@@ -23,7 +23,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.printing.objects import PrintObject, standing
+from tactile_toolkit.printing.objects import PrintObject, place_on_plate
 from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure
 from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.plates import forecast_plates, write_plates
@@ -51,7 +51,7 @@ def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> 
 
 
 def solid_of(placed: Placed) -> Any:
-    return standing(placed.item.load()).to_manifold().translate(placed.offset_mm)
+    return place_on_plate(placed.item.load()).to_manifold().translate(placed.offset_mm)
 
 
 def require_apart(solids: list[Any], gap_mm: float) -> None:
@@ -96,7 +96,7 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
         assert middle_mm == pytest.approx((spec.width_mm / 2, spec.depth_mm / 2), abs=1e-6)
     for item, shape in ((item, shapes[item.item.id]) for item in placed):
         # Moved, neither turned nor mirrored.
-        moved = np.asarray(standing(item.item.load()).vertices_m)
+        moved = np.asarray(place_on_plate(item.item.load()).vertices_m)
         assert moved - moved[0] == pytest.approx(shape.vertices_m - shape.vertices_m[0], abs=1e-12)
 
 

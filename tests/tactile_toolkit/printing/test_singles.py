@@ -17,8 +17,8 @@ from tactile_toolkit.mesh.solid_check import check_manifold, require_solid
 from tactile_toolkit.printing.objects import (
     export_files,
     forecast_files,
+    place_on_plate,
     require_same_solid,
-    standing,
     write_checked,
 )
 from tests.forked import start_forked
@@ -55,7 +55,7 @@ def test_corners_that_a_data_set_stores_twice_are_joined() -> None:
     shape = ring(12, 6)
     loose = Mesh(shape.vertices_m[shape.faces].reshape(-1, 3), np.arange(shape.faces.size).reshape(-1, 3))
     assert check_manifold(loose).problem == "not-manifold"
-    assert check_manifold(standing(loose)).problem is None
+    assert check_manifold(place_on_plate(loose)).problem is None
 
 
 def test_what_is_no_solid_is_named_and_does_not_stop_the_others(tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> N
     """Far from the origin, single precision lets the corners of a small solid fall together."""
     small = box(0.05, 0.05, 0.05)
     away = Mesh(small.vertices_m + np.array([5_000.0, 0.0, 0.0]), small.faces)
-    assert check_manifold(standing(away)).problem is None
+    assert check_manifold(place_on_plate(away)).problem is None
     made = export_files(named([away, box(5, 5)]), str(tmp_path), "stl")
     assert [path.name for path in tmp_path.iterdir()] == ["test-1-00001.stl"]
     (failure,) = made.failed

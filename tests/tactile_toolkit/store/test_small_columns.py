@@ -71,7 +71,7 @@ def test_a_file_that_is_wrong_costs_speed_only(tmp_path: Path, monkeypatch: pyte
     content = first.read_bytes()
     changed = bytearray(content)
     changed[40] ^= 1
-    other = pq.read_table(first).replace_schema_metadata({derived.MADE_OF: b"others"})
+    other = pq.read_table(first).replace_schema_metadata({derived.SOURCE_DIGEST: b"others"})
     damages = [bytes(changed), content[:-20], b"", second.read_bytes(), None]
     for damage in [*damages, other]:
         first.unlink(missing_ok=True)
