@@ -130,7 +130,7 @@ def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
     assert call("info", out) == 0
     printed = capsys.readouterr().out
     assert "to-single" in printed
-    assert "frame peak" in printed
+    assert "frame = peak" in printed
     assert call("info", out, "--json") == 0
     assert set(json.loads(capsys.readouterr().out)["splits"]) == {"train", "test"}
 
