@@ -42,7 +42,7 @@ from tactile_toolkit.touch.schema import (
     kind_of,
     require_types,
 )
-from tactile_toolkit.touch.video import ffmpeg_count
+from tactile_toolkit.touch.video import ffmpeg_facts
 
 _NAMES_SHOWN = 12
 
@@ -211,7 +211,7 @@ def _picture_size(
         _ = clip.contact_window if timed else clip.timestamps_s
     if not clip.has_index:
         with naming(row, "sensor_video", touch):
-            coded = ffmpeg_count(clip.data)  # frames behind the last one stated are not decoded
+            coded = ffmpeg_facts(clip.data)[2]  # frames behind the last one stated are not decoded
         if coded != len(clip):
             problem = f"a clip of {coded} frames; expected {len(clip)} by 'video_length_frames'"
             raise damaged(row, "sensor_video", problem, touch)

@@ -7,7 +7,6 @@ interpreter lock is released meanwhile.
 from __future__ import annotations
 
 import io
-from contextlib import suppress
 from typing import Any, Literal
 
 import numpy as np
@@ -89,29 +88,20 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
     Raises ValueError as :func:`image_size`, and when the data is cut short or corrupt, or has another size
     than ``out``. Nothing half-decoded is ever returned.
     """
-    if out is not None and data[:3] == _JPEG_START:
-        require_bounded_jpeg(data)
-        # What is wrong is named below: to look into the header of each image first takes a while.
-        with suppress(ValueError):
-            if simplejpeg.decode_jpeg(data, "RGB", buffer=out).shape == out.shape:
-                return out
     height, width = image_size(data)
     if out is not None and out.shape != (height, width, 3):
         raise ValueError(
             f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
         )
-    pixels: Pixels
+    pixels: Pixels = np.empty((height, width, 3), np.uint8) if out is None else out
     try:
         if data[:3] == _JPEG_START:
-            pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
+            simplejpeg.decode_jpeg(data, "RGB", buffer=pixels)
         else:
-            pixels = np.asarray(_opened(data).convert("RGB"))
+            pixels[...] = np.asarray(_opened(data).convert("RGB"))
     except Exception as error:
         raise _undecodable(data, error) from error
-    if out is None or pixels is out:
-        return pixels
-    out[...] = pixels
-    return out
+    return pixels
 
 
 def _opened(data: memoryview | bytes) -> Any:
@@ -153,8 +143,8 @@ def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pi
     shape = (count, height, width, 3)
     found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
     raise InputError(
-        f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images; "
-        f"next: make one with numpy.empty({shape}, numpy.uint8), or leave `out` out"
+        f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images",
+        next=f"make one with numpy.empty({shape}, numpy.uint8), or leave `out` out",
     )
 
 

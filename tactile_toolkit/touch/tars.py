@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import tarfile
 from collections.abc import Iterator
-from typing import IO, Self
-
-_MOST_HEADER_BYTES = 1 << 16
-_EXTENDED = (b"x", b"g", b"X", tarfile.GNUTYPE_LONGNAME, tarfile.GNUTYPE_LONGLINK)
-"""Headers about the next one; `tarfile` reads all of their content."""
+from typing import IO
 
 
 def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
@@ -17,26 +13,9 @@ def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
     Raises tarfile.ReadError, which names the member, for a header that is damaged or states what cannot be,
     and for a tar that is cut short.
     """
-    name = ""
-
-    class Header(tarfile.TarInfo):
-        @classmethod
-        def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
-            nonlocal name
-            try:
-                header = super().frombuf(buf, encoding, errors)
-            except tarfile.HeaderError as error:
-                if any(buf):  # else it is the end; a damaged header would be taken for it
-                    raise tarfile.ReadError(f"the header after {name!r} cannot be read: {error}") from error
-                raise
-            name = header.name
-            # Reading continues where the content ends, which with a negative size is an earlier header.
-            if header.size < 0 or (header.size > _MOST_HEADER_BYTES and header.type in _EXTENDED):
-                raise tarfile.ReadError(f"{name!r} has a size of {header.size:,} bytes")
-            return header
-
+    name, end = "", 0
     try:
-        with tarfile.open(fileobj=stream, mode="r:", tarinfo=Header) as tar:
+        with tarfile.open(fileobj=stream, mode="r:") as tar:
             for member in tar:
                 # Of an extended header that states something else than a number, `tarfile` makes 0.
                 stated = member.pax_headers.get("size", str(member.size))
@@ -44,12 +23,15 @@ def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
                     raise tarfile.ReadError(
                         f"{member.name!r} is sparse, or its size is not a number of bytes"
                     )
+                blocks = -(-member.size // tarfile.BLOCKSIZE)
+                name, end = member.name, member.offset_data + blocks * tarfile.BLOCKSIZE
+                if end > size:
+                    raise tarfile.ReadError(f"it ends in {name!r}")
                 if member.isfile():
-                    if member.offset_data + member.size > size:
-                        raise tarfile.ReadError(f"it ends in {member.name!r}")
                     yield member
-        stream.seek(max(0, size - tarfile.BLOCKSIZE))
-        if stream.read().strip(b"\0"):
-            raise tarfile.ReadError("the mark of its end is missing")
+        stream.seek(end)
+        # `tarfile` takes a damaged header for the end, which is a block of zeros.
+        if stream.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
+            raise tarfile.ReadError(f"neither a header nor the mark of its end follows {name!r}")
     except (ValueError, IndexError, RecursionError) as error:  # of what extended headers state
-        raise tarfile.ReadError(f"the headers up to {name!r} cannot be read: {error}") from error
+        raise tarfile.ReadError(f"the headers after {name!r} cannot be read: {error}") from error

@@ -16,6 +16,7 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_toolkit.errors import needs_extra
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS, Pixels, decode_image, room_for
@@ -70,25 +71,36 @@ class Avi:
         entries = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0]).reshape(-1, 4)
         plain, packed = (int.from_bytes(name, "little") for name in self._names)
         is_frame = (entries[:, 0] == plain) | (entries[:, 0] == packed)
-        entries = entries if is_frame.all() else entries[is_frame]
+        # Counted, for `all` and a choice of all take most of the time in which a clip opens.
+        if np.count_nonzero(is_frame) < len(entries):
+            entries = entries[is_frame]
         if len(entries) > MAX_CLIP_FRAMES:
             raise ValueError(f"a clip of {len(entries):,} frames; the limit is {MAX_CLIP_FRAMES:,}")
-        self.slots = np.flatnonzero(entries[:, 3])
-        """Number of each frame in the count of the file, in which a repeated frame has a slot too."""
-        entries = entries[self.slots].astype(np.int64)
+        self.stored = entries[:, 3] > 0
+        """Which frames in the count of the file are stored; a repeated one takes no bytes."""
+        if np.count_nonzero(self.stored) < len(entries):
+            entries = entries[self.stored]
         # Writers differ in where offsets count from: the list of frames, or the file.
         first = int(entries[0, 2]) if len(entries) else 0
         bases = [base for base in (movie[0] - 4, 0) if self.data[base + first :][:4] in self._names]
         if not len(entries) or not bases:
             raise NoIndexError("an AVI whose index does not lead to frames")
-        self.starts, self.sizes = entries[:, 2] + (bases[0] + _CHUNK.size), entries[:, 3]
-        ends = self.starts + self.sizes
-        # A small file whose frames overlap would decode to any amount of pixels.
-        apart = (self.starts[1:] >= ends[:-1]).all()
-        if not apart or self.starts[0] < movie[0] or ends[-1] > sum(movie):
-            fits = (self.starts >= np.append(movie[0], ends[:-1])) & (ends <= sum(movie))
+        # Begin of the movie, start and end of each frame, end of the movie: a small file whose frames overlap
+        # would decode to any amount of pixels.
+        edges = np.empty(2 * len(entries) + 2, np.int64)
+        edges[0], edges[-1] = movie[0], sum(movie)
+        self.starts, self.sizes = edges[1:-1:2], entries[:, 3]
+        np.add(entries[:, 2], bases[0] + _CHUNK.size, out=self.starts)
+        np.add(self.starts, self.sizes, out=edges[2:-1:2])
+        if np.count_nonzero(edges[1:] < edges[:-1]):
+            fits = (self.starts >= edges[:-2:2]) & (edges[2:-1:2] <= edges[-1])
             found = f"frame {fits.argmin()} of {len(self)} outside of it or over another"
             raise ValueError(f"an AVI whose index has {found}; expected that of the stream")
+
+    @property
+    def slots(self) -> NDArray[np.int64]:
+        """Number of each frame in the count of the file, in which a repeated frame has a slot too."""
+        return np.flatnonzero(self.stored)
 
     def frame(self, number: int) -> memoryview:
         """Return the JPEG of one frame; ValueError where the stream has no frame of that size there."""
@@ -246,19 +258,17 @@ def _decoded(stream: Any, chosen: set[int]) -> Iterator[tuple[int, Pixels]]:
             shown += 1
 
 
-def ffmpeg_facts(data: memoryview) -> tuple[tuple[int, int], float]:
-    """Return height and width of a clip's frames, pixels, and the frames per second that it states."""
+def ffmpeg_facts(data: memoryview) -> tuple[tuple[int, int], float, int]:
+    """Return height and width of a clip's frames, pixels, the frames per second that it states, and how many.
+
+    They are counted without decoding them.
+    """
     with _ffmpeg_stream(data) as stream:
         if not stream.average_rate:
             raise ValueError("a clip without a frame rate")
-        return (int(stream.height), int(stream.width)), float(stream.average_rate)
-
-
-def ffmpeg_count(data: memoryview) -> int:
-    """Count the coded frames without decoding them."""
-    with _ffmpeg_stream(data) as stream:
+        size, fps = (int(stream.height), int(stream.width)), float(stream.average_rate)
         coded = (packet for packet in stream.container.demux(stream) if packet.size)
         count = sum(1 for _ in islice(coded, MAX_CLIP_FRAMES + 1))
     if count > MAX_CLIP_FRAMES:
         raise ValueError(f"a clip of more than {MAX_CLIP_FRAMES:,} frames, which is the limit")
-    return count
+    return size, fps, count

@@ -71,15 +71,14 @@ def pax(**fields: str) -> tuple[tarfile.TarInfo, bytes]:
 @pytest.mark.parametrize(
     ("before", "size", "words"),
     [
-        ([], -1024, "'b.jpg' has a size of -1,024 bytes"),
+        ([], -1024, "'b.jpg' is sparse, or its size is not a number"),
         ([pax(size="-1536")], 0, "'b.jpg' is sparse, or its size is not a number"),
         ([pax(size="many")], 0, "'b.jpg' is sparse, or its size is not a number"),
-        ([pax(GNU_sparse_size="many")], 0, "'b.jpg' cannot be read"),
-        ([pax(GNU_sparse_map="0,many")], 0, "'b.jpg' cannot be read"),
-        ([pax(GNU_sparse_major="1", GNU_sparse_minor="0")], 0, "'b.jpg' cannot be read"),
+        ([pax(GNU_sparse_size="many")], 0, "cannot be read"),
+        ([pax(GNU_sparse_map="0,many")], 0, "cannot be read"),
+        ([pax(GNU_sparse_major="1", GNU_sparse_minor="0")], 0, "cannot be read"),
         ([pax(GNU_sparse_size="9", GNU_sparse_offset="0")], 0, "'b.jpg' is sparse"),
         ([pax(path="c.jpg")] * 2000, 0, "cannot be read: maximum recursion"),
-        ([pax(comment="x" * 70_000)], 0, "'././@PaxHeader' has a size of 70,0"),
         ([pax(path="c" * 300, size="5" * 5000)], 0, f"'{'c' * 300}' is sparse, or its size is not a number"),
     ],
 )
@@ -114,5 +113,5 @@ def test_a_damaged_header_is_not_the_end_of_a_tar(tmp_path: Path) -> None:
     content = bytearray((tmp_path / "a.tar").read_bytes())
     content[4 * 1024 + 3] ^= 1  # in the name of the fifth
     (tmp_path / "a.tar").write_bytes(content)
-    with pytest.raises(IntegrityError, match=r"the header after '1\.jpg' cannot be read: bad checksum"):
+    with pytest.raises(IntegrityError, match=r"neither a header nor the mark of its end follows '1\.jpg'"):
         realtouch.import_images(tmp_path / "a.tar", tmp_path / "out", "webdataset")

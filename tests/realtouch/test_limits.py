@@ -16,7 +16,7 @@ from PIL import Image
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch.jpeg import MAX_BATCH_PIXELS, decode_image
-from tactile_toolkit.touch.video import Avi, ffmpeg_count, ffmpeg_frames, write_avi
+from tactile_toolkit.touch.video import Avi, ffmpeg_facts, ffmpeg_frames, write_avi
 from tests.jpegs import jpeg_of_scans
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -165,7 +165,7 @@ def test_an_unknown_codec_is_named(seq_rows: list[dict], tmp_path: Path) -> None
         ):
             ask()
     with pytest.raises(ValueError, match="finds no clip"):
-        ffmpeg_count(memoryview(data))
+        ffmpeg_facts(memoryview(data))
     kept = realtouch.load(tmp_path, on_error="skip")
     assert [(damage.row, damage.touch) for damage in kept.skipped] == [(1, 1)]
 
