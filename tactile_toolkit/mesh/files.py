@@ -57,23 +57,30 @@ def read_mesh(path: str | Path) -> Mesh:
         data = path.read_bytes()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
+    try:
+        return unpack_mesh(data, ending)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def unpack_mesh(data: bytes, ending: str) -> Mesh:
+    """Read a mesh from the content of a file; see :func:`read_mesh`."""
     if not data:
-        raise InputError(f"{path}: the file is empty; expected a mesh", next="export or copy it again")
+        raise InputError("the file is empty; expected a mesh", next="export or copy it again")
     try:
         if ending == ".3mf":
-            surface = joined([(item.vertices_mm, item.faces) for item in read_build(data)])
+            vertices, faces = joined([(item.vertices_mm, item.faces) for item in read_build(data)])
         else:
-            surface = merge_equal_vertices(*_read_with_trimesh(data, ending))
-    except InputError as error:  # more than the limit
-        raise InputError(f"{path}: {error}") from error
+            vertices, faces = merge_equal_vertices(*_read_with_trimesh(data, ending))
+    except InputError:  # more than the limit
+        raise
     except BROKEN_FILE as error:
         story = str(error) or type(error).__name__
         raise InputError(
-            f"{path}: not a readable {ending[1:].upper()} file ({story})", next="export the mesh again"
+            f"not a readable {ending[1:].upper()} file ({story})", next="export the mesh again"
         ) from error
-    vertices, faces = surface
     if not len(faces):
-        raise InputError(f"{path}: the file holds no triangle; expected a closed surface")
+        raise InputError("the file holds no triangle; expected a closed surface")
     return Mesh(vertices / (1.0 if ending == ".glb" else MM_PER_M), faces)
 
 

@@ -12,6 +12,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -21,10 +22,10 @@ import numpy as np
 
 from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.files import FORMATS, merge_equal_vertices, pack_mesh, read_mesh
+from tactile_toolkit.mesh.files import FORMATS, merge_equal_vertices, pack_mesh, unpack_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
-from tactile_toolkit.printing.simulator import model_files, read_model
+from tactile_toolkit.printing.simulator import model_files
 from tactile_toolkit.printing.spec import MODELS, Physics
 from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.store.files import atomic_file, named_failures, remove_abandoned
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.read.dataset import RecordDataset
 
 
-UNREADABLE, CHANGED, OFF_PLATE = "unreadable", "changed", "off-plate"
+CHANGED, OFF_PLATE = "changed", "off-plate"
 """What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
 
 _BOUNDS_TOLERANCE_MM = 1e-3
@@ -63,13 +64,13 @@ class Failure:
 class Made(Generic[R]):
     """What a product is to have: its files by path below the folder, what refers to the others last.
 
-    ``check`` reads that last one back; see :func:`write_checked`. ``record`` returns what an export lists, by
-    its state: ``"written"``, or ``"kept"`` where the very same files were there already.
+    ``check`` raises ItemError where they do not hold what was meant. ``record`` returns what an export
+    lists, by its state: ``"written"``, or ``"kept"`` where the very same files were there already.
     """
 
     files: dict[str, bytes]
     record: Callable[[str], R]
-    check: Callable[[Path], None] = lambda _path: None
+    check: Callable[[], None] = lambda: None
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,34 +106,20 @@ def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None
         )
 
 
-def write_checked(path: Path, content: bytes, check: Callable[[Path], None] = lambda _path: None) -> None:
-    """Write a file, read it back, and give it its name only when the check agrees.
-
-    ``check`` reads the file under its temporary name, which has the same ending, and raises InputError with
-    what is wrong. That becomes an ItemError: the file is gone, and what stood at ``path`` before still does.
-    """
+def _write(path: Path, content: bytes) -> None:
+    """Write a file and give it its name only when it reads back from disk as it was written."""
     with named_failures(str(path)), atomic_file(path) as stream:
         stream.write(content)
-        stream.flush()  # the check opens the file by its name
-        try:
-            check(Path(stream.name))
-        except InputError as error:
-            reason = error.reason if isinstance(error, ItemError) else UNREADABLE
-            raise ItemError(reason, f"read back from disk, {error}; the file was removed") from error
+        stream.flush()  # it is read by its name
+        if content_of(Path(stream.name)) != content:
+            raise ItemError(CHANGED, "it reads back from disk with other bytes; the file was removed")
 
 
 def content_of(path: Path) -> bytes | None:
-    """Return the content of a file; None where it is not there, InputError where it cannot be read."""
-    try:
+    """Return the content of a file; None where it is not there, StorageError where it cannot be read."""
+    with named_failures(str(path)), suppress(FileNotFoundError, NotADirectoryError):
         return path.read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
-        return None
-    except OSError as error:
-        raise InputError(
-            f"cannot read {str(path)!r}: {error.strerror or error}; expected a file of an earlier export, or "
-            "none",
-            next="move it away, or another --out",
-        ) from error
+    return None
 
 
 def local_folder(out: str) -> Path:
@@ -170,12 +157,11 @@ class _Export:
             if self.only_look:
                 others = Failure(product.name, CHANGED, "its files have other content")
                 return product.name, others if before - same else None
-            *parts, (own, content) = files.items()
-            for part in parts:
-                write_checked(*part)
+            made.check()
             # What this product has not, such as parts of a body that had more of them.
             _remove(before - files.keys())
-            write_checked(own, content, made.check)
+            for path, content in files.items():
+                _write(path, content)
         except ItemError as error:
             detail = str(error)
             # What is left under these names, of an earlier export too, would pass for this product.
@@ -366,17 +352,21 @@ class FileForecast:
 def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
     mesh = place_on_plate(item.load(), scale)
     verdict = require_solid(mesh)
-    read: Callable[[Path], Mesh]
     if ending in FORMATS:
-        files, read = {f"{item.name}{ending}": pack_mesh(mesh, ending, item.name)}, read_mesh
+        files = {f"{item.name}{ending}": pack_mesh(mesh, ending, item.name)}
     else:
-        files, read = model_files(item.name, mesh, ending, physics), read_model
+        files = model_files(item.name, mesh, ending, physics)
     named = (item.name, list(files)[-1], item.split, item.label, item.id)
     sides_mm = (np.ptp(mesh.bounds_m, axis=0) * MM_PER_M).tolist()
     width_mm, depth_mm, height_mm = (round(side_mm, 3) for side_mm in sides_mm)
     sizes = (width_mm, depth_mm, height_mm, round(verdict.volume_mm3, 3), sum(map(len, files.values())))
     record = partial(WrittenFile, *named, *sizes)
-    return Made(files, record, lambda path: require_same_solid(read(path), mesh, verdict))
+
+    def check() -> None:
+        for content in files.values() if ending in FORMATS else ():
+            require_same_solid(unpack_mesh(content, ending), mesh, verdict)
+
+    return Made(files, record, check)
 
 
 def export_files(
@@ -392,7 +382,8 @@ def export_files(
 ) -> FileExport:
     """Write one file per object, in the pose that it has, its lowest point at z = 0.
 
-    Each file is read back from disk and has to be the same solid before it gets its name. A file that is
+    Each file has to hold the same solid, and to read back from disk as it was written, before it gets its
+    name. A file that is
     there already with the very same bytes is kept, so a stopped export continues where it was.
 
     Objects that are not solids are listed in the result, and do not stop the others. ``kind`` is ``"stl"``,

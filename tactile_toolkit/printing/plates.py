@@ -13,16 +13,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.mesh.files import BROKEN_FILE
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.objects import (
     CHANGED,
     OFF_PLATE,
-    UNREADABLE,
     Failure,
     Made,
     Product,
@@ -36,13 +35,10 @@ from tactile_toolkit.printing.objects import (
 )
 from tactile_toolkit.printing.packing import Layout, Placed
 from tactile_toolkit.printing.plate_map import draw_map
-from tactile_toolkit.printing.simulator import body_of, pack_mjcf, read_mjcf
-from tactile_toolkit.printing.spec import PlateSpec
+from tactile_toolkit.printing.simulator import body_of, pack_mjcf
 from tactile_toolkit.wording import counted
 
 TABLE_FILE = "plates.csv"
-# Objects that a forecast packs to estimate the size of all.
-_SAMPLED = 4
 
 _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer knows a micrometre
 
@@ -51,8 +47,8 @@ _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer kno
 class PlateFile:
     """A plate: its file (3MF, or MJCF) and PNG map, its objects and which share of it they need.
 
-    ``bytes`` is the size of that file, about, where ``state`` is ``"planned"``; ``"written"`` and
-    ``"kept"``, where the very same file was there already, are the others.
+    ``bytes`` is the size of that file; ``state`` is ``"planned"``, ``"written"``, or ``"kept"`` where the
+    very same file was there already.
     """
 
     file: str
@@ -87,10 +83,10 @@ def write_plates(
 ) -> PlateExport:
     """Write the plates of a layout into a folder, which is made where it is not there.
 
-    Each 3MF file is read back from disk: every object has to be the same solid under the same name, and
-    inside the plate, before the file gets its name. Files that are there already with the very same bytes are
-    kept. With ``overwrite``, the plates of another export are replaced, and those that this one has not are
-    removed: what the table of that export lists, and no other files.
+    Every object of a 3MF file has to come back as the same solid under the same name, inside the plate; each
+    file is read back from disk before it gets its name. Files that are there already with the very same bytes
+    are kept. With ``overwrite``, the plates of another export are replaced, and those that this one has not
+    are removed: what the table of that export lists, and no other files.
 
     Raises InputError where plates of another export stand in the folder, before anything is written, and
     StorageError where the folder cannot be written; finished files stay.
@@ -115,12 +111,7 @@ def forecast_plates(layout: Layout, out: str, *, overwrite: bool = False) -> Pla
     if not overwrite:
         require_free(_products(layout), out)
         require_free([_table_product(rows, unknown)], out)
-    sample = [placed for plate in layout.plates for placed in plate][:_SAMPLED]
-    each = sum(len(_packed([_item(placed, layout)], layout)) for placed in sample) / max(len(sample), 1)
-    plates = tuple(
-        _plate_file(layout, number, round(each * len(plate)), "planned")
-        for number, plate in enumerate(layout.plates, 1)
-    )
+    plates = tuple(product.make().record("planned") for product in _products(layout))
     return PlateExport(plates, layout.least_plates, rows, layout.failures, unknown)
 
 
@@ -139,19 +130,15 @@ def _names(layout: Layout) -> list[tuple[str, str]]:
 
 
 def _made(layout: Layout, number: int) -> Made[PlateFile]:
-    solid, picture = _names(layout)[number - 1]
-    items = [_item(placed, layout) for placed in layout.plates[number - 1]]
+    (solid, picture), plate = _names(layout)[number - 1], layout.plates[number - 1]
+    items = [_item(placed, layout) for placed in plate]
     content = _packed(items, layout)
+    share = round(layout.shares[number - 1], 4)
     return Made(
         {picture: _map_of(layout, number), solid: content},
-        partial(_plate_file, layout, number, len(content)),
-        partial(_check_plate, items=items, spec=layout.spec),
+        partial(PlateFile, solid, picture, len(plate), share, len(content)),
+        partial(_check_plate, content, items, layout),
     )
-
-
-def _plate_file(layout: Layout, number: int, size_bytes: int, state: str) -> PlateFile:
-    names, share = _names(layout)[number - 1], round(layout.shares[number - 1], 4)
-    return PlateFile(*names, len(layout.plates[number - 1]), share, size_bytes, state)
 
 
 def _item(placed: Placed, layout: Layout) -> BuildItem:
@@ -166,18 +153,12 @@ def _packed(items: Sequence[BuildItem], layout: Layout) -> bytes:
         return write_build(items)
     bodies = [
         (
-            body_of(item.name, Mesh(item.vertices_mm / MM_PER_M, item.faces), layout.physics),
+            body_of(item.name, _mesh(item.vertices_mm, item.faces), layout.physics),
             (item.offset_mm[0] / MM_PER_M, item.offset_mm[1] / MM_PER_M),
         )
         for item in items
     ]
     return pack_mjcf(bodies, "plate", floor=True)
-
-
-def _unpacked(content: bytes) -> list[BuildItem]:
-    if content.startswith(b"PK"):
-        return read_build(content)
-    return [BuildItem(name, mesh.vertices_mm, mesh.faces) for name, mesh in read_mjcf(content).items()]
 
 
 def _map_of(layout: Layout, number: int) -> bytes:
@@ -189,27 +170,28 @@ def _map_of(layout: Layout, number: int) -> bytes:
     return draw_map(plate, layout.spec, title, labels, shared)
 
 
-def _check_plate(path: Path, items: Sequence[BuildItem], spec: PlateSpec) -> None:
-    try:
-        found = _unpacked(path.read_bytes())
-    except BROKEN_FILE as error:
-        raise ItemError(
-            UNREADABLE, f"it is not a readable {path.suffix[1:].upper()} file ({error})"
-        ) from error
-    if [item.name for item in found] != [item.name for item in items]:
-        raise ItemError(CHANGED, f"it names {len(found)} objects; {len(items)} others were written")
-    for back_item, item in zip(found, items, strict=True):
-        meant = Mesh((item.vertices_mm + item.offset_mm) / MM_PER_M, item.faces)
-        back = Mesh(back_item.vertices_mm / MM_PER_M, back_item.faces)
+def _check_plate(content: bytes, items: Sequence[BuildItem], layout: Layout) -> None:
+    """Raise ItemError where a plate does not hold these objects as the same solids, within its margins."""
+    meant = {each.name: _mesh(each.vertices_mm + each.offset_mm, each.faces) for each in items}
+    found = meant
+    if layout.physics is None:
+        found = {each.name: _mesh(each.vertices_mm, each.faces) for each in read_build(content)}
+    if found.keys() != meant.keys():
+        raise ItemError(CHANGED, f"it names {len(found)} objects; {len(meant)} others were written")
+    edge_mm = layout.spec.margin_mm - _EDGE_TOLERANCE_MM
+    for name, mesh in found.items():
         try:
-            require_same_solid(back, meant, require_solid(meant))
+            require_same_solid(mesh, meant[name], require_solid(meant[name]))
         except ItemError as error:
-            raise ItemError(error.reason, f"{item.name}: {error}") from error
-        low, high = back.bounds_m * MM_PER_M
-        edge_mm = spec.margin_mm - _EDGE_TOLERANCE_MM
-        outside = (low[:2] < edge_mm).any() or (high[:2] > np.subtract(spec.sides_mm, edge_mm)).any()
+            raise ItemError(error.reason, f"{name}: {error}") from error
+        low, high = mesh.bounds_m * MM_PER_M
+        outside = (low[:2] < edge_mm).any() or (high[:2] > np.subtract(layout.spec.sides_mm, edge_mm)).any()
         if outside or low[2] < -_EDGE_TOLERANCE_MM:
-            raise ItemError(OFF_PLATE, f"{item.name} reaches beyond the plate or its margin")
+            raise ItemError(OFF_PLATE, f"{name} reaches beyond the plate or its margin")
+
+
+def _mesh(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
+    return Mesh(vertices_mm / MM_PER_M, faces)
 
 
 _COLUMNS = (

@@ -9,7 +9,6 @@ import io
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -17,10 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.convex import convex_parts
-from tactile_toolkit.mesh.files import BROKEN_FILE, read_mesh
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.printing.spec import Physics
 
 
@@ -59,22 +56,6 @@ def model_files(name: str, mesh: Mesh, ending: str, physics: Physics) -> dict[st
     return {f"{name}{ending}": pack_mjcf([(body, (0.0, 0.0))], name) if ending == ".xml" else _pack_usd(body)}
 
 
-def read_model(path: Path) -> Mesh:
-    """Read the mesh that a model shows, metres; raises InputError where there is none."""
-    try:
-        if path.suffix == ".xml":
-            (mesh,) = read_mjcf(path.read_bytes()).values()
-            return mesh
-        if path.suffix == ".usda":
-            return _read_usd(path.read_text())
-        shown = ElementTree.fromstring(path.read_bytes()).find("link/visual/geometry/mesh")
-        file = path.parent / (shown.attrib["filename"] if shown is not None else "")
-        in_mm = read_mesh(file)  # OBJ names no unit, and is taken for millimetres elsewhere
-        return Mesh(in_mm.vertices_m * MM_PER_M, in_mm.faces)
-    except BROKEN_FILE as error:
-        raise InputError(f"{path}: not a readable model ({error})") from error
-
-
 def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, floor: bool = False) -> bytes:
     """Write bodies, each with its place on the ground in metres, as one MJCF file that needs no other.
 
@@ -110,23 +91,6 @@ def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, fl
         )
     world = _tag("worldbody", *ground, *elements)
     return _written(_tag("mujoco", _tag("asset", *assets), world, model=model))
-
-
-def read_mjcf(content: bytes) -> dict[str, Mesh]:
-    """Read back the mesh of each body of :func:`pack_mjcf`; raises ValueError and KeyError."""
-    root = ElementTree.fromstring(content)
-    meshes = {each.attrib["name"]: each.attrib for each in root.iter("mesh")}
-    found = {}
-    for body in root.iter("body"):
-        asset = meshes[body.attrib["name"]]
-        place = np.array(body.attrib["pos"].split(), np.float64)
-        found[body.attrib["name"]] = _mesh(asset["vertex"], asset["face"], place)
-    return found
-
-
-def _mesh(vertices: str, faces: str, place: NDArray[np.float64] | float = 0.0) -> Mesh:
-    points = np.array(vertices.split(), np.float64).reshape(-1, 3)
-    return Mesh(points + place, np.array(faces.split(), np.int32).reshape(-1, 3))
 
 
 def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
@@ -192,7 +156,6 @@ _USD_COLLISION = """
         uniform token purpose = "guide"
         uniform token physics:approximation = "convexHull"
         rel material:binding:physics = <{path}/material>"""
-_USD_VISUAL = re.compile(r'"visual".*?Indices = \[(.*?)\].*?points = \[(.*?)\]', re.DOTALL)
 
 
 def _pack_usd(body: Body) -> bytes:
@@ -225,14 +188,6 @@ def _pack_usd(body: Body) -> bytes:
         friction=_text((body.friction,)),
         meshes="".join(meshes),
     ).encode()
-
-
-def _read_usd(text: str) -> Mesh:
-    found = _USD_VISUAL.search(text)
-    if found is None:
-        raise ValueError("no mesh 'visual'")
-    faces, points = (re.sub(r"[(),]", " ", words) for words in found.groups())
-    return _mesh(points, faces)
 
 
 def _obj(mesh: Mesh) -> bytes:

@@ -19,7 +19,6 @@ from tactile_toolkit.printing.objects import (
     forecast_files,
     place_on_plate,
     require_same_solid,
-    write_checked,
 )
 from tests.forked import start_forked
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
@@ -90,23 +89,25 @@ def test_a_solid_that_the_format_cannot_hold_leaves_no_file(tmp_path: Path) -> N
     made = export_files(named([away, box(5, 5)]), str(tmp_path), "stl")
     assert [path.name for path in tmp_path.iterdir()] == ["test-1-00001.stl"]
     (failure,) = made.failed
-    assert "read back from disk" in failure.detail
-    assert "the file was removed" in failure.detail
+    assert "it does not bound a solid" in failure.detail
     assert export_files(named([away]), str(tmp_path / "exact"), "3mf").failed == ()
 
 
-def test_a_failed_check_keeps_what_stood_there(tmp_path: Path) -> None:
-    place = tmp_path / "a.stl"
-    place.write_bytes(b"before")
-
-    def refuse(path: Path) -> None:
-        assert (path.parent, path.suffix, path.read_bytes()) == (tmp_path, ".stl", b"after")
-        reason, message = "changed", "it is another one"
-        raise ItemError(reason, message)
-
-    with pytest.raises(ItemError, match="it is another one; the file was removed"):
-        write_checked(place, b"after", refuse)
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == {"a.stl": b"before"}
+def test_a_disk_that_changes_bytes_keeps_what_stood_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    export_files(named([box(7, 7), box(5, 5)]), str(tmp_path))
+    before = folder_bytes(tmp_path)
+    read = Path.read_bytes
+    monkeypatch.setattr(
+        Path, "read_bytes", lambda path: read(path) + (b"" if path.name.startswith("test") else b"!")
+    )
+    made = export_files(named([box(8, 8), box(5, 5)]), str(tmp_path), overwrite=True)
+    (failure,) = made.failed
+    assert (failure.name, failure.problem) == ("test-0-00000", "changed")
+    assert "reads back from disk with other bytes; the file was removed" in failure.detail
+    (kept,) = folder_bytes(tmp_path).items()
+    assert kept in before.items()
 
 
 @pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
@@ -183,7 +184,7 @@ def test_bad_places_and_formats_are_named(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="Not a directory"):
         export_files(named(SHAPES)[:1], str(tmp_path / "files"), "urdf")
     (tmp_path / "folders" / f"{name}.stl").mkdir(parents=True)
-    with pytest.raises(InputError, match=r"cannot read .*\.stl': .*; next: move it away"):
+    with pytest.raises(StorageError, match=r"\.stl'.*Is a directory"):
         export_files(named(SHAPES)[:1], str(tmp_path / "folders"))
 
 
