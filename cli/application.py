@@ -7,17 +7,18 @@ import inspect
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, redirect_stderr, redirect_stdout, suppress
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import wraps
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand
 
-from tactile_toolkit.checked_fields import Rule, check_value, metavar_of, rule_of
+from tactile_toolkit.checked_fields import OptionText, Rule, check_value, metavar_of, rule_of
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.wording import printable
 
@@ -101,13 +102,8 @@ Version = Annotated[
 ]
 
 
-@dataclass(frozen=True, slots=True)
-class _Everywhere:
-    """Options of every command; their callbacks do what they ask for."""
-
-    token: Token = None
-    debug: Debug = False
-    version: Version = False
+def _everywhere(token: Token = None, debug: Debug = False, version: Version = False) -> None:
+    """Take the options of every command; their callbacks do what they ask for."""
 
 
 def new_app(name: str, purpose: str) -> typer.Typer:
@@ -222,33 +218,31 @@ def _warn(text: str) -> None:
     sys.stderr.write(f"warning: {printable(text)}\n")
 
 
-def command(app: typer.Typer, name: str | None = None) -> Callable[[F], F]:
+def command(app: typer.Typer, name: str | None = None, **known: Any) -> Callable[[F], F]:
     """Add a function to a command line, by its own name or another one; errors become messages.
 
-    A parameter whose type is a dataclass is a group of options, and the function gets the object; marked with
-    :class:`OptionsOf` it gets a dict of the options that were given. Fields and defaults of parameters may be
-    declared as in `tactile_toolkit.checked_fields`, or in Typer's own way where several commands share them.
-    Groups may stand behind defaults where parameters are keyword-only.
+    The default of a parameter declares its option, as in `tactile_toolkit.checked_fields`. A parameter whose
+    type is a dataclass is a group of options, and the function gets the object; marked with
+    :class:`OptionsOf` it gets a dict of the options that were given. Of what is ``known``, the function gets
+    what it has parameters for. All parameters are keyword-only.
     """
 
     def add(function: F) -> F:
         # The first paragraph: the library would cut it where a line of the list of commands ends.
         summary = (function.__doc__ or "").partition("\n\n")[0]
         settings = {"cls": _Command, "short_help": summary, "context_settings": _SETTINGS}
-        app.command(name, **settings)(_with_groups(function))  # type: ignore[arg-type]
+        app.command(name, **settings)(_with_options(function, known))  # type: ignore[arg-type]
         return function
 
     return add
 
 
-def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
+def _with_options(function: Callable[..., None], known: Mapping[str, Any]) -> Callable[..., None]:
     """Return a function that takes the fields of option groups one by one."""
     # Annotations are text: those of a group are names of the group's module, where Typer would not look.
     hints = get_type_hints(function, include_extras=True)
-    groups = {
-        each.name: _group(each.name, hints[each.name], each.default)
-        for each in inspect.signature(function).parameters.values()
-    }
+    taken = inspect.signature(function).parameters
+    groups = {name: _group(hints[name], each) for name, each in taken.items() if name not in known}
 
     @wraps(function)
     def call(context: typer.Context, **values: Any) -> None:
@@ -256,7 +250,7 @@ def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
         from tactile_toolkit.run.threads import skip_pandas
 
         skip_pandas()
-        arguments = {}
+        arguments = {name: value for name, value in known.items() if name in taken}
         for name, group in groups.items():
             held = {each.name: values[each.name] for each in group}
             if is_dataclass(hints[name]):
@@ -270,9 +264,15 @@ def _with_groups(function: Callable[..., None]) -> Callable[..., None]:
     # Typer asks both; two options of one name are refused by `Signature`.
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
     options = [each for group in groups.values() for each in group]
-    parameters = [context, *options, *_group("", _Everywhere, None)]
+    everywhere = [
+        each.replace(kind=inspect.Parameter.KEYWORD_ONLY)
+        for each in inspect.signature(_everywhere, eval_str=True).parameters.values()
+    ]
+    parameters = [context, *options, *everywhere]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
-    call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    call.__annotations__ = {
+        name: each.annotation for name, each in inspect.signature(call).parameters.items()
+    }
     return call
 
 
@@ -285,73 +285,74 @@ def _mark(hint: Any) -> OptionsOf | None:
     return next((each for each in get_args(hint)[1:] if isinstance(each, OptionsOf)), None)
 
 
-def _group(name: str, hint: Any, default: Any) -> list[inspect.Parameter]:
+def _group(hint: Any, parameter: inspect.Parameter) -> list[inspect.Parameter]:
     """Return what a parameter of a function takes from the command line: itself, or the fields of a group."""
     mark = _mark(hint)
     group: Any = hint if mark is None else mark.spec
     if not is_dataclass(group):
-        return [_parameter(name, hint, default)]
-    # Specifications name types that only checkers of types import; Typer's own declarations are all there.
-    is_ruled = all(rule_of(each) is not None for each in fields(group))
-    hints = {} if is_ruled or mark is not None else get_type_hints(group, include_extras=True)
+        return [_parameter(parameter.name, parameter.default)]
+    is_optional, with_retired = mark is not None, mark is not None and mark.with_retired
     found = []
     for each in fields(group):
         rule = rule_of(each)
-        if rule is None and get_origin(hints.get(each.name)) is Annotated:
-            found.append(_parameter(each.name, hints[each.name], each.default))
-        elif rule is not None and ("help" in rule.option or (mark is not None and mark.with_retired)):
-            found.append(_parameter(each.name, None, each, is_optional=mark is not None))
+        if rule is not None and ("help" in rule.option or with_retired):
+            found.append(_parameter(each.name, each, is_optional=is_optional))
     return found
 
 
-def _parameter(name: str, hint: Any, declared: Any, *, is_optional: bool = False) -> inspect.Parameter:
-    """Return a parameter as Typer takes it; ``declared`` is its default, or a field of `checked_fields`."""
-    rule = rule_of(declared) if isinstance(declared, Field) else None
-    if rule is not None:
-        default = None if declared.default is MISSING and is_optional else declared.default
+def _parameter(name: str, declared: Field[Any], *, is_optional: bool = False) -> inspect.Parameter:
+    """Return a parameter as Typer takes it; an ``is_optional`` one needs no value."""
+    rule: Any = rule_of(declared)
+    text: OptionText = rule.option
+    default = None if declared.default is MISSING and is_optional else declared.default
+    shown: Any = default
+    kind: Any = rule.kind
+    if "read" in text:
         # What is read of a text has a default of another type, which Typer would convert.
-        declared = None if "read" in rule.option and default is not MISSING else default
-        hint = _annotation(name, rule, declared, default)
-    default = inspect.Parameter.empty if declared is MISSING else declared
-    # By keyword only: options without a default may stand behind those with one.
-    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
-
-
-def _annotation(name: str, rule: Rule, shown: Any, default: Any) -> Any:
-    """Return the type and the option by which Typer takes the value of a field."""
-    text, metavar = rule.option, None
-    names = text.get("name", f"--{name.replace('_', '-')}").split()
-    kind: Any = str if "read" in text else rule.kind
-    if rule.choices and "read" not in text:
+        kind = str
+        shown = default if default is MISSING else str(default) if isinstance(default, (str, Path)) else None
+    elif rule.choices:
         kind = Literal[rule.choices]
-        if isinstance(default, tuple):  # Typer takes lists of enumerations, but not of literals
-            words: Any = StrEnum("Choice", [(word, word) for word in rule.choices])  # type: ignore[misc]
-            kind = list[words]
-    elif kind is bool:
-        names = [f"{names[0]}/--no-{names[0][2:]}"] if default and "/" not in names[0] else names
-    else:
-        metavar = metavar_of(name, rule)
+    if rule.choices and isinstance(default, tuple):  # Typer takes lists of enumerations, but not of literals
+        kind = list[StrEnum("Choice", [(word, word) for word in rule.choices])]  # type: ignore[misc]
+    elif "several" in text:
+        kind = list[kind]
+    kind = kind | None if shown is None else kind
+    shown = inspect.Parameter.empty if shown is MISSING else shown
+    hint = Annotated[kind, _declaration(name, rule, default)]
+    # By keyword only: options without a default may stand behind those with one.
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=shown, annotation=hint)
+
+
+def _declaration(name: str, rule: Rule, default: Any) -> Any:
+    """Return the argument or option by which Typer takes the value of a field."""
+    text = rule.option
+    names = text.get("name", f"--{name.replace('_', '-')}").split()
+    label = text.get("metavar", name) if "argument" in text else names[0].partition("/")[0]
+    metavar = None if rule.kind is bool or (rule.choices and "read" not in text) else metavar_of(name, rule)
+    if rule.kind is bool and default and "/" not in names[0]:
+        names = [f"{names[0]}/--no-{names[0][2:]}"]
 
     def check(context: typer.Context, value: Any) -> Any:
         """Return the one spelling of a value that was given; InputError where it does not fit."""
         if not _is_given(context, name):
             return default
-        if "help" not in text:
-            _warn(f"{names[0]} is deprecated; next: write {name} = {value} into the file of --config")
+        if "help" not in text and "argument" not in text:
+            _warn(f"{label} is deprecated; next: write {name} = {value} into the file of --config")
         expected = rule.expected.removeprefix("None or ")  # that is to leave the option out
-        read = text["read"](value) if "read" in text else value
-        return check_value(replace(rule, expected=expected), read, names[0].partition("/")[0])
+        if "read" in text:
+            value = list(map(text["read"], value)) if "several" in text else text["read"](value)
+        return check_value(replace(rule, expected=expected), value, label)
 
-    declared = typer.Option(
-        *names,
-        help=text.get("help"),
-        metavar=metavar,
-        show_default=text.get("shown") or True,
-        rich_help_panel=text.get("panel"),
-        hidden="help" not in text,
-        callback=check,
-    )
-    return Annotated[kind | None if shown is None else kind, declared]
+    settings: dict[str, Any] = {
+        "help": text.get("help"),
+        "metavar": metavar,
+        "show_default": text.get("shown") or True,
+        "rich_help_panel": text.get("panel"),
+        "hidden": "help" not in text,
+        "callback": check,
+    }
+    return typer.Argument(**settings) if "argument" in text else typer.Option(*names, **settings)
 
 
 class _Output:

@@ -9,14 +9,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from cli.application import OptionsOf, command, new_app, run
-from cli.folders import add_verify, cache, show
-from cli.making import add_subsets
-from cli.options import DryRun, Json, LocalOut, Overwrite, local_place
-from cli.output import Sink
-from cli.products import add_export
+from cli.folders import Objects, cache, show, verify
+from cli.making import merge, split
+from cli.options import DRY_RUN, OVERWRITE, argument, local_out_folder, local_place
+from cli.output import JSON, Sink
+from cli.products import export
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit.checked_fields import switch, text
@@ -36,14 +34,14 @@ def wrench(
     ),
     single: bool = switch(False, help="Make only one jaw."),
     lengths: Annotated[dict[str, Any], OptionsOf(WrenchSpec)],
-    out: LocalOut = Path("wrench-data"),
+    out: Path = local_out_folder("wrench-data"),
     stl: Path | None = text(
         metavar="FILE",
         read=local_place,
         help="Also write the mesh for a printer: .stl, .3mf, .ply, .obj, .glb.",
     ),
-    overwrite: Overwrite = False,
-    dry_run: DryRun = False,
+    overwrite: bool = OVERWRITE,
+    dry_run: bool = DRY_RUN,
     sink: Sink,
 ) -> None:
     """Make a printable open-end wrench, as a data set of one row.
@@ -80,10 +78,9 @@ def wrench(
 
 @command(app)
 def info(
-    root: Annotated[Path, typer.Argument(metavar="DIR", help="Folder of an AssetProvider.")] = Path(
-        "tactile-assets"
-    ),
-    as_json: Json = False,
+    *,
+    root: Path = argument("DIR", "Folder of an AssetProvider.", read=Path, default=Path("tactile-assets")),
+    as_json: bool = JSON,
 ) -> None:
     """Show which data sets a folder of assets holds, and how large their meshes are.
 
@@ -118,11 +115,11 @@ def info(
 
 @command(app, name="list")
 def list_environments(
-    words: Annotated[
-        list[str] | None,
-        typer.Argument(metavar="WORD...", help="Only ids with all of these words, such as ABCVolume DR."),
-    ] = None,
-    as_json: Json = False,
+    *,
+    words: list[str] | None = argument(
+        "WORD...", "Only ids with all of these words, such as ABCVolume DR.", several=True, default=None
+    ),
+    as_json: bool = JSON,
 ) -> None:
     """List the published environments, and what each needs to run here.
 
@@ -155,10 +152,7 @@ def list_environments(
         sink.line("native: `tactile_envs:ID` runs it a hundred times as fast, with the same episodes")
 
 
-add_export(app, KIND)
-add_verify(app, KIND)
-add_subsets(app, KIND)
-command(app)(show)
-command(app)(cache)
+for _shared in (export, verify, merge, split, show, cache):
+    command(app, kind=KIND, checks=None, objects=Objects())(_shared)
 
 main = partial(run, app)

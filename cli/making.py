@@ -5,12 +5,9 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from cli.application import command
-from cli.options import AnySet, Chosen, Making, Out, Work, process_count
+from cli.options import ANY_SET, Chosen, Making, Work, argument, out_folder, process_count
 from cli.output import Sink, bytes_text, duration_text
 from tactile_toolkit.checked_fields import integer, text
 from tactile_toolkit.errors import InputError
@@ -19,61 +16,67 @@ from tactile_toolkit.wording import counted, listed
 
 if TYPE_CHECKING:
     from tactile_toolkit.making import Forecast
+    from tactile_toolkit.making import Making as RowMaking
     from tactile_toolkit.store.build import Progress
     from tactile_toolkit.store.manifest import Manifest
 
 
-PrintMade = Callable[[Sink, "Manifest", str, float | None], None]
-"""Prints what a folder holds: with how long it took where it was just made, else None."""
+PrintMade = Callable[..., None]
+"""Prints what a folder holds.
+
+Of a sink, a kind, a manifest, the folder, and how long it took where it was just made, else None.
+"""
 
 
 def generate_set(
     sink: Sink,
-    kind: DatasetKind,
-    making: Making,
+    what: str,
+    rows: RowMaking,
     out: str,
     splits: Sequence[str] | None,
-    *,
-    what: str,
-    forecast: Callable[..., Forecast],
-    make: Callable[..., Manifest],
+    making: Making,
     print_made: PrintMade,
+    require: Callable[[], None] = lambda: None,
 ) -> None:
     """Make a data set of a kind, or forecast it, and print what was made and what comes next."""
+    from tactile_toolkit.making import forecast, generate
+
     if making.dry_run:
-        _print_forecast(sink, kind, forecast(making.chosen_runner(), overwrite=making.overwrite), out, making)
+        runner, overwrite = making.chosen_runner(), making.overwrite
+        view = forecast(rows, out, splits, runner, overwrite=overwrite, require=require)
+        _print_forecast(sink, rows.kind, view, out, making)
         return
-    manifest = make_with_progress(sink, what, kind.nouns, make, making, out, print_made)
+    make = partial(generate, rows, out, splits, require=require)
+    manifest = make_with_progress(sink, what, rows.kind, make, making, out, print_made)
     if manifest is None:
         return
     table = manifest.split_table()
     # One that has rows, so that the line works when it is tried.
     split = next((name for name in splits or table if name in table and table[name]["rows"]), None)
-    call = kind.loading_lines(manifest, out, split or next(iter(splits or table)))[1]
-    sink.line(f"next: {kind.command} verify {out}   or in Python: {call}")
+    call = rows.kind.loading_lines(manifest, out, split or next(iter(splits or table)))[1]
+    sink.line(f"next: {rows.kind.command} verify {out}   or in Python: {call}")
 
 
 def make_with_progress(
     sink: Sink,
     what: str,
-    nouns: str,
+    kind: DatasetKind,
     make: Callable[..., Manifest],
     work: Work,
     out: str,
     print_made: PrintMade,
     unit: str | None = None,
 ) -> Manifest | None:
-    """Run ``make`` and print what was made; progress counts ``unit`` where that is not the ``nouns`` of rows.
+    """Run ``make`` and print what was made; progress counts ``unit`` where that is not the nouns of rows.
 
-    It takes ``workers``, ``overwrite`` and ``on_progress``. Ctrl-C before the first shard is raised with what
-    is to be said then. Returns None where this was one part of many.
+    It takes ``workers``, ``overwrite`` and ``on_progress``. Returns None where this was one part of many.
     """
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.job import MissingPartsError, manifest_so_far
 
     start_s = time.monotonic()
     rows = skipped = 0
-    with sink.progress(what, unit or nouns) as update:
+    with sink.progress(what, unit or kind.nouns) as update:
 
         def on_progress(progress: Progress) -> None:
             nonlocal rows, skipped
@@ -89,17 +92,9 @@ def make_with_progress(
             # On stdout, for a script to hand to `sbatch`; the sentence about it goes to stderr.
             sink.line(f"--array={error.array}")
             raise
-        except KeyboardInterrupt as error:
-            if rows or skipped:
-                raise
-            # What runs before this one have finished is kept all the same.
-            raise KeyboardInterrupt(
-                "interrupted before this run finished a shard: it leaves nothing, the same command starts "
-                "again"
-            ) from error
     elapsed_s = time.monotonic() - start_s
     left_out = f", {skipped:,} left out," if skipped else ""
-    made = f"made {counted(rows, nouns)}{left_out} in {duration_text(elapsed_s)}"
+    made = f"made {counted(rows, kind.nouns)}{left_out} in {duration_text(elapsed_s)}"
     made = made if rows or skipped else "nothing was left to make"
     if work.part is not None:
         counts = {"rows": rows, "skipped": skipped, "elapsed_s": round(elapsed_s, 3)}
@@ -109,7 +104,7 @@ def make_with_progress(
         return None
     # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
     manifest = manifest_so_far(DataFolder(out)) or manifest
-    print_made(sink, manifest, out, elapsed_s)
+    print_made(sink, kind, manifest, out, elapsed_s)
     sink.line(f"{made}; the data set is in {out}")
     return manifest
 
@@ -131,19 +126,19 @@ def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, mak
     )
 
 
-def print_made(
+def print_set(
     sink: Sink,
     kind: DatasetKind,
     manifest: Manifest,
     out: str,
-    splits: Any,
     elapsed_s: float | None,
-    table: tuple[Sequence[str], Sequence[Sequence[object]]],
+    header: Sequence[str],
+    rows: Sequence[Sequence[object]],
     **further: Any,
 ) -> None:
-    """Print what a folder holds: ``table`` where its run is finished, and how it continues where not.
+    """Print what a folder holds: ``rows`` where its run is finished, and how it continues where not.
 
-    ``splits`` and ``further`` are JSON values for the document.
+    ``further`` are JSON values for the document.
     """
     sink.document(
         {
@@ -152,13 +147,13 @@ def print_made(
             "toolkit_version": manifest.toolkit_version,
             "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
             "shards_planned": _shards_planned(manifest),
-            "splits": splits,
+            "splits": manifest.split_table(),
             **further,
             "spec": manifest.spec,
         }
     )
     if manifest.complete:
-        sink.table(*table)
+        sink.table(header, rows)
     else:
         print_unfinished(sink, manifest, out, kind.nouns, kind.made_by)
 
@@ -190,7 +185,7 @@ def _shards_planned(manifest: Manifest) -> dict[str, int]:
 
 
 def print_converted(
-    sink: Sink, manifest: Manifest, out: str, _elapsed_s: float | None = None, *, nouns: str
+    sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, _elapsed_s: float | None = None
 ) -> None:
     """Print what a conversion wrote."""
     table = manifest.split_table()
@@ -199,7 +194,7 @@ def print_converted(
         (split, e["rows"], e["shards"], bytes_text(e["bytes"]), e["skipped"]) for split, e in table.items()
     ]
     sink.table(("split", "rows", "shards", "Parquet", "left out"), rows)
-    print_skipped(sink, manifest, out, nouns)
+    print_skipped(sink, manifest, out, kind.nouns)
 
 
 def print_skipped(sink: Sink, manifest: Manifest, out: str, nouns: str) -> None:
@@ -226,59 +221,54 @@ def _fractions(words: str) -> tuple[float, ...]:
     return shares
 
 
-def add_subsets(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add the commands for a kind of data set to its command line."""
-    print_made = partial(print_converted, nouns=kind.nouns)
+def merge(
+    *,
+    kind: DatasetKind,
+    names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
+    out: str = out_folder("merged"),
+    work: Work,
+    sink: Sink,
+) -> None:
+    """Merge data sets whose ids differ into one; shards are copied unchanged.
 
-    @command(app)
-    def merge(
-        *,
-        names: Annotated[list[str], typer.Argument(metavar="DIR...", help="Data sets of one kind.")],
-        out: Out = "merged",
-        work: Work,
-        sink: Sink,
-    ) -> None:
-        """Merge data sets whose ids differ into one; shards are copied unchanged.
+    Example: merge DIR OTHER --out both
+    """
+    from tactile_toolkit.exchange.subsets import merge_sets
 
-        Example: merge DIR OTHER --out both
-        """
-        from tactile_toolkit.exchange.subsets import merge_sets
+    make = partial(merge_sets, kind, names, out)
+    make_with_progress(sink, "copying", kind, make, work, out, print_converted)
 
-        make = partial(merge_sets, kind, names, out)
-        make_with_progress(sink, "copying", kind.nouns, make, work, out, print_made)
 
-    @command(app)
-    def split(
-        *,
-        name: AnySet,
-        out: Out = "parts",
-        fractions: tuple[float, ...] = text(
-            (),
-            metavar="0.8,0.2",
-            read=_fractions,
-            help="Fractions of the rows of each split, one for each part.",
-        ),
-        seed: int = integer(0, help="Random seed for --fractions."),
-        chosen: Chosen,
-        work: Work,
-        sink: Sink,
-    ) -> None:
-        """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
+def split(
+    *,
+    kind: DatasetKind,
+    name: str = ANY_SET,
+    out: str = out_folder("parts"),
+    fractions: tuple[float, ...] = text(
+        (),
+        metavar="0.8,0.2",
+        read=_fractions,
+        help="Fractions of the rows of each split, one for each part.",
+    ),
+    seed: int = integer(0, help="Random seed for --fractions."),
+    chosen: Chosen,
+    work: Work,
+    sink: Sink,
+) -> None:
+    """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
 
-        Rows are drawn at random (--fractions), or part-1 gets the objects that --ids, --labels and similar
-        options choose, and part-2 all others.
+    Rows are drawn at random (--fractions), or part-1 gets the objects that --ids, --labels and similar
+    options choose, and part-2 all others.
 
-        Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
-        """
-        from tactile_toolkit.exchange.subsets import divide, write_part
+    Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
+    """
+    from tactile_toolkit.exchange.subsets import divide, write_part
 
-        given = {each: value for each, value in chosen.given().items() if value is not None}
-        if bool(given) == bool(fractions):
-            raise InputError(
-                "expected either --fractions, or --ids and the like", next="add --fractions 0.8,0.2"
-            )
-        options = {"fractions": fractions, "seed": seed} if fractions else given
-        for number, rows in enumerate(divide(kind, name, fractions, seed, given), 1):
-            place = f"{out.rstrip('/')}/part-{number}"
-            make = partial(write_part, kind, name, rows, {**options, "part": number}, place)
-            make_with_progress(sink, "copying", kind.nouns, make, work, place, print_made)
+    given = {each: value for each, value in chosen.given().items() if value is not None}
+    if bool(given) == bool(fractions):
+        raise InputError("expected either --fractions, or --ids and the like", next="add --fractions 0.8,0.2")
+    options = {"fractions": fractions, "seed": seed} if fractions else given
+    for number, rows in enumerate(divide(kind, name, fractions, seed, given), 1):
+        place = f"{out.rstrip('/')}/part-{number}"
+        make = partial(write_part, kind, name, rows, {**options, "part": number}, place)
+        make_with_progress(sink, "copying", kind, make, work, place, print_converted)

@@ -7,15 +7,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cli.application import OptionsOf, command, new_app, run
-from cli.folders import Geometry, add_shared
-from cli.making import generate_set, least_to_most, print_made, print_skipped
-from cli.options import Limit, Making, Out, PerClass
+from cli.folders import Geometry, check_objects
+from cli.making import generate_set, least_to_most, print_set, print_skipped
+from cli.options import FOLDERS, LIMIT, PER_CLASS, SPLIT, WORKERS, Making, out_folder
 from cli.output import Sink, bytes_text
 from cli.products import preview_digits
+from cli.shared import add_shared
 from mnist3d.kind import KIND
 from mnist3d.spec import SOURCES, SPLITS, SolidSpec, SourceOptions, SplitSpec
 from tactile_toolkit.checked_fields import choice
-from tactile_toolkit.kind import lazy
+from tactile_toolkit.kind import DatasetKind, lazy
 
 if TYPE_CHECKING:
     from mnist3d.validate import Checked
@@ -34,12 +35,12 @@ def generate(
         shown="all",
         help="Split to make. Without this option, the images of a folder are all in train.",
     ),
-    out: Out = "mnist3d-data",
+    out: str = out_folder("mnist3d-data"),
     source: str = choice("synthetic", SOURCES, help="Where the images come from."),
     images: Annotated[dict[str, Any], OptionsOf(SourceOptions)],
     division: SplitSpec,
-    per_class: PerClass = None,
-    limit: Limit = None,
+    per_class: int | None = PER_CLASS,
+    limit: int | None = LIMIT,
     solid: SolidSpec,
     making: Making,
     sink: Sink,
@@ -51,8 +52,6 @@ def generate(
     After an interruption, the same command continues; finished shards are kept.
     """
     from mnist3d.make import DigitMaking, GenerateSpec, chosen_source
-    from mnist3d.make import generate as make
-    from tactile_toolkit.making import forecast
     from tactile_toolkit.run.threads import prepare_batch_process
 
     spec = GenerateSpec(
@@ -65,20 +64,10 @@ def generate(
     splits = None if split is None else SPLITS if split == "all" else (split,)
     # Before the first digit, of a forecast too: it measures what a worker takes.
     prepare_batch_process()
-    generate_set(
-        sink,
-        KIND,
-        making,
-        out,
-        splits,
-        what="making digits",
-        forecast=partial(forecast, DigitMaking.of(spec, splits), out, splits),
-        make=partial(make, spec, out, splits),
-        print_made=_print_made,
-    )
+    generate_set(sink, "making digits", DigitMaking.of(spec, splits), out, splits, making, _print_made)
 
 
-def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
+def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
     from mnist3d.card import summarise
     from tactile_toolkit.store.folder import DataFolder
 
@@ -100,10 +89,10 @@ def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | Non
     measures = ("height mm", "thinnest wall mm", "skipped", "warnings")
     header = ("split", "digits", "per class", "Parquet", *measures)
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
-    skipped = manifest.skipped_reasons()
-    print_made(sink, KIND, manifest, out, splits, elapsed_s, (header, rows), skipped=skipped)
+    further = {"splits": splits, "skipped": manifest.skipped_reasons()}
+    print_set(sink, kind, manifest, out, elapsed_s, header, rows, **further)
     if manifest.complete:
-        print_skipped(sink, manifest, out, KIND.nouns)
+        print_skipped(sink, manifest, out, kind.nouns)
 
 
 def _range(spread: tuple[float, ...]) -> str:
@@ -122,19 +111,28 @@ def _print_checked(sink: Sink, results: Sequence[Checked]) -> None:
     sink.line(f"{checked - failed:,} of {checked:,} {are}")
 
 
-_GEOMETRY = Geometry(
-    "meshes",
+_CHECKS = Geometry("meshes", lazy("mnist3d.validate:validate_paths"), _print_checked)
+
+
+def _validate(
+    *,
+    paths: list[str] = FOLDERS,
+    split: str | None = SPLIT,
+    limit: int | None = LIMIT,
+    workers: int = WORKERS,
+    sink: Sink,
+) -> None:
     """Check meshes as read back from disk: whether each is a solid, and whether it will print.
 
     Example: mnist3d validate digits part.stl
 
     Exit code 1 when a mesh is not a valid solid. For a folder, `verify --geometry` checks its files as well.
-    """,
-    lazy("mnist3d.validate:validate_paths"),
-    _print_checked,
+    """
+    check_objects(sink, _CHECKS, paths, split, limit, workers)
+
+
+add_shared(
+    app, KIND, {"preview": preview_digits, "validate": _validate}, print_made=_print_made, checks=_CHECKS
 )
-
-
-add_shared(app, KIND, preview_digits, print_folder=_print_made, geometry=_GEOMETRY)
 
 main = partial(run, app)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-import typer
-
-from tactile_toolkit.checked_fields import switch, text
+from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import listed
 
@@ -62,81 +60,49 @@ def parse_ids(text: str) -> Any:
     return read(text)
 
 
-def _out(help: str, parser: Any) -> Any:
-    return typer.Option("--out", "-o", metavar="DIR", help=help, parser=parser)
+def argument(metavar: str, help: str, **option: Any) -> Any:
+    """Declare what a command takes without a name."""
+    return text(option.pop("default", MISSING), argument=True, metavar=metavar, help=help, **option)
 
 
-Folder = Annotated[
-    str, typer.Argument(metavar="DIR", help="Folder of a generated data set.", parser=parse_address)
-]
-Folders = Annotated[
-    list[str],
-    typer.Argument(parser=parse_address, metavar="DIR|FILE...", help="Data set folders, or files of meshes."),
-]
-AnySet = Annotated[
-    str, typer.Argument(metavar="DIR", help="Data set: a folder, a Parquet file or a Hub repository.")
-]
-Out = Annotated[str, _out("Folder to write.", parse_address)]
-LocalOut = Annotated[Path, _out("Folder to write.", local_place)]
-Split = Annotated[
-    str | None, typer.Option("--split", metavar="NAME", help="Only this split; all by default.")
-]
-OneSplit = Annotated[
-    str | None, typer.Option("--split", metavar="NAME", help="Split to open; required if there are several.")
-]
-TouchSet = Annotated[
-    str, typer.Argument(metavar="NAME|DIR", help="Short name (real-single-64x64), Hub id, folder or file.")
-]
-Revision = Annotated[
-    str | None, typer.Option("--revision", metavar="REV", help="Branch, tag or commit of a Hub data set.")
-]
-Workers = Annotated[
-    int,
-    typer.Option(
-        "--workers",
-        "-w",
-        min=0,
-        metavar="N",
-        rich_help_panel=JOB,
-        help="Number of workers; 0 means one per processor core.",
-    ),
-]
-Overwrite = Annotated[
-    bool,
-    typer.Option("--overwrite", rich_help_panel=JOB, help="Replace another data set in the folder."),
-]
-DryRun = Annotated[
-    bool,
-    typer.Option(
-        "--dry-run",
-        rich_help_panel=JOB,
-        help="Print what would be made, its size and the time; write nothing.",
-    ),
-]
-Limit = Annotated[
-    int | None, typer.Option("--limit", min=1, metavar="N", help="Only the first N rows of each split.")
-]
-PerClass = Annotated[
-    int | None,
-    typer.Option("--per-class", min=1, metavar="N", help="Only the first N of each class, in each split."),
-]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Print neither progress nor tables, only errors.")]
+def out_folder(default: Any = MISSING) -> Any:
+    """Declare the folder that a command writes, here or in a store."""
+    return text(default, name="--out -o", metavar="DIR", read=parse_address, help="Folder to write.")
+
+
+def local_out_folder(default: str) -> Any:
+    """Declare the folder that a command writes on this machine."""
+    return text(Path(default), name="--out -o", metavar="DIR", read=local_place, help="Folder to write.")
+
+
+# Each is the default of parameters, and of fields of groups, of one name: `dataclasses` notes it in them.
+FOLDER = argument("DIR", "Folder of a generated data set.", read=parse_address)
+FOLDERS = argument("DIR|FILE...", "Data set folders, or files of meshes.", read=parse_address, several=True)
+ANY_SET = argument("DIR", "Data set: a folder, a Parquet file or a Hub repository.")
+TOUCH_SET = argument("NAME|DIR", "Short name (real-single-64x64), Hub id, folder or file.")
+SPLIT = text(metavar="NAME", help="Only this split; all by default.")
+ONE_SPLIT = text(metavar="NAME", help="Split to open; required if there are several.")
+REVISION = text(metavar="REV", help="Branch, tag or commit of a Hub data set.")
+IDS = text(name="--ids", metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids.")
+LABELS = text(metavar="3,7", read=listed, help="Only the objects of these classes.")
+LIMIT = integer(None, 1, optional=True, help="Only the first N rows of each split.")
+PER_CLASS = integer(None, 1, optional=True, help="Only the first N of each class, in each split.")
+WORKERS = integer(
+    0, name="--workers -w", panel=JOB, help="Number of workers; 0 means one per processor core."
+)
+DRY_RUN = switch(False, panel=JOB, help="Print what would be made, its size and the time; write nothing.")
+OVERWRITE = switch(False, panel=JOB, help="Replace another data set in the folder.")
 
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
     """Options of all commands that take some of the objects of a data set."""
 
-    split: Split = None
-    ids: tuple[Any, ...] | None = text(
-        metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids."
-    )
-    labels: tuple[str, ...] | None = text(
-        metavar="3,7", read=listed, help="Only the objects of these classes."
-    )
-    per_class: PerClass = None
-    limit: Limit = None
+    split: str | None = SPLIT
+    ids: tuple[Any, ...] | None = IDS
+    labels: tuple[str, ...] | None = LABELS
+    per_class: int | None = PER_CLASS
+    limit: int | None = LIMIT
 
     def given(self) -> dict[str, Any]:
         """Return what was asked for, by name; a split only where it is not ``all``."""
@@ -148,13 +114,12 @@ class Chosen:
 class Work:
     """Options of all commands that fill a data set folder: who does the work."""
 
-    workers: Workers = 0
+    workers: int = WORKERS
     runner: str = text(
         "processes",
         panel=JOB,
         metavar="processes|ray[=HOST:PORT]",
         read=_runner_name,
-        shown="processes",
         help="Where the work is done: on this machine, or on a Ray cluster (--workers 0: all its cores).",
     )
     part: str | None = text(
@@ -167,7 +132,7 @@ class Work:
         False, panel=JOB, help="Complete the data set that all parts have made, or name the missing shards."
     )
     check: bool = switch(False, panel=JOB, help="Read finished shards again, and make damaged ones again.")
-    overwrite: Overwrite = False
+    overwrite: bool = OVERWRITE
 
     def chosen_runner(self) -> int | Runner:
         """Return what makes the shards, as functions take it."""
@@ -194,7 +159,7 @@ class Work:
 class Making(Work):
     """Options of all commands that make a data set from nothing or from one of another kind."""
 
-    dry_run: DryRun = False
+    dry_run: bool = DRY_RUN
 
 
 def process_count(workers: int) -> int:

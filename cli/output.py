@@ -12,9 +12,11 @@ from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
-from cli.options import Json, Quiet
+from tactile_toolkit.checked_fields import switch
 from tactile_toolkit.wording import printable, printable_json
 
+JSON = switch(False, name="--json", help="Print one JSON document on stdout.")
+"""The option of commands that print no more than results."""
 BYTES = "bytes"
 """A unit of progress: counts are sizes."""
 
@@ -32,8 +34,8 @@ class Sink:
     ``--json`` stands for one document on stdout and no tables, ``--quiet`` for no progress and no tables.
     """
 
-    as_json: Json = False
-    quiet: Quiet = False
+    as_json: bool = JSON
+    quiet: bool = switch(False, name="--quiet -q", help="Print neither progress nor tables, only errors.")
 
     def document(self, content: Any) -> None:
         """Print the JSON document of the command, when one was asked for."""

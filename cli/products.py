@@ -5,26 +5,27 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.application import EXIT_FAILED, OptionsOf, command
-from cli.making import print_converted
+from cli.application import EXIT_FAILED, OptionsOf
+from cli.making import make_with_progress, print_converted
 from cli.options import (
+    ANY_SET,
+    DRY_RUN,
     JOB,
-    AnySet,
+    ONE_SPLIT,
+    REVISION,
+    TOUCH_SET,
+    WORKERS,
     Chosen,
-    DryRun,
-    LocalOut,
-    OneSplit,
-    Revision,
-    Split,
-    TouchSet,
-    Workers,
+    Work,
+    argument,
+    local_out_folder,
     local_place,
-    parse_ids,
     process_count,
 )
 from cli.output import Sink, bytes_text, duration_text
@@ -32,20 +33,12 @@ from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.printing.spec import MODELS, Physics, PlateSpec
-from tactile_toolkit.wording import counted, listed
+from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.gallery.items import Gallery
     from tactile_toolkit.pictures.writing import PicturePlan
     from tactile_toolkit.printing.objects import Failure, PrintObject
-
-
-def _ids(text: str) -> tuple[int, ...]:
-    """Read ids without ranges."""
-    numbers = parse_ids(text)
-    if not all(isinstance(number, int) for number in numbers):
-        raise InputError(f"--ids has the range {text!r}; expected single numbers such as 12,408")
-    return tuple(numbers)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +52,7 @@ class Pictures:
         shown="previews",
         help="Folder to write, or the file of a single picture; pictures of the same name are replaced.",
     )
-    dry_run: DryRun = False
+    dry_run: bool = DRY_RUN
 
     def write(self, sink: Sink, plan: PicturePlan, usual: str = "previews") -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""
@@ -84,42 +77,18 @@ class Pictures:
             sink.line(f"{folder / made.file}: {made.what} ({size})")
 
 
-@dataclass(frozen=True, slots=True)
-class Rows:
-    """Which rows of meshes are drawn."""
-
-    split: Split = None
-    ids: tuple[int, ...] = text(
-        (),
-        metavar="ID,ID",
-        read=_ids,
-        help="Only the objects with these ids; draws each one by default.",
-    )
-    labels: tuple[str, ...] = text((), metavar="3,7", read=listed, help="Only the objects of these classes.")
-    per_class: int | None = integer(
-        None, 1, optional=True, shown="10, of scenes 8", help="Objects of each class on a sheet."
-    )
-
-    def given(self, per_class: int) -> dict[str, Any]:
-        """Return the fields by name, with ``per_class`` where none was given."""
-        return {**asdict(self), "per_class": self.per_class or per_class}
-
-
 def preview_digits(
     *,
-    path: Annotated[
-        str,
-        typer.Argument(
-            metavar="DIR|FILE",
-            help="Data set folder, Parquet file, STL/3MF/PLY/OBJ/GLB file, or a picture of a digit.",
-        ),
-    ],
-    kind: tuple[str, ...] = choice(
+    path: str = argument(
+        "DIR|FILE", "Data set folder, Parquet file, STL/3MF/PLY/OBJ/GLB file, or a picture of a digit."
+    ),
+    kinds: tuple[str, ...] = choice(
         (),
         ("sheet", "object", "steps", "all"),
-        help="What to draw; may be repeated. Of a data set: sheet.",
+        name="--kind",
+        help="What to draw; may be repeated. Of a data set: sheet, of 10 of each class.",
     ),
-    rows: Rows,
+    chosen: Chosen,
     images: Path | None = text(
         metavar="PATH",
         read=Path,
@@ -137,21 +106,21 @@ def preview_digits(
     """
     from mnist3d.previews import DigitPreviewSpec, plan_previews
 
-    spec = DigitPreviewSpec(kind, **rows.given(10), images=images, writer_info=writer_info)
+    rows = chosen.given() | {"per_class": chosen.per_class or 10}
+    spec = DigitPreviewSpec(kinds, **rows, images=images, writer_info=writer_info)
     pictures.write(sink, plan_previews(path, spec))
 
 
 def preview_scenes(
     *,
-    path: Annotated[
-        str, typer.Argument(metavar="DIR|FILE", help="Data set folder, or Parquet file of scenes.")
-    ],
-    kind: tuple[str, ...] = choice(
+    path: str = argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
+    kinds: tuple[str, ...] = choice(
         (),
         ("sheet", "scene", "all"),
-        help="What to draw; may be repeated. By default sheet.",
+        name="--kind",
+        help="What to draw; may be repeated. By default sheet, of 8 of each class.",
     ),
-    rows: Rows,
+    chosen: Chosen,
     pictures: Pictures,
     sink: Sink,
 ) -> None:
@@ -164,23 +133,25 @@ def preview_scenes(
     from starstruck_gen.previews import plan_previews
     from tactile_toolkit.pictures.previews import PreviewSpec
 
-    pictures.write(sink, plan_previews(path, PreviewSpec(kind, **rows.given(8))))
+    rows = chosen.given() | {"per_class": chosen.per_class or 8}
+    pictures.write(sink, plan_previews(path, PreviewSpec(kinds, **rows)))
 
 
 def preview_touches(
     *,
-    name: TouchSet,
-    kind: tuple[str, ...] = choice(
+    name: str = TOUCH_SET,
+    kinds: tuple[str, ...] = choice(
         (),
         ("grid", "overlay", "strip", "all"),
+        name="--kind",
         help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell, "
         "a clip as a strip.",
     ),
-    split: OneSplit = None,
+    split: str | None = ONE_SPLIT,
     row: int = integer(0, name="--round", help="Round to draw, counted from 0."),
     touches: int = integer(32, 1, help="Number of touches in a grid."),
     touch: int = integer(0, help="Touch that a strip shows, counted from 0."),
-    revision: Revision = None,
+    revision: str | None = REVISION,
     pictures: Pictures,
     sink: Sink,
 ) -> None:
@@ -191,17 +162,17 @@ def preview_touches(
     """
     from realtouch.previews import TouchPreviewSpec, plan_previews
 
-    plan = plan_previews(name, TouchPreviewSpec(tuple(kind), split, row, touches, touch, revision))
-    pictures.write(sink, plan, "previews" if kind else "touches.png")
+    plan = plan_previews(name, TouchPreviewSpec(kinds, split, row, touches, touch, revision))
+    pictures.write(sink, plan, "previews" if kinds else "touches.png")
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
     """How files other than those of a data set are made."""
 
-    workers: Workers = 0
+    workers: int = WORKERS
     overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier run that differ.")
-    dry_run: DryRun = False
+    dry_run: bool = DRY_RUN
 
 
 def _make_page(sink: Sink, gallery: Gallery, out: Path, job: Job) -> None:
@@ -238,31 +209,33 @@ def _make_page(sink: Sink, gallery: Gallery, out: Path, job: Job) -> None:
     sink.line(f"next: open {index} in a browser")
 
 
-def add_mesh_gallery(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add ``gallery`` to the command line of a kind of meshes."""
+def gallery_of_meshes(
+    *,
+    kind: DatasetKind,
+    name: str = ANY_SET,
+    chosen: Chosen,
+    out: Path = local_out_folder("gallery"),
+    job: Job,
+    sink: Sink,
+) -> None:
+    """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
 
-    @command(app)
-    def gallery(
-        *, name: AnySet, chosen: Chosen, out: LocalOut = Path("gallery"), job: Job, sink: Sink
-    ) -> None:
-        """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
+    Takes about 40 kB per digit, 8 kB per scene; at most 20,000 items and 2 GB.
 
-        Takes about 40 kB per digit, 8 kB per scene; at most 20,000 items and 2 GB.
+    Examples: gallery DIR --out site --split test;  gallery DIR --per-class 1
+    """
+    from tactile_toolkit.catalog.choose import Choice
 
-        Examples: gallery DIR --out site --split test;  gallery DIR --per-class 1
-        """
-        from tactile_toolkit.catalog.choose import Choice
-
-        _make_page(sink, kind.plan_gallery(Choice(name, **chosen.given())), out, job)
+    _make_page(sink, kind.plan_gallery(Choice(name, **chosen.given())), out, job)
 
 
 def gallery_of_touches(
     *,
-    name: TouchSet,
+    name: str = TOUCH_SET,
     chosen: Chosen,
     touches: int = integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
-    revision: Revision = None,
-    out: LocalOut = Path("gallery"),
+    revision: str | None = REVISION,
+    out: Path = local_out_folder("gallery"),
     job: Job,
     sink: Sink,
 ) -> None:
@@ -301,67 +274,66 @@ class Form:
     )
 
 
-def add_export(app: typer.Typer, kind: DatasetKind) -> None:
-    """Add the command for a kind of data set of meshes to its command line."""
+def export(
+    *,
+    kind: DatasetKind,
+    name: str = ANY_SET,
+    form: Form,
+    chosen: Chosen,
+    distances: Annotated[dict[str, Any], OptionsOf(PlateSpec)],
+    material: Annotated[dict[str, Any], OptionsOf(Physics)],
+    out: Path = local_out_folder("prints"),
+    job: Job,
+    sink: Sink,
+) -> None:
+    """Write files for printers and simulators, or tables for other libraries.
 
-    @command(app)
-    def export(
-        *,
-        name: AnySet,
-        form: Form,
-        chosen: Chosen,
-        distances: Annotated[dict[str, Any], OptionsOf(PlateSpec)],
-        material: Annotated[dict[str, Any], OptionsOf(Physics)],
-        out: LocalOut = Path("prints"),
-        job: Job,
-        sink: Sink,
-    ) -> None:
-        """Write files for printers and simulators, or tables for other libraries.
+    Writes a file for each object, or build plates of several objects, or tables with a row for each
+    object.
 
-        Writes a file for each object, or build plates of several objects, or tables with a row for each
-        object.
+    Examples: export DIR --ids 3,17 --format 3mf;  export DIR --per-class 1 --plate 256x256
 
-        Examples: export DIR --ids 3,17 --format 3mf;  export DIR --per-class 1 --plate 256x256
+    Objects keep their pose; their lowest point is at z = 0.
 
-        Objects keep their pose; their lowest point is at z = 0.
+    Every file is read back; one that is not the same solid is removed and named.
 
-        Every file is read back; one that is not the same solid is removed and named.
+    After an interruption, the same command continues; finished files are kept.
 
-        After an interruption, the same command continues; finished files are kept.
+    Exit code 1 when an object or plate could not be written as a solid.
+    """
+    from tactile_toolkit.catalog.choose import choose_rows, open_splits
+    from tactile_toolkit.printing.objects import choose
 
-        Exit code 1 when an object or plate could not be written as a solid.
-        """
-        from tactile_toolkit.catalog.choose import choose_rows, open_splits
-        from tactile_toolkit.printing.objects import choose
-
-        some, file_format, scale = chosen.given(), form.file_format, form.scale
-        datasets = open_splits(name, some.pop("split"), kind.load, kind.nouns).items()
-        # What cannot be used is reported before any work.
-        if file_format == "flat":
-            given = {**distances, **material, "plate": form.plate, "scale": None if scale == 1 else scale}
-            why = "about files, not about tables of meshes as they are stored"
-            _refuse([name for name, value in given.items() if value is not None], why, "leave it out")
-            _export_flat(sink, kind, name, choose_rows(datasets, **some), some, str(out), job)
-            return
-        if file_format not in MODELS:
-            _refuse(material, "about bodies for simulators", "add --format mjcf, urdf or usd")
-        if form.plate is None:
-            _refuse(distances, "about build plates", "add --plate 256x256")
-            objects = choose(datasets, **some)
-            bodies = Physics(**material)
-            failures = _export_files(sink, objects, file_format or "stl", scale, bodies, str(out), job)
-        else:
-            spec = PlateSpec.parse(form.plate, **distances)
-            if file_format not in (None, "3mf", "mjcf"):
-                _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
-            # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
-            on_floor = Physics(**material) if file_format == "mjcf" else None
-            objects = choose(datasets, **some)
-            failures = _export_plates(sink, objects, spec, scale, on_floor, str(out), job)
-        for failure in failures:
-            sink.warn(f"failed: {failure.name}: {failure.detail}")
-        if failures:
-            raise typer.Exit(EXIT_FAILED)
+    some, file_format = chosen.given(), form.file_format
+    # What cannot be used is reported before any work.
+    if file_format == "flat":
+        others = {"plate": form.plate, "scale": None if form.scale == 1 else form.scale}
+        given = [*distances, *material, *(name for name, value in others.items() if value is not None)]
+        _refuse(given, "about files, not about tables of meshes as they are stored", "leave it out")
+    elif file_format not in MODELS:
+        _refuse(material, "about bodies for simulators", "add --format mjcf, urdf or usd")
+    if form.plate is None:
+        _refuse(distances, "about build plates", "add --plate 256x256")
+    elif file_format not in (None, "3mf", "mjcf"):
+        _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
+    datasets = open_splits(name, some.pop("split"), kind.load, kind.nouns).items()
+    if file_format == "flat":
+        _export_flat(sink, kind, name, choose_rows(datasets, **some), some, str(out), job)
+        return
+    # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
+    bodies = Physics(**material)
+    if form.plate is None:
+        objects = choose(datasets, **some)
+        failures = _export_files(sink, objects, file_format or "stl", form.scale, bodies, str(out), job)
+    else:
+        spec = PlateSpec.parse(form.plate, **distances)
+        on_floor = bodies if file_format == "mjcf" else None
+        objects = choose(datasets, **some)
+        failures = _export_plates(sink, objects, spec, form.scale, on_floor, str(out), job)
+    for failure in failures:
+        sink.warn(f"failed: {failure.name}: {failure.detail}")
+    if failures:
+        raise typer.Exit(EXIT_FAILED)
 
 
 def _refuse(given: Iterable[str], why: str, instead: str) -> None:
@@ -375,23 +347,18 @@ def _export_files(
 ) -> tuple[Failure, ...]:
     from tactile_toolkit.printing.objects import export_files, forecast_files
 
+    how: dict[str, Any] = {"scale": scale, "physics": physics, "overwrite": job.overwrite}
     if job.dry_run:
-        view = forecast_files(objects, out, ending, scale=scale, physics=physics, overwrite=job.overwrite)
+        view = forecast_files(objects, out, ending, **how)
         sink.document({"out": out, **asdict(view)})
         sink.line(
             f"would write {counted(view.files, f'{ending} files')} to {out}, about {bytes_text(view.bytes)} "
             f"(measured on {view.sampled}); nothing was written"
         )
         return view.failed
+    workers = process_count(job.workers)
     with sink.progress("writing", "files") as update:
-        made = export_files(
-            *(objects, out, ending),
-            scale=scale,
-            physics=physics,
-            overwrite=job.overwrite,
-            workers=process_count(job.workers),
-            on_progress=update,
-        )
+        made = export_files(objects, out, ending, **how, workers=workers, on_progress=update)
     sink.document({"out": out, **asdict(made)})
     if len(made.files) <= _ROWS_SHOWN:
         sizes = [" x ".join(f"{side:.1f}" for side in file.size_mm) for file in made.files]
@@ -409,37 +376,17 @@ def _export_files(
 def _export_flat(
     sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], out: str, job: Job
 ) -> None:
-    from tactile_toolkit.exchange.tables import forecast_tables, plan_tables
-    from tactile_toolkit.run.processes import runner_for
-    from tactile_toolkit.store.build import build
-    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.exchange.tables import export_tables, forecast_tables, plan_tables
 
-    ids, labels = some["ids"], some["labels"]
-    chosen_by = {
-        "ids": ids
-        and ",".join("-".join(map(str, each)) if isinstance(each, tuple) else str(each) for each in ids),
-        "labels": labels and ",".join(labels),
-        "limit": some["limit"],
-        **({} if some["per_class"] is None else {"per_class": some["per_class"]}),
-    }
-    plan = plan_tables(kind, name, choices, chosen_by, out)
+    plan = plan_tables(kind, name, choices, some, out)
     if job.dry_run:
         rows, size = forecast_tables(plan, out, overwrite=job.overwrite)
         sink.document({"folder": out, "rows": rows, "bytes": size})
         made = f"{counted(rows, kind.nouns)} to {out}, about {bytes_text(size)}"
         sink.line(f"would write {made}; nothing was written")
         return
-    with sink.progress("writing", kind.nouns) as update:
-        manifest = build(
-            DataFolder(out),
-            plan,
-            runner_for(process_count(job.workers)),
-            overwrite=job.overwrite,
-            on_progress=lambda progress: update(progress.done, progress.total),
-            write_card=kind.write_card,
-        )
-    print_converted(sink, manifest, out, nouns=kind.nouns)
-    sink.line(f"the data set is in {out}")
+    make, work = partial(export_tables, kind, plan, out), Work(job.workers, overwrite=job.overwrite)
+    make_with_progress(sink, "writing", kind, make, work, out, print_converted)
 
 
 def _export_plates(

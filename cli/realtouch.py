@@ -3,36 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
-from cli.folders import add_shared
 from cli.making import least_to_most, make_with_progress, print_converted, print_unfinished
 from cli.options import (
-    Json,
-    Limit,
-    OneSplit,
-    Out,
-    PerClass,
-    Revision,
-    Split,
-    TouchSet,
+    IDS,
+    LABELS,
+    LIMIT,
+    ONE_SPLIT,
+    PER_CLASS,
+    REVISION,
+    SPLIT,
+    TOUCH_SET,
+    WORKERS,
     Work,
-    Workers,
+    argument,
+    out_folder,
     parse_address,
-    parse_ids,
     process_count,
 )
-from cli.output import Sink, flat_lines
-from cli.products import preview_touches
+from cli.output import JSON, Sink, flat_lines
+from cli.products import gallery_of_touches, preview_touches
+from cli.shared import add_shared
 from realtouch.kind import KIND
+from realtouch.spec import ImportColumns
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.kind import lazy
+from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.touch.contact import contact_height_option, size_option
 from tactile_toolkit.wording import counted, listed
 
@@ -47,9 +49,9 @@ app = new_app("realtouch", "Real touches: load, check, filter and convert the re
 @command(app)
 def load(
     *,
-    name: TouchSet,
-    split: OneSplit = None,
-    revision: Revision = None,
+    name: str = TOUCH_SET,
+    split: str | None = ONE_SPLIT,
+    revision: str | None = REVISION,
     check: bool = switch(True, help="Check every round and the headers of its images."),
     sink: Sink,
 ) -> None:
@@ -72,7 +74,9 @@ def load(
 
 
 @command(app)
-def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json: Json = False) -> None:
+def info(
+    *, name: str = TOUCH_SET, split: str | None = SPLIT, revision: str | None = REVISION, as_json: bool = JSON
+) -> None:
     """Show what each split of a data set holds and, if this toolkit made it, how.
 
     Example: realtouch info touches-64x64
@@ -93,7 +97,7 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
         print_unfinished(sink, manifest, name, KIND.nouns, f"realtouch {manifest.spec.get('operation')}")
         return
     if manifest is not None and manifest.spec.get("operation") in ("frames", "export", "merge", "split"):
-        print_converted(sink, manifest, name, nouns=KIND.nouns)
+        print_converted(sink, KIND, manifest, name)
         return
     announce_fetching(sink, name, split)
     source = Source.open(name, revision, split)
@@ -119,11 +123,11 @@ def info(name: TouchSet, split: Split = None, revision: Revision = None, as_json
 @command(app)
 def verify(
     *,
-    name: TouchSet,
-    split: Split = None,
-    revision: Revision = None,
+    name: str = TOUCH_SET,
+    split: str | None = SPLIT,
+    revision: str | None = REVISION,
     quick: bool = switch(False, help="Read only the headers of images; decode none."),
-    workers: Workers = 0,
+    workers: int = WORKERS,
     sink: Sink,
 ) -> None:
     """Check every file, round, touch and frame, and list all errors.
@@ -152,7 +156,7 @@ def verify(
 
 
 @command(app)
-def reproduce(*, name: TouchSet, revision: Revision = None, sink: Sink) -> None:
+def reproduce(*, name: str = TOUCH_SET, revision: str | None = REVISION, sink: Sink) -> None:
     """Measure what the Tactile MNIST paper states about the real touches.
 
     Exit code 1 when something differs.
@@ -217,8 +221,6 @@ def _print_summary(sink: Sink, split: str, summary: Summary) -> None:
 
 
 _SKIPPED_SHOWN = 20
-
-FormerOut = Annotated[str | None, typer.Argument(metavar="OUT", hidden=True, parser=parse_address)]
 
 
 def _frame() -> Any:
@@ -290,15 +292,9 @@ class Select:
         name="--recalibrate/--as-recorded",
         help="Take the deepest touch of each round as the height of the plate, if that is not known.",
     )
-    objects: tuple[Any, ...] = text(
-        (),
-        name="--ids",
-        metavar="3,17,40-60",
-        read=parse_ids,
-        help="Only the objects with these ids.",
-    )
-    labels: tuple[str, ...] = text((), metavar="3,7", read=listed, help="Only the objects of these classes.")
-    per_class: PerClass = None
+    ids: tuple[Any, ...] | None = IDS
+    labels: tuple[str, ...] | None = LABELS
+    per_class: int | None = PER_CLASS
 
 
 @dataclass(frozen=True, slots=True)
@@ -321,42 +317,6 @@ class Export:
     frame: str = _frame()
 
 
-@dataclass(frozen=True, slots=True)
-class Columns:
-    """Options that name columns; those of our own exports are found without. Fields of `ImportColumns`."""
-
-    image: str = text(
-        "file",
-        name="--image-column",
-        metavar="NAME",
-        help="Column of the paths of the images; for tars, their file extension.",
-    )
-    label: str | None = text(
-        name="--label-column",
-        metavar="NAME",
-        help="Column of the classes, numbers or names: label_name or label by default.",
-    )
-    round: str | None = text(
-        name="--round-column", metavar="NAME", help="Column that names the round of each image."
-    )
-    object: str | None = text(
-        name="--object-column", metavar="NAME", help="Column with the number of the object."
-    )
-    position: tuple[str, ...] | None = text(
-        name="--position-columns",
-        metavar="X,Y",
-        read=lambda words: tuple(listed(words)),
-        help="Columns of the intended position, in m, cell frame.",
-    )
-    pose: tuple[str, ...] | None = text(
-        name="--pose-columns",
-        metavar="X,Y,Z,QX,QY,QZ,QW",
-        read=lambda words: tuple(listed(words)),
-        help="Columns of the pose of the gel, in m, cell frame; or one column of lists.",
-    )
-    split_in: str | None = text(name="--split-column", metavar="NAME", help="Column of the split.")
-
-
 def _add(
     name: str,
     options_of: type,
@@ -370,14 +330,14 @@ def _add(
 
     def convert(
         *,
-        source: TouchSet,
-        former_out: FormerOut = None,
+        source: str = TOUCH_SET,
+        former_out: str | None = text(argument=True, metavar="OUT", read=parse_address),
         out: str | None = text(
             name="--out -o", metavar="DIR", read=parse_address, help="Folder to write; required."
         ),
         options: Any,
-        split: Split = None,
-        limit: Limit = None,
+        split: str | None = SPLIT,
+        limit: int | None = LIMIT,
         work: Work,
         sink: Sink,
     ) -> None:
@@ -388,8 +348,8 @@ def _add(
             raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
         make = partial(function, source, place, **_arguments(options), split=split, limit=limit)
         announce_fetching(sink, source, split)
-        print_made = partial(print_converted, nouns=nouns)
-        make_with_progress(sink, "converting", nouns, make, work, place, print_made, KIND.nouns)
+        kind = replace(KIND, nouns=nouns)
+        make_with_progress(sink, "converting", kind, make, work, place, print_converted, KIND.nouns)
 
     convert.__doc__ = options_of.__doc__
     convert.__annotations__["options"] = options_of
@@ -403,6 +363,7 @@ def _arguments(options: Any) -> dict[str, Any]:
         found["width"], found["height"] = found.pop("size")
     if isinstance(options, Select):
         height_mm = found.pop("min_height_mm")
+        found["objects"], found["labels"] = found.pop("ids") or (), found["labels"] or ()
         if not options.contact and (height_mm is not None or not options.recalibrate_z):
             raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
         found["min_height_m"] = None if height_mm is None else height_mm / 1000
@@ -425,22 +386,21 @@ def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
 
 def import_touches(
     *,
-    source: Annotated[
-        str, typer.Argument(metavar="DIR", help="Folder of images and a CSV table, or of tars.")
-    ],
+    source: str = argument("DIR", "Folder of images and a CSV table, or of tars."),
     file_format: Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"] = choice(
         MISSING,
         ("folder", "webdataset", "replay", "fota", "sparsh", "anytouch"),
         name="--format",
         help="Layout of the images.",
     ),
-    out: Out,
-    columns: Columns,
+    out: str = out_folder(),
+    columns: ImportColumns,
     table: str | None = text(metavar="FILE", help="The table; by default the only CSV file in the folder."),
     classes: list[str] | None = text(
         metavar="A,B", read=listed, help="Names of the classes, in order; by default those found."
     ),
-    split: str | None = text(
+    split_name: str | None = text(
+        name="--split",
         metavar="NAME",
         help="Split, if no column names it; by default that of tars called SPLIT-000000.tar, or train.",
     ),
@@ -455,16 +415,17 @@ def import_touches(
     Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
     """
     from realtouch.exchange.importing import import_images
-    from realtouch.exchange.items import ImportColumns
 
-    named = ImportColumns(*asdict(columns).values())
     make = partial(
-        import_images, source, out, file_format, named, table=table, classes=classes or (), split=split
+        import_images, source, out, file_format, columns, table=table, classes=classes or (), split=split_name
     )
-    make_with_progress(sink, "importing", KIND.nouns, make, work, out, _print_imported, "touches")
+    kind = replace(KIND, nouns="touches")
+    make_with_progress(sink, "importing", kind, make, work, out, _print_imported)
 
 
-def _print_imported(sink: Sink, manifest: Manifest, out: str, _elapsed_s: float | None) -> None:
+def _print_imported(
+    sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, _elapsed_s: float | None
+) -> None:
     from realtouch.exchange.importing import NOT_IMPORTED
     from tactile_toolkit.store.shards import add_up
 
@@ -475,7 +436,7 @@ def _print_imported(sink: Sink, manifest: Manifest, out: str, _elapsed_s: float 
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, and of how many touches: {counts}")
-    print_converted(sink, manifest, out, nouns="touches")
+    print_converted(sink, kind, manifest, out)
 
 
 _add("to-single", ToSingle, lazy("realtouch.convert.api:to_single"))
@@ -485,6 +446,16 @@ _add("select", Select, lazy("realtouch.convert.api:select"))
 # A row is a touch, or an episode of LeRobot.
 _add("export", Export, lazy("realtouch.exchange.api:export"), nouns="rows")
 command(app, "import")(import_touches)
-add_shared(app, KIND, preview_touches)
+add_shared(
+    app,
+    KIND,
+    {
+        "preview": preview_touches,
+        "gallery": gallery_of_touches,
+        "info": None,
+        "verify": None,
+        "export": None,
+    },
+)
 
 main = partial(run, app)

@@ -7,14 +7,16 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cli.application import command, new_app, run
-from cli.folders import Geometry, add_shared
-from cli.making import generate_set, least_to_most, print_made
-from cli.options import Limit, Making, Out
+from cli.folders import Geometry, check_objects
+from cli.making import generate_set, least_to_most, print_set
+from cli.options import FOLDERS, LIMIT, SPLIT, WORKERS, Making, out_folder
 from cli.output import Sink, bytes_text
 from cli.products import preview_scenes
+from cli.shared import add_shared
 from starstruck_gen.kind import KIND
 from starstruck_gen.options import SceneOptions, scene_counts
 from tactile_toolkit.checked_fields import choice, integer, text
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ app = new_app(
 def generate(
     *,
     split: str = choice("all", ("train", "test", "all"), help="Split to make."),
-    out: Out = "starstruck-data",
+    out: str = out_folder("starstruck-data"),
     scenes: Any = text(
         metavar="N|train=N,test=N",
         read=scene_counts,
@@ -39,7 +41,7 @@ def generate(
     ),
     scene: SceneOptions,
     seed: int = integer(0, help="Random seed."),
-    limit: Limit = None,
+    limit: int | None = LIMIT,
     making: Making,
     sink: Sink,
 ) -> None:
@@ -50,9 +52,7 @@ def generate(
     After an interruption, the same command continues; finished shards are kept.
     """
     from starstruck_gen.make import PUBLISHED_SIZES, GenerateSpec, SceneMaking
-    from starstruck_gen.make import generate as make
     from starstruck_gen.sampling import SPLITS, require_feasible
-    from tactile_toolkit.making import forecast
     from tactile_toolkit.run.threads import limit_threads
 
     spec = GenerateSpec(scene.spec(), scenes or PUBLISHED_SIZES, seed, limit)
@@ -64,20 +64,11 @@ def generate(
     # Before anything is made or forecast, which may take minutes.
     with sink.progress("trying whether the fullest scene has room", "failed layouts") as on_failure:
         require = partial(require_feasible, spec.scene, spec.seed, on_failure)
-        generate_set(
-            sink,
-            KIND,
-            making,
-            out,
-            splits,
-            what="making scenes",
-            forecast=partial(forecast, SceneMaking(spec), out, splits, require=require),
-            make=partial(make, spec, out, splits, on_failure=on_failure),
-            print_made=_print_made,
-        )
+        rows = SceneMaking(spec)
+        generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
 
 
-def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
+def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
     from starstruck_gen.card import summarise
 
     summaries = summarise(manifest)
@@ -95,7 +86,7 @@ def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | Non
     ]
     header = ("split", "scenes", "per class", "Parquet", "bytes per scene", "accepted", "started over")
     splits = [summary.to_dict() for summary in summaries]
-    print_made(sink, KIND, manifest, out, splits, elapsed_s, (header, rows))
+    print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
     for summary in summaries if elapsed_s is None else ():
         counts = zip(summary.acceptance.objects, summary.acceptance.attempts, strict=True)
         sink.table(
@@ -131,19 +122,28 @@ def _print_checked(sink: Sink, results: Sequence[Checked]) -> None:
     )
 
 
-_GEOMETRY = Geometry(
-    "scenes",
+_CHECKS = Geometry("scenes", _check, _print_checked)
+
+
+def _validate(
+    *,
+    paths: list[str] = FOLDERS,
+    split: str | None = SPLIT,
+    limit: int | None = LIMIT,
+    workers: int = WORKERS,
+    sink: Sink,
+) -> None:
     """Check scenes as read back from disk: solids that do not overlap, and as many stars as the label states.
 
     Example: starstruck validate scenes
 
     Exit code 1 when a scene is invalid. For a folder, `verify --geometry` checks its files as well.
-    """,
-    _check,
-    _print_checked,
+    """
+    check_objects(sink, _CHECKS, paths, split, limit, workers)
+
+
+add_shared(
+    app, KIND, {"preview": preview_scenes, "validate": _validate}, print_made=_print_made, checks=_CHECKS
 )
-
-
-add_shared(app, KIND, preview_scenes, print_folder=_print_made, geometry=_GEOMETRY)
 
 main = partial(run, app)

@@ -4,31 +4,29 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import replace
+from dataclasses import MISSING
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import typer
-
 from cli.application import OptionsOf, command, new_app, run
-from cli.folders import add_shared
-from cli.making import generate_set, print_made
-from cli.options import Chosen, LocalOut, Making, Out, local_place
+from cli.folders import Objects
+from cli.making import generate_set, print_set
+from cli.options import Chosen, Making, argument, local_out_folder, local_place, out_folder
 from cli.output import Sink, bytes_text
-from cli.products import preview_touches
+from cli.products import gallery_of_touches, preview_touches
+from cli.shared import add_shared
 from tactile_sim.kind import KIND
 from tactile_sim.spec import SENSOR_NOISE, PairsSpec, PictureOptions, TouchPlan, TrainConfig
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_sim.generation import GenerateSpec
     from tactile_toolkit.store.manifest import Manifest
 
-
-PairsFolder = Annotated[str, typer.Argument(metavar="PAIRS", help="Folder that `tactile-sim pairs` made.")]
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
 
@@ -38,12 +36,9 @@ _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".
 @command(app)
 def generate(
     *,
-    objects: Annotated[
-        str,
-        typer.Argument(metavar="DIR|NAME", help="Digits, scenes or other meshes: folder, file or Hub id."),
-    ],
+    objects: str = argument("DIR|NAME", "Digits, scenes or other meshes: folder, file or Hub id."),
     chosen: Chosen,
-    out: Out = "touches",
+    out: str = out_folder("touches"),
     plan: Annotated[dict[str, Any], OptionsOf(TouchPlan)],
     picture: PictureOptions,
     making: Making,
@@ -55,8 +50,7 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from tactile_sim.generation import GenerateSpec, forecast
-    from tactile_sim.generation import generate as make
+    from tactile_sim.generation import GenerateSpec, TouchMaking
     from tactile_toolkit.run.threads import prepare_batch_process
 
     # "cell" is the default, and who gives a table means it; any other place with a table is refused.
@@ -68,17 +62,9 @@ def generate(
     spec = _noted(sink, picture, GenerateSpec.of(picture, TouchPlan(**plan), **given))
     if not making.dry_run:
         prepare_batch_process()
-    generate_set(
-        sink,
-        KIND,
-        making,
-        out,
-        splits,
-        what="rendering",
-        forecast=partial(forecast, objects, spec, out, splits),
-        make=partial(make, objects, spec, out, splits),
-        print_made=_print_made,
-    )
+    touches = TouchMaking.of(objects, spec)
+    require = partial(touches.refuse_sources, objects, out)
+    generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
 
 
 def _noted(sink: Sink, picture: PictureOptions, spec: GenerateSpec) -> GenerateSpec:
@@ -87,7 +73,7 @@ def _noted(sink: Sink, picture: PictureOptions, spec: GenerateSpec) -> GenerateS
     return spec
 
 
-def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
+def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
     rows = []
     for split, held in manifest.split_table().items():
         # Shards carry their counts, so that no row is read for this table.
@@ -96,7 +82,7 @@ def _print_made(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | Non
         share = f"{100 * contact / touches:.1f} %" if touches else "-"
         rows.append((split, held["rows"], touches, share, held["skipped"], bytes_text(held["bytes"])))
     header = ("split", "rounds", "touches", "on the object", "objects left out", "Parquet")
-    print_made(sink, KIND, manifest, out, manifest.split_table(), elapsed_s, (header, rows))
+    print_set(sink, kind, manifest, out, elapsed_s, header, rows)
 
 
 def _place_m(words: str) -> tuple[float, float] | None:
@@ -115,9 +101,7 @@ def _place_m(words: str) -> tuple[float, float] | None:
 @command(app)
 def render(
     *,
-    mesh: Annotated[
-        Path, typer.Argument(metavar="FILE", help="A mesh: STL/3MF/PLY/OBJ in millimetres, GLB in metres.")
-    ],
+    mesh: Path = argument("FILE", "A mesh: STL/3MF/PLY/OBJ in millimetres, GLB in metres.", read=Path),
     at: tuple[float, float] | None = text(
         (0.0, 0.0),
         name="--at-mm",
@@ -131,7 +115,6 @@ def render(
     out: Path = text(
         Path("touch.png"),
         name="--out",
-        shown="touch.png",
         metavar="FILE",
         read=local_place,
         help="Image to write.",
@@ -172,10 +155,10 @@ def render(
 @command(app)
 def pairs(
     *,
-    objects: Annotated[str, typer.Argument(metavar="DIGITS", help="Digits or other meshes.")],
-    real: Annotated[str, typer.Option("--real", metavar="TOUCHES", help="Real touches: name or folder.")],
+    objects: str = argument("DIGITS", "Digits or other meshes."),
+    real: str = text(MISSING, metavar="TOUCHES", help="Real touches: name or folder."),
     split: str = text("train", metavar="NAME", help="Split of both data sets."),
-    out: Out = "pairs",
+    out: str = out_folder("pairs"),
     spec: PairsSpec,
     making: Making,
     sink: Sink,
@@ -184,30 +167,22 @@ def pairs(
 
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
-    from tactile_sim.pairs import PairsMaking, make_pairs
-    from tactile_toolkit.making import forecast
+    from tactile_sim.pairs import PairsMaking
     from tactile_toolkit.run.threads import prepare_batch_process
 
-    sources = (objects, real, split, spec)
     prepare_batch_process()
-    generate_set(
-        sink,
-        replace(KIND, nouns="pictures", made_by="tactile-sim pairs"),
-        making,
-        out,
-        None,
-        what="pressing and scaling",
-        forecast=lambda *work, **how: forecast(PairsMaking.of(*sources), out, None, *work, **how),
-        make=partial(make_pairs, *sources, out),
-        print_made=_print_pairs,
-    )
+    pairs = PairsMaking.of(objects, real, split, spec)
+    require = partial(pairs.refuse_sources, objects, out)
+    generate_set(sink, "pressing and scaling", pairs, out, None, making, _print_pairs, require)
 
 
-def _print_pairs(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
+def _print_pairs(
+    sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, elapsed_s: float | None
+) -> None:
     header = ("split", "rows", "objects left out", "Parquet")
     table = manifest.split_table()
     rows = [(name, held["rows"], held["skipped"], bytes_text(held["bytes"])) for name, held in table.items()]
-    print_made(sink, KIND, manifest, out, table, elapsed_s, (header, rows))
+    print_set(sink, kind, manifest, out, elapsed_s, header, rows)
     if manifest.complete and elapsed_s is not None:
         sink.line(f"next: tactile-sim train {out} --out weights")
 
@@ -215,8 +190,8 @@ def _print_pairs(sink: Sink, manifest: Manifest, out: str, elapsed_s: float | No
 @command(app)
 def train(
     *,
-    pairs: PairsFolder,
-    out: LocalOut = Path("weights"),
+    pairs: str = argument("PAIRS", "Folder that `tactile-sim pairs` made."),
+    out: Path = local_out_folder("weights"),
     config: Path | None = text(
         metavar="FILE",
         read=local_place,
@@ -265,14 +240,9 @@ def train(
 @command(app)
 def evaluate(
     *,
-    weights: Annotated[
-        Path,
-        typer.Argument(metavar="WEIGHTS", help="Folder that `tactile-sim train` wrote.", parser=local_place),
-    ],
-    pairs: Annotated[
-        str, typer.Option("--pairs", metavar="PAIRS", help="Pairs that the training did not use.")
-    ],
-    out: LocalOut = Path("evaluation"),
+    weights: Path = argument("WEIGHTS", "Folder that `tactile-sim train` wrote.", read=local_place),
+    pairs: str = text(MISSING, metavar="PAIRS", help="Pairs that the training did not use."),
+    out: Path = local_out_folder("evaluation"),
     count: int = integer(2000, 1, help="Maximum number of images."),
     taxim: bool = switch(True, help="Compare with Taxim (extra sim)."),
     sensor_noise: str = text(
@@ -301,6 +271,13 @@ def evaluate(
     sink.line(f"table and pictures are in {out}")
 
 
-add_shared(app, KIND, preview_touches, print_folder=_print_made)
+add_shared(
+    app,
+    KIND,
+    {"preview": preview_touches, "gallery": gallery_of_touches, "export": None},
+    print_made=_print_made,
+    checks=None,
+    objects=Objects(),
+)
 
 main = partial(run, app)

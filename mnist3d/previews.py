@@ -97,7 +97,12 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
 def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixels]) -> PicturePlan:
     """Plan the one picture that a single file allows; InputError where anything else was asked for."""
     asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
-    given = {"--split": spec.split, "--ids": spec.ids, "--labels": spec.labels}
+    given = {
+        "--split": spec.split,
+        "--ids": spec.ids,
+        "--labels": spec.labels,
+        "--limit": spec.limit,
+    }
     asked += [option for option, value in given.items() if value]
     if asked:
         raise InputError(f"{asked[0]} needs a data set, and {name!r} is a single file", next="leave it out")

@@ -9,7 +9,7 @@ from realtouch.dataset import (
 )
 from realtouch.exchange.api import export as export
 from realtouch.exchange.importing import import_images as import_images
-from realtouch.exchange.items import ImportColumns as ImportColumns
+from realtouch.spec import ImportColumns as ImportColumns
 from realtouch.verification import verify as verify
 from realtouch.clips import TouchClip as TouchClip
 from realtouch.opening import SHORT_NAMES as SHORT_NAMES

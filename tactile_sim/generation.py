@@ -29,7 +29,6 @@ from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.making import Forecast
 from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.mesh import MeshLike
 from tactile_toolkit.read.parquet import ShardedTable
@@ -219,6 +218,11 @@ class TouchMaking(making.Making):
                 split: places for split, _, places in choose_rows(solids, **spec._chosen, limit=spec.limit)
             }
         return cls(spec, splits, rows)
+
+    def refuse_sources(self, source: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
+        """Refuse to write into the source, as it is called (InputError)."""
+        shards = (shard for each in self.source.values() for shard in each.shards)
+        refuse_source(DataFolder(os.fspath(out)), os.fspath(source), shards)
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and source, each split for itself: a folder can be filled split by split."""
@@ -415,28 +419,8 @@ def generate(
         workers=workers,
         overwrite=overwrite,
         on_progress=on_progress,
-        require=partial(_refuse_source, touches, source, out),
+        require=partial(touches.refuse_sources, source, out),
     )
-
-
-def forecast(
-    source: str,
-    spec: GenerateSpec,
-    out: str | os.PathLike[str],
-    splits: Sequence[str] | None,
-    workers: int | Runner,
-    *,
-    overwrite: bool = False,
-) -> Forecast:
-    """Estimate a run of :func:`generate` by making some of its rounds; writes nothing."""
-    touches = TouchMaking.of(source, spec)
-    require = partial(_refuse_source, touches, source, out)
-    return making.forecast(touches, out, splits, workers, overwrite=overwrite, require=require)
-
-
-def _refuse_source(touches: TouchMaking, source: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
-    shards = (shard for each in touches.source.values() for shard in each.shards)
-    refuse_source(DataFolder(os.fspath(out)), os.fspath(source), shards)
 
 
 # On a surface as large as the cell they are two millimetres apart.

@@ -11,7 +11,7 @@ import io
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
+from functools import cache, cached_property, partial
 from typing import Any
 
 import numpy as np
@@ -213,7 +213,7 @@ class PairsMaking(making.Making):
     real: str
     split: str
     names: tuple[str, ...] = field(repr=False)
-    kind = KIND
+    kind = replace(KIND, nouns="pictures", made_by="tactile-sim pairs")
 
     @classmethod
     def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsMaking:
@@ -225,6 +225,12 @@ class PairsMaking(making.Making):
         if spec.min_height_m is None:
             spec = replace(spec, min_height_m=max(rule.min_height_m for rule in touches.contact_rules()))
         return cls(spec, solids, real, split, tuple(touches.touches().label_names))
+
+    def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
+        """Refuse to write into a source; ``objects`` is what that of the depth is called (InputError)."""
+        folder = DataFolder(os.fspath(out))
+        refuse_source(folder, objects, self.objects.shards)
+        refuse_source(folder, self.real, find_shards(place_of(self.real), self.split))
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and sources."""
@@ -387,12 +393,8 @@ def make_pairs(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """
-    pairs, folder = PairsMaking.of(objects, real, split, spec), DataFolder(os.fspath(out))
-
-    def require() -> None:
-        for source in (objects, real):
-            refuse_source(folder, source, find_shards(place_of(source), split))
-
+    pairs = PairsMaking.of(objects, real, split, spec)
+    require = partial(pairs.refuse_sources, objects, out)
     return making.generate(
         pairs, out, workers=workers, overwrite=overwrite, on_progress=on_progress, require=require
     )

@@ -23,13 +23,16 @@ class OptionText(TypedDict, total=False):
     """How a field is given on a command line; without ``help`` it cannot be given there.
 
     ``name`` stands for ``--NAME-OF-THE-FIELD``, ``shown`` for a default that follows from others, ``panel``
-    for a part of the help, ``read`` for what makes a value of the text.
+    for a part of the help, ``read`` for what makes a value of the text. An ``argument`` has no name on the
+    command line; ``several`` lets it be given more than once.
     """
 
+    argument: bool
     help: str
     name: str
     metavar: str
     panel: str
+    several: bool
     shown: str
     read: Callable[[str], Any]
 

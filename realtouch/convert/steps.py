@@ -23,6 +23,7 @@ from realtouch.damage import damaged
 from realtouch.images import SensorImages
 from realtouch.preprocess import background
 from realtouch.rounds import TouchSingleRound
+from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
@@ -229,8 +230,6 @@ class KeepTouches:
 
 IMAGE_FOLDER = "images"
 INDEX_FILE = "index.csv"
-POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
-POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
 
 _JPEG_START = b"\xff\xd8"
 _INDEX_SCHEMA = pa.schema(

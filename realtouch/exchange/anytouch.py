@@ -14,7 +14,8 @@ import pyarrow as pa
 
 from realtouch.convert.plan import Made, with_files, write_changed
 from realtouch.exchange.flat import IMAGE, as_jpeg, background_of, plan_rows
-from realtouch.exchange.items import HERE, ImportColumns, Item, size_below
+from realtouch.exchange.items import HERE, Item, size_below
+from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder

@@ -22,8 +22,9 @@ from realtouch.convert.plan import (
     checksums,
     marked_repetitions,
 )
-from realtouch.convert.steps import POSE_COLUMNS, POSITION_COLUMNS, columns_of_touches, shown_touches
+from realtouch.convert.steps import columns_of_touches, shown_touches
 from realtouch.damage import damaged, naming
+from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from realtouch.touch import touch_id
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.dataset import Row

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cache
 
-from realtouch.exchange.items import HERE, ImportColumns, Item, read_table, require_columns, size_below
+from realtouch.exchange.items import HERE, Item, read_table, require_columns, size_below
+from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import problem_of_name

@@ -15,11 +15,11 @@ from typing import Any
 import pyarrow as pa
 
 from realtouch.convert.plan import Made, checksums, with_files, write_changed
-from realtouch.convert.steps import POSE_COLUMNS
 from realtouch.exchange import webdataset
 from realtouch.exchange.flat import IMAGE, as_jpeg, plan_rows
-from realtouch.exchange.items import ImportColumns, Item
+from realtouch.exchange.items import Item
 from realtouch.exchange.webdataset import tar_of
+from realtouch.spec import POSE_COLUMNS, ImportColumns
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest

@@ -21,8 +21,9 @@ from realtouch.card import write_card
 from realtouch.convert.plan import KIND
 from realtouch.exchange.api import ImportLayout, format_of
 from realtouch.exchange.flat import require_intact
-from realtouch.exchange.items import NUMBERED, ImportColumns, Item, contents_of
+from realtouch.exchange.items import NUMBERED, Item, contents_of
 from realtouch.poses import bad_pose
+from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.build import Progress, build

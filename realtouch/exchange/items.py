@@ -5,13 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from realtouch.convert.steps import POSE_COLUMNS, POSITION_COLUMNS
+from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder, split_uri
@@ -28,73 +28,6 @@ HERE = re.compile(r"^(?:\./+)+")
 
 _FAR_READERS = 16
 """Images of a store that are asked for at a time: each answer takes long, and they are small."""
-
-
-@dataclass(frozen=True, slots=True)
-class ImportColumns:
-    """Which columns of a table, or fields of JSON files, hold labels, positions and so on.
-
-    What is not named is read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
-    write, where the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
-    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``. An empty text or tuple stands for no column.
-
-    Attributes
-    ----------
-    image : str or None
-        Path of the image below the folder; for WebDataset, its file extension, or None for the first image of
-        a sample; for a replay buffer, its array of pixels.
-    label : str or None
-        Class: a number, or a name.
-    round : str or None
-        Which touches belong together; without it each is a round of its own.
-    object_id : str or None
-        Number of the touched object, an integer.
-    position : tuple of str or None
-        x and y of the intended position, metres, cell frame; or one field that holds both.
-    pose : tuple of str or None
-        Position and quaternion (x, y, z, w) of the gel, metres, cell frame: seven, or one field with all.
-    split : str or None
-        Split of each touch.
-    """
-
-    image: str | None = "file"
-    label: str | None = None
-    round: str | None = None
-    object_id: str | None = None
-    position: tuple[str, ...] | None = None
-    pose: tuple[str, ...] | None = None
-    split: str | None = None
-
-    def __post_init__(self) -> None:
-        for what, chosen, count in (("position", self.position, 2), ("pose", self.pose, 7)):
-            names = chosen or ()
-            if len(names) not in (0, 1, count):
-                raise InputError(
-                    f"{len(names)} {what} columns ({', '.join(names)}); expected {count}, or one that holds "
-                    f"a list of {count}"
-                )
-
-    def found_in(self, known: Collection[str]) -> ImportColumns:
-        """Return these columns and, where none was named, those of our own exports among the known ones."""
-
-        def ours(chosen: Any, *names: str) -> Any:
-            found = (names if names[1:] else names[0]) if {*names} <= {*known} else None
-            return found if chosen is None else chosen
-
-        return replace(
-            self,
-            label=ours(self.label, "label_name") or "label",
-            round=ours(self.round, "round_id"),
-            object_id=ours(self.object_id, "object_id"),
-            position=ours(self.position, *POSITION_COLUMNS),
-            pose=ours(self.pose, *POSE_COLUMNS),
-            split=ours(self.split, "split"),
-        )
-
-    def names(self) -> list[str]:
-        """Return the columns that must be there."""
-        plain = (self.label, self.round, self.object_id, self.split)
-        return list(dict.fromkeys(filter(None, (*plain, *(self.position or ()), *(self.pose or ())))))
 
 
 @dataclass(frozen=True, slots=True)

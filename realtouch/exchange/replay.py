@@ -25,10 +25,10 @@ from numpy.typing import NDArray
 from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import Choices, Conversion, Source
-from realtouch.convert.steps import POSE_COLUMNS, POSITION_COLUMNS
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
 from realtouch.exchange.flat import decoded
-from realtouch.exchange.items import ImportColumns, Item
+from realtouch.exchange.items import Item
+from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder

@@ -19,7 +19,8 @@ from pyarrow import csv as arrow_csv
 
 from realtouch.convert.plan import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import IMAGE, background_of, plan_rows
-from realtouch.exchange.items import ImportColumns, Item, read_table
+from realtouch.exchange.items import Item, read_table
+from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest

@@ -16,7 +16,8 @@ import pyarrow as pa
 
 from realtouch.convert.plan import Made, with_files
 from realtouch.exchange.flat import IMAGE, plan_rows
-from realtouch.exchange.items import HERE, IMAGE_ENDINGS, ImportColumns, Item, require_columns
+from realtouch.exchange.items import HERE, IMAGE_ENDINGS, Item, require_columns
+from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.names import problem_of_name

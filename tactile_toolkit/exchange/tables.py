@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
@@ -15,7 +15,9 @@ from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
+from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, ShardContent, inspect_job
 from tactile_toolkit.store.manifest import Manifest
@@ -59,25 +61,34 @@ class _WriteTable:
 
 
 def plan_tables(
-    kind: DatasetKind, name: str, choices: Choices, options: Mapping[str, Any], out: str
+    kind: DatasetKind, name: str, choices: Choices, chosen: Mapping[str, Any], out: str
 ) -> BuildPlan:
     """Plan Parquet files of chosen rows of splits, which other libraries read.
 
-    ``options`` are JSON values by which the rows were chosen. Raises as all makers of folders do.
+    ``chosen`` is what :func:`~tactile_toolkit.catalog.choose.choose_rows` chose them by. Raises as all makers
+    of folders do.
     """
     tasks, shards = [], {}
-    for split, rows, chosen in choices:
+    for split, rows, places in choices:
         shards[split] = [shard for table in rows._tables for shard in table.shards]
-        starts = range(0, len(chosen), _ROWS_PER_FILE)
+        starts = range(0, len(places), _ROWS_PER_FILE)
         for index, start in enumerate(starts):
-            part = rows[chosen[start : start + _ROWS_PER_FILE]]
+            part = rows[places[start : start + _ROWS_PER_FILE]]
             tasks.append(_WriteTable(ShardName(split, index, len(starts)), part))
+    ids = [each if isinstance(each, tuple) else (each,) for each in chosen["ids"] or ()]
+    options = {
+        "layout": "flat",
+        "ids": ",".join("-".join(map(str, each)) for each in ids) or None,
+        "labels": ",".join(chosen["labels"] or ()) or None,
+        "limit": chosen["limit"],
+        **({} if chosen["per_class"] is None else {"per_class": chosen["per_class"]}),
+    }
     every = [shard for found in shards.values() for shard in found]
     refuse_source(DataFolder(out), name, every)
     made = manifest_beside(every[0])
     spec = {
         "operation": EXPORT,
-        "options": {"layout": "flat", **options},
+        "options": options,
         "source": {split: list(map(file_fingerprint, found)) for split, found in shards.items()},
         "source_spec": None if made is None else made.spec,
     }
@@ -93,6 +104,21 @@ def forecast_tables(plan: BuildPlan, out: str, *, overwrite: bool = False) -> tu
     tasks = [task for task in plan.tasks if isinstance(task, _WriteTable)]
     sample, rows = tasks[0].rows[:_SAMPLED], sum(task.size for task in tasks)
     return rows, round(rows * len(encode_parquet(flat_table(sample), _STYLE)) / len(sample))
+
+
+def export_tables(
+    kind: DatasetKind,
+    plan: BuildPlan,
+    out: str,
+    *,
+    workers: int | Runner = 1,
+    overwrite: bool = False,
+    on_progress: Callable[[Progress], None] = lambda _: None,
+) -> Manifest:
+    """Write planned tables; raises as all makers of folders do."""
+    runner, card = runner_for(workers), kind.write_card
+    folder = DataFolder(out)
+    return build(folder, plan, runner, overwrite=overwrite, on_progress=on_progress, write_card=card)
 
 
 def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:

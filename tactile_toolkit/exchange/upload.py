@@ -21,6 +21,7 @@ from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
 from tactile_toolkit.cards.facts import configs, folder_facts, with_head
 from tactile_toolkit.catalog.kinds import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.exchange.tables import viewer_tables
 from tactile_toolkit.hub.calls import call_with_retry, page_of
 from tactile_toolkit.hub.repository import HubName, HubSnapshot, hub_name, listing
@@ -34,52 +35,12 @@ from tactile_toolkit.store.origin import HubFile, has_digest
 from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding, ShardName
 from tactile_toolkit.store.verify import problem_of_place, verify
 
-_MAIN = "main"
 # Written by the Hub itself; every repository has them.
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _THREADS = 8
 
 T = TypeVar("T")
-
-
-@dataclass(frozen=True, slots=True)
-class UploadOptions:
-    """What the user decides about an upload.
-
-    Attributes
-    ----------
-    private : bool
-        Create the repository so that only its owner sees it.
-    revision : str or None
-        Branch (made if it is not there) or pull request (``refs/pr/3``) to write to; ``main`` where None.
-    create_pr : bool
-        Open a pull request against the main branch instead of writing to it.
-    message : str or None
-        First line of the commit.
-    tag : str or None
-        Name to give to the commit, next to that of the schema version; what is not merged yet gets none.
-    delete : bool
-        Remove files from the repository that the folder does not have.
-    viewer : bool
-        Send each row once more, with its mesh as a file that the Hub's page shows; without, such files of
-        former uploads are removed.
-    """
-
-    private: bool = False
-    revision: str | None = None
-    create_pr: bool = False
-    message: str | None = None
-    tag: str | None = None
-    delete: bool = False
-    viewer: bool = False
-
-    def __post_init__(self) -> None:
-        if self.create_pr and (self.tag or self.revision not in (None, _MAIN)):
-            raise InputError(
-                "--create-pr and another --revision or a --tag exclude each other",
-                next="leave one of them out",
-            )
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,7 +125,7 @@ class UploadTarget:
     """
 
     repo_id: str
-    branch: str = _MAIN
+    branch: str = MAIN_BRANCH
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
     held: HubSnapshot | None = None
     tags: Mapping[str, str] = field(default_factory=dict)
@@ -206,7 +167,7 @@ class UploadTarget:
             tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
             # A pull request that is written to is not listed.
             is_there = self.branch.startswith("refs/") or self.branch in {ref.name for ref in refs.branches}
-            held = listing(self.repo_id, self.branch if is_there else _MAIN)
+            held = listing(self.repo_id, self.branch if is_there else MAIN_BRANCH)
             return replace(self, held=held, tags=tags, has_branch=is_there)
 
         return self.ask(look)
@@ -240,7 +201,7 @@ class PreparedUpload:
     def tags(self) -> tuple[str, ...]:
         """Names that the commit gets: the schema version's on the main branch, and the user's."""
         # What is not merged yet may never be.
-        is_main = self.target.branch == _MAIN and not self.options.create_pr
+        is_main = self.target.branch == MAIN_BRANCH and not self.options.create_pr
         schema = [f"schema-{self.manifest.schema_version}"] if is_main else []
         return tuple(dict.fromkeys([*schema, *([self.options.tag] if self.options.tag else [])]))
 
@@ -284,7 +245,7 @@ def prepare_upload(
     that cannot be used), IntegrityError (damage, a card that does not fit the data) or HubError.
     """
     chosen, place = options or UploadOptions(), DataFolder(folder)
-    manifest, target = read_manifest(place), UploadTarget(repo_id, chosen.revision or _MAIN, on_wait)
+    manifest, target = read_manifest(place), UploadTarget(repo_id, chosen.revision or MAIN_BRANCH, on_wait)
     if hub_name(repo_id) != HubName(repo_id, None, ""):
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
     if manifest is None:
@@ -391,7 +352,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     if target.held is None:
         # exist_ok: another upload may have made it since it was looked for.
         target.do("create_repo", private=options.private, exist_ok=True)
-    if not target.has_branch and target.branch != _MAIN:
+    if not target.has_branch and target.branch != MAIN_BRANCH:
         start = target.held.commit if target.held else None
         target.do("create_branch", branch=target.branch, revision=start, exist_ok=True)
     # A second try would open a second pull request where only the answer to the first was lost.

@@ -9,7 +9,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from tactile_toolkit.catalog.choose import choose_rows, open_splits
+from tactile_toolkit.catalog.choose import IdChoice, choose_rows, open_splits
 from tactile_toolkit.catalog.kinds import require_kind
 from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.checked_fields import check_fields, integer
@@ -32,14 +32,15 @@ class PreviewSpec:
 
     Without kinds the usual ones, or single rows where ids are given; without a split all of them; without ids
     the first ``per_class`` rows of each class on a sheet, and the first row where one is shown alone. With
-    ``labels`` only rows of these classes.
+    ``labels`` only rows of these classes. Of all these, the first ``limit`` of each split.
     """
 
     kinds: tuple[str, ...] = ()
     split: str | None = None
-    ids: tuple[int, ...] = ()
+    ids: IdChoice | None = None
     per_class: int = integer(10, 1)
-    labels: tuple[str, ...] = ()
+    labels: Sequence[str] | None = None
+    limit: int | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "the previews")
@@ -60,12 +61,12 @@ class MeshPreviews(Generic[D]):
             self.datasets = {split: rows for split, rows in some.items() if len(rows)}
         if not self.datasets:
             raise InputError(
-                f"{name!r} has no {kind.nouns} of class {', '.join(spec.labels)}", next="name others"
+                f"{name!r} has no {kind.nouns} of class {', '.join(spec.labels or ())}", next="name others"
             )
         require_kind(kind, "preview", name, self.datasets.values())
         per_class = None if spec.ids else spec.per_class
         # The splits with the rows of the ids asked for, or else the first of each class.
-        self.chosen = choose_rows(self.datasets.items(), ids=spec.ids or None, per_class=per_class)
+        self.chosen = choose_rows(self.datasets.items(), ids=spec.ids, per_class=per_class, limit=spec.limit)
 
     @cached_property
     def records(self) -> list[tuple[str, Any]]:

@@ -7,20 +7,19 @@ import os
 import shlex
 import subprocess
 import sys
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated
 
 import pytest
 import typer
 from typer.testing import CliRunner
 
 from cli.application import command, new_app, run
-from cli.options import Folder, Making, Quiet
+from cli.options import FOLDER, Making
 from cli.output import Sink
-from tactile_toolkit.checked_fields import integer
+from tactile_toolkit.checked_fields import integer, switch
 from tactile_toolkit.errors import IntegrityError
 from tests.command_line import call
 from tests.processes import printed_by
@@ -37,8 +36,8 @@ COMMAND_LINES = [name.replace("-", "_") for name in PACKAGES.values()]
 
 @dataclass(frozen=True)
 class Size:
-    width: Annotated[int, typer.Option(min=1, help="Width.")]
-    height: Annotated[int, typer.Option("--tall", help="Height.")] = 2
+    width: int = integer(MISSING, 1, help="Width.")
+    height: int = integer(2, name="--tall", help="Height.")
 
 
 def test_a_command_gets_the_objects_and_help_names_the_options(tmp_path):
@@ -46,7 +45,7 @@ def test_a_command_gets_the_objects_and_help_names_the_options(tmp_path):
 
     @command(app)
     def make(
-        *, folder: Folder, size: Size, seed: int = integer(0, help="Seed."), making: Making, sink: Sink
+        *, folder: str = FOLDER, size: Size, seed: int = integer(0, help="Seed."), making: Making, sink: Sink
     ) -> None:
         """Make it."""
         got.update(locals())
@@ -118,7 +117,7 @@ def test_two_options_of_one_name_are_a_mistake_of_ours():
     with pytest.raises(ValueError, match="duplicate parameter name: 'quiet'"):
 
         @command(new_app("toy", "A toy."))
-        def twice(*, sink: Sink, quiet: Quiet = False) -> None:
+        def twice(*, sink: Sink, quiet: bool = switch(False, help="Twice.")) -> None:
             """Take --quiet twice."""
 
 

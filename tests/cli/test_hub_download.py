@@ -65,8 +65,8 @@ def server(root) -> Iterator[HubServer]:
 
 RUN = """
 import sys
-import cli.folders
-cli.folders._LARGE_BYTES = {large}
+import cli.hub
+cli.hub._LARGE_BYTES = {large}
 from cli.{command} import main
 sys.argv = [{command!r}, *{arguments!r}]
 code = 0

@@ -1,0 +1,277 @@
+"""Commands that send data sets to the Hugging Face Hub and fetch them."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Sequence
+from functools import partial
+from typing import TYPE_CHECKING
+
+import typer
+
+from cli.application import EXIT_FAILED
+from cli.options import FOLDER, REVISION, WORKERS, argument, parse_address, process_count
+from cli.output import BYTES, Sink, bytes_text
+from tactile_toolkit.checked_fields import switch, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import counted
+
+if TYPE_CHECKING:
+    from tactile_toolkit.exchange.download import DownloadPlan
+    from tactile_toolkit.exchange.upload import PreparedUpload, UploadResult
+
+_LARGE_BYTES = 1_000_000_000
+_FILES_SHOWN = 8
+"""Files of a longer list that are named."""
+
+
+def upload(
+    *,
+    kind: DatasetKind,
+    folder: str = FOLDER,
+    repository: str = argument("USER/NAME", "Repository of the Hub."),
+    options: UploadOptions,
+    dry_run: bool = switch(False, help="Print what would be sent; send nothing."),
+    yes: bool = switch(False, name="--yes -y", help="Send without asking."),
+    workers: int = WORKERS,
+    sink: Sink,
+) -> None:
+    """Verify a data set folder and upload it to the Hugging Face Hub; only missing files are sent.
+
+    After an interruption, the same command continues; after success, it sends nothing.
+    """
+    from tactile_toolkit.catalog.kinds import require_manifest
+    from tactile_toolkit.exchange.upload import check_folder, prepare_upload, run_upload
+    from tactile_toolkit.store.folder import DataFolder
+
+    _quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
+    require_manifest(kind, DataFolder(folder))
+    sink.info(f"checking {folder}")
+    check = partial(check_folder, kind, workers=process_count(workers))
+    prepared = prepare_upload(folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info)
+    _print_plan(sink, prepared)
+    result = None
+    if not dry_run:
+        # Even where all files are there, a branch to make is a change that may not be meant.
+        is_change = not (prepared.plan.is_done and prepared.target.has_branch)
+        refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
+        question = f"Send this to {prepared.target.page}?"
+        if is_change and not (
+            yes or _confirmed(question, refused, "add --yes, or look first with --dry-run")
+        ):
+            sys.stderr.write("nothing was sent\n")
+            raise typer.Exit(EXIT_FAILED)
+        result = run_upload(prepared)
+    _print_result(sink, kind, prepared, result)
+
+
+def download(
+    *,
+    kind: DatasetKind,
+    name: str = argument("NAME", "Short name of a published set, or USER/NAME on the Hub."),
+    split: list[str] | None = text(metavar="SPLIT", several=True, help="Only this split; may be repeated."),
+    revision: str | None = REVISION,
+    out: str | None = text(
+        name="--out -o",
+        metavar="DIR",
+        read=parse_address,
+        help="Folder to write; the Hub's own cache by default.",
+    ),
+    dry_run: bool = switch(False, help="Print what would be fetched; fetch nothing."),
+    yes: bool = switch(False, name="--yes -y", help="Do not ask before a large download."),
+    sink: Sink,
+) -> None:
+    """Download a data set from the Hub, or some of its splits, and check every file.
+
+    After an interruption, the same command continues. `list` names the published data sets.
+    """
+    from tactile_toolkit.catalog.kinds import kind_that_published
+    from tactile_toolkit.exchange.download import download as carry_out
+    from tactile_toolkit.exchange.download import plan_download
+
+    _quiet_client(is_all=True)
+    # The repository of a published set holds no manifest.
+    known = kind_that_published(name) or kind
+    if known is not kind:
+        raise InputError(
+            f"{name!r} is a data set of `{known.command}`", next=f"{known.command} download {name}"
+        )
+    plan = plan_download(name, split or (), revision=revision, out=out, on_wait=sink.info)
+    kind.refuse_other(plan.manifest, plan.repository.repo_id)
+    _introduce(sink, name, plan)
+    place = ""
+    if not dry_run:
+        size = bytes_text(plan.missing_bytes)
+        refused = f"{size} would be fetched, and stdin is not a terminal"
+        is_small = plan.missing_bytes <= _LARGE_BYTES
+        if not (yes or is_small or _confirmed(f"fetch {size}?", refused, "add --yes, or name a --split")):
+            raise InputError("aborted, nothing was fetched", next="name a --split to fetch less")
+        with sink.progress("fetching", BYTES) as update:
+            place = carry_out(plan, update)
+    _conclude(sink, plan, place, kind)
+
+
+def _quiet_client(*, is_all: bool) -> None:
+    """Let the Hub's client print less: the terminal is for this program. Its bars, too, where ``is_all``."""
+    from huggingface_hub.utils.tqdm import disable_progress_bars
+
+    logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
+    if is_all:
+        disable_progress_bars()  # it draws them whatever stderr is
+
+
+def _confirmed(question: str, refused: str, next_step: str) -> bool:
+    """Ask on the terminal; InputError where there is none."""
+    # The question goes to stderr: stdout may be a file, or hold the JSON document.
+    if not (sys.stdin.isatty() and sys.stderr.isatty()):
+        raise InputError(refused, next=next_step)
+    return typer.confirm(question, err=True)
+
+
+def _listed(paths: Sequence[str]) -> str:
+    """Name some files, and how many more there are."""
+    more = f" and {len(paths) - _FILES_SHOWN:,} more" if len(paths) > _FILES_SHOWN else ""
+    return ", ".join(paths[:_FILES_SHOWN]) + more
+
+
+def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
+    plan, target, where = prepared.plan, prepared.target, _where(prepared)
+    for paths, words in (
+        (prepared.left_out, "left out, no part of the data set: {}"),
+        (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes it)"),
+    ):
+        if paths:
+            sink.info(words.format(_listed(paths)))
+    if target.held is None:
+        visible = "private" if prepared.options.private else "public"
+        sink.line(f"{visible} repository to create: {where}")
+    elif not target.has_branch:
+        sink.line(f"branch to create at the head of main: {target.branch}")
+    if plan.is_done:
+        return
+    rows = [
+        (file.path, bytes_text(file.size), "changed" if file.path in target.files else "new")
+        for file in plan.to_send
+    ]
+    sink.table(("file", "size", "on the Hub"), rows[:_FILES_SHOWN])
+    if len(rows) > _FILES_SHOWN:
+        sink.line(f"  and {len(rows) - _FILES_SHOWN:,} more")
+    if plan.removed:
+        sink.line(f"  to remove: {_listed(plan.removed)}")
+    sizes = [sum(file.size for file in files) for files in (plan.to_send, prepared.files)]
+    sink.line(
+        f"{len(plan.to_send):,} of {len(prepared.files):,} files to send, {bytes_text(sizes[0])} of "
+        f"{bytes_text(sizes[1])}, {len(plan.removed):,} to remove, to {where}"
+    )
+
+
+def _print_result(
+    sink: Sink, kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None
+) -> None:
+    plan, target, where = prepared.plan, prepared.target, _where(prepared)
+    pull = result.pull if result else None
+    address = target.page if target.branch == MAIN_BRANCH else f"{target.page}/tree/{target.branch}"
+    if pull:  # its branch (refs/pr/N) has no page that can be merged from
+        address = f"{target.page}/discussions/{pull.rpartition('/')[2]}"
+    revision = pull or (None if target.branch == MAIN_BRANCH else target.branch)
+    split = prepared.manifest.splits[0]
+    first, call = kind.loading_lines(prepared.manifest, target.repo_id, split, revision)
+    lines = [first, f"data = {call}"]
+    sink.document(
+        {
+            "repository": target.repo_id,
+            "revision": target.branch,
+            "address": address,
+            "dry_run": result is None,
+            "exists": target.held is not None,
+            "private": target.held.is_private if target.held else prepared.options.private,
+            "files": len(prepared.files),
+            "bytes": sum(file.size for file in prepared.files),
+            "to_send": [file.path for file in plan.to_send],
+            "bytes_to_send": sum(file.size for file in plan.to_send),
+            "to_remove": plan.removed,
+            "kept": plan.kept,
+            "left_out": prepared.left_out,
+            "tags": prepared.tags,
+            "commit": result.commit if result else None,
+            "pull_request": pull,
+            "sent": result.sent if result else [],
+            "removed": result.removed if result else [],
+            "python": lines,
+        }
+    )
+    if plan.is_done:
+        sink.line(f"{where} holds all of it already, compared by checksum; nothing was sent")
+    elif result is None:
+        sink.line("nothing was sent")
+    else:
+        sink.line(
+            f"sent {counted(len(result.sent), 'files')}, removed {len(result.removed):,}; all "
+            f"{len(prepared.files):,} compared by checksum"
+        )
+    if result is not None:
+        if result.tags:
+            sink.line(f"tags set: {', '.join(result.tags)}")
+        sink.line("\n  ".join([address, *lines]))
+
+
+def _where(prepared: PreparedUpload) -> str:
+    branch = prepared.target.branch
+    return prepared.target.repo_id if branch == MAIN_BRANCH else f"{prepared.target.repo_id} ({branch})"
+
+
+def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
+    """Print what is fetched, how large it is, and under which terms it stands."""
+    from tactile_toolkit.catalog.kinds import published_set
+
+    known, files = published_set(name), plan.record.files.values()
+    licence = (known.licence if known else None) or plan.repository.snapshot.licence
+    sink.info(
+        f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
+        f"{counted(len(files), 'files')}, {bytes_text(sum(file.size_bytes for file in files))}, of which "
+        f"{bytes_text(plan.missing_bytes)} are to be fetched"
+    )
+    if plan.leftover:
+        sink.info(f"to remove, the Hub has them no more: {_listed(plan.leftover)}")
+    if plan.repository.snapshot.is_cache:
+        sink.info("the Hub gives no answer: what is known here of the data set is taken for all of it")
+    if known is not None and plan.missing:
+        sink.info(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")
+
+
+def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> None:
+    absent, files = {file.path for file in plan.missing}, plan.record.files.values()
+    sink.document(
+        {
+            "repository": plan.repository.repo_id,
+            "commit": plan.record.commit,
+            "splits": plan.splits,
+            "bytes": sum(file.size_bytes for file in files),
+            "missing_bytes": plan.missing_bytes,
+            "files": [
+                {"path": file.path, "bytes": file.size_bytes, "was_here": file.path not in absent}
+                for file in files
+            ],
+            "removed": plan.leftover,
+            "dry_run": not place,
+            "folder": place or None,
+        }
+    )
+    missing, count, gone = counted(len(plan.missing), "files"), len(plan.leftover), ""
+    if not place:
+        gone = f" and remove {count:,}" if count else ""
+        size = bytes_text(plan.missing_bytes)
+        sink.line(f"would fetch {missing}, {size}{gone}; nothing was fetched, nothing removed")
+        return
+    gone = f", removed {count:,} that the Hub has no more" if count else ""
+    done = "nothing was left to fetch" if plan.is_done else f"fetched {missing}{gone}"
+    sink.line(f"{done}; all {len(files):,} files are intact, in {place}")
+    # Files in the Hub's cache are found again by the name of the repository, and by the revision asked for.
+    name, revision = plan.repository.repo_id, plan.repository.revision
+    if plan.folder is not None:
+        name, revision = place, None
+    line = kind.loading_lines(plan.manifest, name, plan.splits[0], revision)[1]
+    sink.line(f"next in Python: {line}")

@@ -1,0 +1,44 @@
+"""The commands that command lines share, in one table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import typer
+
+from cli.application import command
+from cli.folders import cache, card, info, list_sets, show, verify
+from cli.hub import download, upload
+from cli.making import merge, split
+from cli.products import export, gallery_of_meshes
+from tactile_toolkit.kind import DatasetKind
+
+_COMMANDS: dict[str, Callable[..., None] | None] = {
+    "info": info,
+    "verify": verify,
+    "validate": None,
+    "show": show,
+    "preview": None,
+    "card": card,
+    "upload": upload,
+    "download": download,
+    "list": list_sets,
+    "merge": merge,
+    "split": split,
+    "cache": cache,
+    "gallery": gallery_of_meshes,
+    "export": export,
+}
+
+
+def add_shared(
+    app: typer.Typer, kind: DatasetKind, others: Mapping[str, Callable[..., None] | None], **known: Any
+) -> None:
+    """Add the shared commands, with what they must know of a kind.
+
+    ``others`` are the kind's own commands by name, in place of those here; None leaves one out.
+    """
+    for name, function in {**_COMMANDS, **others}.items():
+        if function is not None:
+            command(app, name, kind=kind, **known)(function)

@@ -1,0 +1,104 @@
+"""What commands of touches have options of, imported with nothing heavy."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any
+
+from tactile_toolkit.checked_fields import text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import listed
+
+POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
+POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
+
+
+@dataclass(frozen=True, slots=True)
+class ImportColumns:
+    """Which columns of a table, or fields of JSON files, hold labels, positions and so on.
+
+    What is not named is read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
+    write, where the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
+    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``. An empty text or tuple stands for no column.
+
+    Attributes
+    ----------
+    image : str or None
+        Path of the image below the folder; for WebDataset, its file extension, or None for the first image of
+        a sample; for a replay buffer, its array of pixels.
+    label : str or None
+        Class: a number, or a name.
+    round : str or None
+        Which touches belong together; without it each is a round of its own.
+    object_id : str or None
+        Number of the touched object, an integer.
+    position : tuple of str or None
+        x and y of the intended position, metres, cell frame; or one field that holds both.
+    pose : tuple of str or None
+        Position and quaternion (x, y, z, w) of the gel, metres, cell frame: seven, or one field with all.
+    split : str or None
+        Split of each touch.
+    """
+
+    image: str | None = text(
+        "file",
+        name="--image-column",
+        metavar="NAME",
+        help="Column of the paths of the images; for tars, their file extension.",
+    )
+    label: str | None = text(
+        name="--label-column",
+        metavar="NAME",
+        help="Column of the classes, numbers or names: label_name or label by default.",
+    )
+    round: str | None = text(
+        name="--round-column", metavar="NAME", help="Column that names the round of each image."
+    )
+    object_id: str | None = text(
+        name="--object-column", metavar="NAME", help="Column with the number of the object."
+    )
+    position: tuple[str, ...] | None = text(
+        name="--position-columns",
+        metavar="X,Y",
+        read=listed,
+        help="Columns of the intended position, in m, cell frame.",
+    )
+    pose: tuple[str, ...] | None = text(
+        name="--pose-columns",
+        metavar="X,Y,Z,QX,QY,QZ,QW",
+        read=listed,
+        help="Columns of the pose of the gel, in m, cell frame; or one column of lists.",
+    )
+    split: str | None = text(name="--split-column", metavar="NAME", help="Column of the split.")
+
+    def __post_init__(self) -> None:
+        for what, chosen, count in (("position", self.position, 2), ("pose", self.pose, 7)):
+            names = chosen or ()
+            if len(names) not in (0, 1, count):
+                raise InputError(
+                    f"{len(names)} {what} columns ({', '.join(names)}); expected {count}, or one that holds "
+                    f"a list of {count}"
+                )
+
+    def found_in(self, known: Collection[str]) -> ImportColumns:
+        """Return these columns and, where none was named, those of our own exports among the known ones."""
+
+        def ours(chosen: Any, *names: str) -> Any:
+            found = (names if names[1:] else names[0]) if {*names} <= {*known} else None
+            return found if chosen is None else chosen
+
+        return replace(
+            self,
+            label=ours(self.label, "label_name") or "label",
+            round=ours(self.round, "round_id"),
+            object_id=ours(self.object_id, "object_id"),
+            position=ours(self.position, *POSITION_COLUMNS),
+            pose=ours(self.pose, *POSE_COLUMNS),
+            split=ours(self.split, "split"),
+        )
+
+    def names(self) -> list[str]:
+        """Return the columns that must be there."""
+        plain = (self.label, self.round, self.object_id, self.split)
+        return list(dict.fromkeys(filter(None, (*plain, *(self.position or ()), *(self.pose or ())))))

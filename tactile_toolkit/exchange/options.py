@@ -1,0 +1,51 @@
+"""What is decided of an upload, imported with nothing heavy."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tactile_toolkit.checked_fields import switch, text
+from tactile_toolkit.errors import InputError
+
+MAIN_BRANCH = "main"
+
+
+@dataclass(frozen=True, slots=True)
+class UploadOptions:
+    """What the user decides about an upload.
+
+    Attributes
+    ----------
+    private : bool
+        Create the repository so that only its owner sees it.
+    revision : str or None
+        Branch (made if it is not there) or pull request (``refs/pr/3``) to write to; ``main`` where None.
+    create_pr : bool
+        Open a pull request against the main branch instead of writing to it.
+    message : str or None
+        First line of the commit.
+    tag : str or None
+        Name to give to the commit, next to that of the schema version; what is not merged yet gets none.
+    delete : bool
+        Remove files from the repository that the folder does not have.
+    viewer : bool
+        Send each row once more, with its mesh as a file that the Hub's page shows; without, such files of
+        former uploads are removed.
+    """
+
+    private: bool = switch(False, help="Create a private repository.")
+    revision: str | None = text(metavar="BRANCH", help="Branch to write to; created if it does not exist.")
+    create_pr: bool = switch(False, help="Open a pull request instead of writing to main.")
+    message: str | None = text(metavar="TEXT", help="First line of the commit.")
+    tag: str | None = text(
+        metavar="NAME", help="Tag of this version, such as v1, in addition to that of the schema."
+    )
+    delete: bool = switch(False, help="Remove files from the repository that the folder does not have.")
+    viewer: bool = switch(False, help="Also send each mesh as a file that the Hub shows in 3D.")
+
+    def __post_init__(self) -> None:
+        if self.create_pr and (self.tag or self.revision not in (None, MAIN_BRANCH)):
+            raise InputError(
+                "--create-pr and another --revision or a --tag exclude each other",
+                next="leave one of them out",
+            )
