@@ -19,15 +19,17 @@ from pathlib import Path
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from PIL import Image
 
 import realtouch
 from tactile_sim import center_view
 from tactile_sim.learned.evaluation import add_noise_per_object, two_sample_test
 from tactile_sim.learned.networks import (
-    CycleganDepth,
     CycleganOptics,
     Generator,
     GeneratorWeights,
+    depth_of,
+    generator_of,
     initialise,
     published_weights,
     read_weights,
@@ -36,7 +38,7 @@ from tactile_sim.learned.networks import (
 )
 from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
 from tactile_sim.noise import SensorNoise
-from tactile_sim.optics import TaximOptics
+from tactile_sim.optics import TaximOptics, scaled
 from tactile_sim.pairs import Pairs
 from tactile_sim.spec import TrainConfig
 from tactile_toolkit.store.folder import DataFolder
@@ -121,11 +123,24 @@ def moved(depth: NDArray[np.float32], down: int, right: int) -> NDArray[np.float
     return wide[:, reach - down : reach - down + height, reach - right : reach - right + width]
 
 
+def depth_again(weights: Path, pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the depth images that a file of weights reads from pictures, whatever size it was trained in."""
+    read = read_weights(weights)
+    trained_in = scaled(pictures, read.size_px)
+    found = depth_of(generator_of(read).eval(), trained_in)
+    return np.stack([resized_depth(each, SIZE) for each in found])
+
+
+def resized_depth(depth: NDArray[np.float32], size: tuple[int, int]) -> NDArray[np.float32]:
+    """Scale a depth image."""
+    return np.asarray(Image.fromarray(depth).resize(size, Image.Resampling.BICUBIC))
+
+
 def depth_errors(known: Known, work: Path) -> tuple[int, int]:
     """Print how far depth that is read from real touches is from the truth; return the best move of it."""
     sensor = center_view(*SIZE)
     few = slice(None, None, 7)  # the published network takes a third of a second for each
-    trained = CycleganDepth(work / "weights" / DEPTH_WEIGHTS).images(known.real, SIZE)
+    trained = depth_again(work / "weights" / DEPTH_WEIGHTS, known.real)
     # Nothing in pictures that are not paired says that depth and relief lie at the same place.
     reach = range(-10, 11)
     seen, held = slice(0, None, 2), slice(1, None, 2)
@@ -135,11 +150,11 @@ def depth_errors(known: Known, work: Path) -> tuple[int, int]:
     for name, found, true in (
         ("trained", trained, known.depth),
         (f"trained, moved by {best} pixels", moved(trained[held], *best), known.depth[held]),
-        ("untrained", CycleganDepth(work / "untrained.npz").images(known.real, SIZE), known.depth),
+        ("untrained", depth_again(work / "untrained.npz", known.real), known.depth),
         ("no contact anywhere", np.ones_like(known.depth), known.depth),
         (
             "published inverse",
-            CycleganDepth(work / "inverse.npz").images(known.real[few], SIZE),
+            depth_again(work / "inverse.npz", known.real[few]),
             known.depth[few],
         ),
     ):

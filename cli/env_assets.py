@@ -128,27 +128,16 @@ def list_environments(
     from env_assets.published.packages import overview
     from tactile_envs.config import IDS
 
-    found = overview(words or ())
+    found = [{**each, "native": each["id"] in IDS} for each in overview(words or ())]
     sink = Sink(as_json)
-    sink.document([{**asdict(each), "native": each.id in IDS} for each in found])
-    header = ("environment", "task", "split", "sensor", "assets", "state", "native")
-    rows = [
-        (
-            each.id,
-            each.task,
-            each.split,
-            each.sensor,
-            each.assets,
-            each.state,
-            "yes" if each.id in IDS else "-",
-        )
-        for each in found
-    ]
-    sink.table(header, rows)
+    sink.document(found)
+    shown = ("id", "task", "split", "sensor", "assets", "state")
+    rows = [(*(each[name] for name in shown), "yes" if each["native"] else "-") for each in found]
+    sink.table(("environment", *shown[1:], "native"), rows)
     sink.line(f"{counted(len(found), 'environments')} of tactile-mnist {version('tactile-mnist')}")
-    for note in dict.fromkeys(each.note for each in found if each.note):
+    for note in dict.fromkeys(each["note"] for each in found if each["note"]):
         sink.line(note)
-    if any(each.id in IDS for each in found):
+    if any(each["native"] for each in found):
         sink.line("native: `tactile_envs:ID` runs it a hundred times as fast, with the same episodes")
 
 

@@ -82,22 +82,6 @@ class AssetSource(Protocol):
         """Return the rounds of real touches of a split, such as ``realtouch.load`` opens them."""
         ...
 
-    def volumes_m3(self, name: str, split: str = "train") -> NDArray[np.float64]:
-        """Return the volume of each mesh of a split, shape (n,), cubic metres."""
-        ...
-
-    def height_map(self, record: Any, pitch_m: float = 0.0002) -> HeightMap:
-        """Return the top surface of a mesh as a grid; see :class:`env_assets.HeightMap`."""
-        ...
-
-    def bounds(self, record: Any) -> NDArray[np.float64]:
-        """Return lowest and highest corner of a mesh, shape (2, 3), metres, in its own frame."""
-        ...
-
-    def placements(self, record: Any) -> Sequence[Any]:
-        """Return shape and position of the objects of a Starstruck scene, stars first."""
-        ...
-
 
 class AssetProvider:
     """Provides assets to environments; an :class:`env_assets.AssetSource`.

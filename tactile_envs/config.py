@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from math import pi
-from numbers import Integral
 from typing import Any, Literal
 
+from tactile_sim.sensor import Sensor
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import did_you_mean
 
 Task = Literal["classification", "volume", "pose"]
 Frame = Literal["model", "mass"]
@@ -17,6 +18,10 @@ Frame = Literal["model", "mass"]
 _CELL_M = (0.12, 0.12)
 _GELSIGHT_M = (0.032, 0.028)  # tactile-mnist 0.13.0, GELSIGHT_MINI_OUTER_SIZE
 _PADDING_M = (0.003 + _GELSIGHT_M[0] / 2 + 0.0025, 0.003 + _GELSIGHT_M[1] / 2 + 0.0025)
+
+
+_SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
+"""Sensors, and the word of an id that names them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,56 +59,38 @@ class Config:
         memory as a picture. Only here.
     """
 
-    step_limit: int = 16
-    sensor_type: str = "taxim"
+    step_limit: int = integer(16, 1)
+    sensor_type: str = choice("taxim", tuple(_SENSORS))
     sensor_output_size: tuple[int, int] = (320, 240)
     perturb_object_pose: bool = True
-    translation_perturbation_scale: float = 1e-3
-    rotation_perturbation_scale: float = 5e-2
+    translation_perturbation_scale: float = real(1e-3, 0)
+    rotation_perturbation_scale: float = real(5e-2, 0)
     randomize_initial_object_pose: bool = True
-    max_initial_angle_perturbation: float = pi
-    object_placement_margin: float = 0.01
+    max_initial_angle_perturbation: float = real(pi)
+    object_placement_margin: float = real(0.01)
     randomize_initial_sensor_pose: bool = True
-    linear_velocity: float = 0.2
-    linear_acceleration: float = 4.0
-    transfer_timedelta_s: float = 0.2
-    action_regularization: float = 1e-3
-    timeout_behavior: str = "terminate"
-    cell_size: tuple[float, float] = _CELL_M
-    cell_padding: tuple[float, float] = _PADDING_M
-    snap_touch_positions: int | None = None
+    linear_velocity: float = real(0.2)
+    linear_acceleration: float = real(4.0, above=0)
+    transfer_timedelta_s: float = real(0.2)
+    action_regularization: float = real(1e-3)
+    timeout_behavior: str = choice("terminate", ("terminate", "truncate"))
+    cell_size: tuple[float, float] = real(_CELL_M, many=2)
+    cell_padding: tuple[float, float] = real(_PADDING_M, many=2)
+    snap_touch_positions: int | None = integer(None, 1, optional=True)
     depth_in_info: bool = False
 
     def __post_init__(self) -> None:
-        for name, choice in (("sensor_type", _SENSORS), ("timeout_behavior", ("terminate", "truncate"))):
-            if getattr(self, name) not in choice:
-                raise InputError(
-                    f"{name} in `config` is {getattr(self, name)!r}; expected {' or '.join(choice)}"
-                )
-        # As the published class takes them too: lists and arrays.
-        for name, kind in (("sensor_output_size", int), ("cell_size", float), ("cell_padding", float)):
-            object.__setattr__(self, name, tuple(map(kind, getattr(self, name))))
-        reach_m = [
-            side / 2 - padding for side, padding in zip(self.cell_size, self.cell_padding, strict=False)
-        ]
-        for name, is_right, expected in (
-            ("step_limit", _is_count(self.step_limit), "an integer from 1 on"),
-            (
-                "snap_touch_positions",
-                self.snap_touch_positions is None or _is_count(self.snap_touch_positions),
-                "None or an integer from 1 on",
-            ),
-            ("linear_acceleration", self.linear_acceleration > 0, "more than 0"),
-            ("sensor_output_size", len(self.sensor_output_size) == 2, "two integers"),
-            ("cell_size", len(self.cell_size) == 2, "two numbers, metres"),
-            (
-                "cell_padding",
-                len(self.cell_padding) == 2 and min(reach_m, default=0.0) > 0,
-                "two numbers, metres, less than half the cell",
-            ),
+        # A sensor checks its size: one rule for both.
+        object.__setattr__(self, "sensor_output_size", Sensor(self.sensor_output_size).size_px)
+        check_fields(self, "the environment")
+        if (
+            min(side / 2 - padding for side, padding in zip(self.cell_size, self.cell_padding, strict=True))
+            <= 0
         ):
-            if not is_right:
-                raise InputError(f"{name} in `config` is {getattr(self, name)!r}; expected {expected}")
+            raise InputError(
+                f"cell_padding of the environment is {self.cell_padding!r}; expected less than half of "
+                f"cell_size, {self.cell_size!r}"
+            )
 
     @property
     def longest_way_m(self) -> float:
@@ -113,26 +100,15 @@ class Config:
         return (half_s - ramp_s) * self.linear_velocity + 0.5 * self.linear_acceleration * ramp_s**2
 
 
-def _is_count(number: Any) -> bool:
-    return isinstance(number, Integral) and int(number) >= 1
-
-
-_SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
-"""Sensors, and the word of an id that names them."""
-
-
 def configured(config: Config, changes: Mapping[str, Any]) -> Config:
     """Return a configuration with other settings; InputError for one that is unknown."""
     known = [field.name for field in fields(Config)]
     for name in changes:
         if name not in known:
-            near = difflib.get_close_matches(name, known, n=1)
-            meant = f"; did you mean {near[0]!r}?" if near else ""
             raise InputError(
-                f"no setting {name!r} in `config` of a native environment{meant}",
-                next=f"choose one of "
-                f"{', '.join(known)}, or make the published environment with `env_assets.make`, which takes "
-                "all of its settings",
+                f"no setting {name!r} in `config` of a native environment{did_you_mean(name, known)}",
+                next=f"choose one of {', '.join(known)}, or make the published environment with "
+                "`env_assets.make`, which takes all of its settings",
             )
     return replace(config, **changes)
 

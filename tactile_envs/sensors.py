@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_sim.optics import make_optics
 from tactile_sim.sensor import center_view
 
 Size = tuple[int, int]
+_OPTICS = {"taxim": "taxim", "cycle_gan": "cyclegan"}
 
 
 class Camera(Protocol):
@@ -54,18 +55,8 @@ class _Optics:
     channels, sees_depth = 3, True
 
     def __init__(self, sensor: str, size: Size) -> None:
-        optics: Any
-        if sensor == "taxim":
-            from tactile_sim.optics import TaximOptics
-
-            optics = TaximOptics()
-            self._shades = optics.shades
-        else:
-            from tactile_sim.learned.networks import CycleganOptics
-
-            optics = CycleganOptics()
-            self._shades = partial(optics.shades, size_px=size)
-        self.depth_size = optics.depth_size(*size)
+        self._optics, self._size = make_optics(_OPTICS[sensor]), size
+        self.depth_size = self._optics.depth_size(*size)
         self._sensor = center_view(*self.depth_size)
         width, height = self.depth_size
         # The plate alone is pressed in evenly.
@@ -83,4 +74,4 @@ class _Optics:
         return found
 
     def _rendered(self, depths_m: NDArray[np.float64]) -> NDArray[np.float32]:
-        return np.asarray(self._shades(depths_m, self._sensor), np.float32)
+        return self._optics.shades(depths_m, self._sensor, self._size)

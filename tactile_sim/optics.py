@@ -10,12 +10,13 @@ colour is that of direction 0, which the package gives to a slope of exactly non
 from __future__ import annotations
 
 import json
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,19 +31,7 @@ from tactile_toolkit.touch.jpeg import resized
 if TYPE_CHECKING:
     from tactile_sim.kernels import Calibration, PictureTables
 
-__all__ = ["OPTICS", "Optics", "make_optics", "scaled"]
-
-
-class Optics(Protocol):
-    """A way of making pictures of depth maps."""
-
-    def depth_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return width and height of the depth maps that it wants for pictures of this size, pixels."""
-
-    def render(
-        self, depth_m: NDArray[np.float64], sensor: Sensor, size_px: tuple[int, int]
-    ) -> NDArray[np.uint8]:
-        """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres."""
+Numbers = NDArray[np.float64]
 
 
 def scaled(pictures: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
@@ -53,19 +42,40 @@ def scaled(pictures: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.
     return np.stack([resized(each, width, height) for each in pictures])
 
 
-class DepthOptics:
-    """The depth image itself, grey: black deepest in the gel, white no contact."""
+class Optics(ABC):
+    """A way of making pictures of depth maps."""
+
+    least_px = 1
+    """Least side of a picture."""
 
     def depth_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return the size of the picture."""
+        """Return the size of the depth maps that it wants for pictures of this size: the same, by default."""
+        if min(width, height) < self.least_px:
+            raise InputError(
+                f"a picture of {width} x {height} pixels is too small; expected at least {self.least_px} x "
+                f"{self.least_px}"
+            )
         return width, height
 
-    def render(
-        self, depth_m: NDArray[np.float64], sensor: Sensor, size_px: tuple[int, int]
-    ) -> NDArray[np.uint8]:
-        """Return depth images as grey levels, (n, H, W, 3), uint8, rounded to the nearest level."""
-        levels = np.rint(depth_image(depth_m, sensor) * np.float32(255)).astype(np.uint8)
-        return scaled(np.repeat(levels[..., None], 3, axis=-1), size_px)
+    @abstractmethod
+    def shades(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.float32]:
+        """Return shades from 0 to 1, float32, (n, H, W, 3), of depth maps (n, h, w), metres.
+
+        In the size asked for where the optics scale shades themselves, and in that of the maps otherwise.
+        """
+
+    def render(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.uint8]:
+        """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres."""
+        levels = np.rint(self.shades(depth_m, sensor, size_px) * np.float32(255))
+        return scaled(np.asarray(levels, np.uint8), size_px)
+
+
+class DepthOptics(Optics):
+    """The depth image itself, grey: black deepest in the gel, white no contact."""
+
+    def shades(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.float32]:
+        """Return the depth image in red, green and blue."""
+        return np.repeat(depth_image(depth_m, sensor)[..., None], 3, axis=-1)
 
 
 OPTICS = ("depth", "taxim", "cyclegan")
@@ -105,32 +115,18 @@ single precision where this does in double."""
 _CONTACT_SCALE = 0.6  # tactile-mnist 0.13.0, where it makes its renderer
 _SHADOW_DEPTH_MM = 0.4  # taxim 1.4.1
 _FIRST_HEIGHT = 6  # taxim 1.4.1: heights of the table begin this many steps below
-_LEAST_PX = 16
-
-Numbers = NDArray[np.float64]
 
 
-class TaximOptics:
+class TaximOptics(Optics):
     """Pictures of a GelSight Mini by Taxim, shadows included."""
+
+    least_px = 16
 
     def __init__(self) -> None:
         self._calibration = _taxim().calibration
 
-    def depth_size(self, width: int, height: int) -> tuple[int, int]:
-        """Return the size of the picture; InputError where that is too small for Taxim's filters."""
-        if min(width, height) < _LEAST_PX:
-            raise InputError(
-                f"a picture of {width} x {height} pixels is too small for Taxim; expected at least 16 x 16"
-            )
-        return width, height
-
-    def render(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.uint8]:
-        """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres."""
-        shown = self.shades(depth_m, sensor) * np.float32(255)
-        return scaled(np.asarray(np.rint(shown), np.uint8), size_px)
-
-    def shades(self, depth_m: Numbers, sensor: Sensor) -> NDArray[np.float32]:
-        """Return the same as shades of red, green and blue from 0 to 1, float32, shape (n, H, W, 3)."""
+    def shades(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.float32]:
+        """Return shades of red, green and blue, in the size of the depth maps."""
         from tactile_sim.kernels import render_taxim
 
         tables = _picture_tables(*depth_m.shape[1:])

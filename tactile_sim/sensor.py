@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -75,13 +75,8 @@ class Sensor:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "size_px": list(self.size_px),
-            "window_m": list(self.window_m),
-            "gel_m": self.gel_m,
-            "press_m": self.press_m,
-            "sample_px": list(self.sample_px),
-        }
+        values = asdict(self).items()
+        return {name: list(value) if isinstance(value, tuple) else value for name, value in values}
 
 
 def full_view(width_px: int = 320, height_px: int = 240) -> Sensor:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ def as_mesh_dataset(meshes: Sequence[Any], *, cache_size: CacheSize = 0) -> Stor
     InputError
         No data set of meshes.
     """
-    return StoredMeshDataset(MeshView.of(meshes), cache_size)
+    return StoredMeshDataset(StoredRows(MeshView.of(meshes), _OF_MESHES), cache_size)
 
 
 def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> StoredTouchDataset:
@@ -101,65 +101,17 @@ def as_touch_dataset(rounds: Sequence[Any], *, cache_size: CacheSize = 0) -> Sto
             "the same number in every round",
             next="use a data set before touches were selected from it",
         )
-    return StoredTouchDataset(rounds, cache_size)
+    return StoredTouchDataset(StoredRows(rounds, _OF_TOUCHES), cache_size)
 
 
-@dataclass(frozen=True, eq=False)
-class MeshPoint:
-    """One mesh, as the environments want it: ``id``, ``label`` and ``mesh``."""
+_MESH_POINT: Any = published_package("tactile_mnist.simple_mesh_dataset").SimpleMeshDataPoint
+_TOUCH_POINT: Any = published_package("tactile_mnist.touch_data").TouchSingle
+
+
+class MeshPoint(_MESH_POINT):  # type: ignore[misc]
+    """One mesh, as the environments want it: ``id``, ``label`` and ``mesh``; ``record`` is ours."""
 
     record: Any
-
-    @property
-    def id(self) -> int:
-        """Number of the row, unique in its data set."""
-        return int(self.record.id)
-
-    @property
-    def label(self) -> int:
-        """Number of the class."""
-        return int(self.record.label)
-
-    @cached_property
-    def mesh(self) -> Any:
-        """The mesh, metres, a ``trimesh.Trimesh``; equal vertices are merged, as the package does."""
-        if not has_equal_rows(self.record.vertices_m):
-            return self.record.mesh
-        import trimesh
-
-        return trimesh.Trimesh(self.record.vertices_m, self.record.faces)
-
-
-@dataclass(frozen=True, eq=False)
-class TouchPoint:
-    """One round of touches, as the environments want it: the round, with poses of the package.
-
-    ``info`` and ``gel_pose_cell_frame`` hold ``transformation.Transformation``; ``pos_in_cell`` are the
-    intended positions, shape (T, 2), metres, in the cell frame.
-    """
-
-    round: Any
-
-    @cached_property
-    def info(self) -> dict[str, Any]:
-        """Metadata."""
-        return {name: _package_pose(value) for name, value in self.round.info.items()}
-
-    @property
-    def pos_in_cell(self) -> NDArray[np.floating]:
-        """Intended positions, shape (T, 2), metres."""
-        positions: NDArray[np.floating] = self.round.pos_in_cell_m
-        return positions
-
-    @cached_property
-    def gel_pose_cell_frame(self) -> Any:
-        """Pose of the gel at contact, of length T."""
-        return _package_pose(self.round.gel_pose_cell_frame)
-
-    def __getattr__(self, name: str) -> Any:
-        if name in ("id", "label", "object_id", "sensor_image"):
-            return getattr(self.round, name)
-        raise AttributeError(name)
 
 
 def _package_pose(value: Any) -> Any:
@@ -168,6 +120,26 @@ def _package_pose(value: Any) -> Any:
         kind = published_package("transformation").Transformation
         return kind(np.asarray(value.translation), value.rotation)
     return value
+
+
+def _package_poses(info: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: _package_pose(value) for name, value in info.items()}
+
+
+def _as_it_is(value: Any) -> Any:
+    return value
+
+
+class TouchPoint(_TOUCH_POINT):  # type: ignore[misc]
+    """One round of touches, as the environments want it: the round, with poses of the package.
+
+    ``info`` and ``gel_pose_cell_frame`` hold ``transformation.Transformation``; ``pos_in_cell`` are the
+    intended positions, shape (T, 2), metres, in the cell frame. Images are decoded as they are asked for.
+    """
+
+    info: Any = _package_poses
+    gel_pose_cell_frame: Any = _package_pose
+    sensor_image: Any = _as_it_is
 
 
 def has_equal_rows(vertices_m: NDArray[np.float32]) -> bool:
@@ -193,48 +165,46 @@ def _read(*names: str) -> dict[str, Callable[[Any], Any]]:
     return {name: attrgetter(name) for name in names}
 
 
+_OF_MESHES = {**_read("id", "label"), "mesh": mesh_keywords, "record": _as_it_is}
+_OF_TOUCHES: Mapping[str, Callable[[Any], Any]] = {
+    **_read("id", "label", "object_id", "info", "gel_pose_cell_frame", "sensor_image"),
+    "pos_in_cell": attrgetter("pos_in_cell_m"),
+}
+
+
 class _Stored:
     """What the data sets of both kinds have in common: points over records that our loaders read."""
 
     point: type
-    readers: ClassVar[Mapping[str, Callable[[Any], Any]]]
     cache_size: CacheSize
+    huggingface_dataset: StoredRows
 
-    def __init__(self, records: Any, cache_size: CacheSize = 0) -> None:
-        super().__init__(StoredRows(records, self.readers), cache_size=cache_size)  # type: ignore[call-arg]
-        self.records = records
+    @property
+    def records(self) -> Records:
+        """The records that the points are made of."""
+        return self.huggingface_dataset.records
 
     # The package takes all rows but a `datasets.Dataset` for a stream without random access.
     def __iter__(self) -> Iterator[Any]:
         return (self[index] for index in range(len(self.records)))  # type: ignore[index]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return (type(self), (self.records, self.cache_size))
+        return (type(self), (self.huggingface_dataset, self.cache_size))
 
     def _get_data_point_type(self) -> type:
         return self.point
 
-    def _get_item(self, index: int) -> Any:
-        return self.point(self.records[index])
 
-    def _select(self, indices: NDArray[np.int64]) -> Self:
-        return type(self)(self.records[indices], self.cache_size)
-
-
-class StoredMeshDataset(_Stored, tactile_mnist.HuggingfaceMeshDataset):  # type: ignore[misc]
+class StoredMeshDataset(_Stored, tactile_mnist.SimpleMeshDataset):  # type: ignore[misc]
     """A ``tactile_mnist.MeshDataset`` of our meshes; see :func:`as_mesh_dataset`."""
 
     point = MeshPoint
-    readers: ClassVar = {**_read("id", "label"), "mesh": mesh_keywords}
 
 
 class StoredTouchDataset(_Stored, tactile_mnist.TouchSingleDataset):  # type: ignore[misc]
     """A ``tactile_mnist.TouchSingleDataset`` of our rounds; see :func:`as_touch_dataset`."""
 
     point = TouchPoint
-    readers: ClassVar = _read(
-        *("id", "label", "object_id", "info", "pos_in_cell", "gel_pose_cell_frame", "sensor_image")
-    )
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from env_assets.checks import require_fitting_meshes
 from env_assets.meshes import LazyMesh, MeshView
 from env_assets.provider import FOREIGN, KINDS, meshes_at
 from env_assets.published.packages import (
+    CLASSES,
     SPARSE_SINGLE_BROKEN,
     TOUCHES,
     PublishedEnvironment,
@@ -59,57 +60,31 @@ def make(
     Parameters
     ----------
     env_id : str
-        Id under which the package ``tactile-mnist`` registers it, such as ``"TactileMNIST-Depth-train-v0"``.
-        ``train`` or ``test`` in it chooses the split, ``Depth``, ``CycleGAN`` or (for Taxim) neither the
-        sensor.
+        Id of the package ``tactile-mnist``, such as ``"TactileMNIST-Depth-train-v0"``; see `env-assets list`.
     provider : AssetSource, optional
-        Gives ``"mnist3d"``, ``"starstruck"``, ``"wrench"`` and, for recorded touches, ``"real-single"``; the
-        ``places`` of an :class:`env_assets.AssetProvider` say what these names stand for, ``"abc"`` and
-        ``"minecraft"`` too, which are not made here.
+        Gives digits, scenes, the wrench and recorded touches, such as :class:`env_assets.AssetProvider`.
     assets : path, str or data set, optional
-        The objects of a simulated environment, instead of the provider's: a folder of mesh files (STL, PLY,
-        OBJ and 3MF in millimetres, GLB in metres; sub-folders ``train`` and ``test`` are splits, others
-        classes, and files that lie in none are a class each), one such file, a data set of meshes by folder
-        or name on the Hub, an opened one, a list of records, or any ``tactile_mnist.MeshDataset``, which is
-        taken as it is. ``ABCVolume``, ``ABCCenterOfMass``, ``Minecraft`` and ``MinecraftPose`` need it, or
-        a place.
+        Objects instead of the provider's: a folder of mesh files, one such file, a data set of meshes by
+        folder or name on the Hub, an opened one, a list of records, or any ``tactile_mnist.MeshDataset``.
     num_envs : int, optional
-        How many to run side by side as one vector environment; a single environment by default, which ids
-        with ``-sparse-`` do not have in ap-gym 0.7.1 (its wrapper fails at the first reset): give 1.
+        How many to run side by side as one vector environment; a single environment by default.
     config : mapping, optional
-        Settings that differ from those of the registration, by the names of ``TactilePerceptionConfig`` or
-        ``TactileRealSnapConfig``, such as ``{"perturb_object_pose": False}``.
+        Settings that differ from those of the registration, such as ``{"perturb_object_pose": False}``.
     renderer : "opengl" or "fast"
-        ``"fast"`` renders the touches of depth environments without OpenGL, by
-        :func:`tactile_sim.render_touch`: the same pictures, to a micrometre of depth, as with Mesa's driver;
-        in ``info["depth"]``, single pixels beyond the reach of the gel may differ by millimetres. Not for
-        Taxim, CycleGAN or recorded touches;
-        ``render()`` still draws the scene with OpenGL. The extra ``sim`` makes it fast.
+        ``"fast"`` renders the touches of depth environments by :func:`tactile_sim.render_touch`.
     weights : str or path, optional
-        Weights for the sensor of CycleGAN environments: ``depth_to_touch.npz`` of ``tactile-sim train``, of
-        any size, instead of those that the package ships.
+        Weights for the sensor of CycleGAN environments: ``depth_to_touch.npz`` of ``tactile-sim train``.
     **options
         Passed on to ``ap_gym.make`` or ``ap_gym.make_vec``, such as ``render_mode``.
 
     Returns
     -------
     ap_gym.BaseActivePerceptionEnv or ap_gym.BaseActivePerceptionVectorEnv
-        The same object that ``ap_gym.make`` gives, with ``spec`` and wrappers.
 
     Raises
     ------
-    InputError
-        No such environment, number of them or setting; assets or weights that are absent or do not fit it.
-    MissingExtraError
-        The packages of the extra ``env``, or those of the sensor asked for, are not installed.
-    IntegrityError
-        Assets are damaged.
-
-    Examples
-    --------
-    >>> provider = env_assets.AssetProvider("assets", generate=True)  # doctest: +SKIP
-    >>> env = env_assets.make("TactileMNIST-Depth-train-v0", provider=provider, num_envs=4)  # doctest: +SKIP
-    >>> observation, info = env.reset(seed=0)  # doctest: +SKIP
+    InputError, MissingExtraError, IntegrityError
+        Something given does not fit the environment; packages are not installed; assets are damaged.
     """
     environment = published_environment(env_id)
     _require_number(environment, num_envs)
@@ -121,12 +96,7 @@ def make(
     if weights is not None:
         own["sensor_type"] = learned_sensor(weights, environment, settings)
     fetch = _recorded if environment.family.recorded else _simulated
-    found = fetch(environment, provider, settings, assets)
-    spec = dataclasses.replace(
-        environment.spec,
-        entry_point=_creator(environment, found, renderer, ""),
-        vector_entry_point=_creator(environment, found, renderer, "Vector"),
-    )
+    spec = _registration(environment, fetch(environment, provider, settings, assets), renderer)
     ap_gym = published_package("ap_gym")
     if num_envs is None:
         return ap_gym.make(spec, config=own, **options)
@@ -157,40 +127,38 @@ def _require_settings(
     for name in own:
         if name not in known:
             raise InputError(f"no setting {name!r} in `config`; expected one of {', '.join(sorted(known))}")
-    if own.get("mesh_dataset", ...) is None:
-        raise InputError(
-            "mesh_dataset in `config` is None; expected a `tactile_mnist.MeshDataset` of what was touched",
-            next="leave it out, the provider's meshes are taken then",
-        )
     sensor = settings.get("sensor_type", kind.sensor_type)
     # Recorded touches need no sensor; there is nothing else to be had directly.
     if not (environment.family.recorded and sensor == "direct"):
         require_sensor(sensor, settings.get("sensor_backend", "auto"))
 
 
-def _creator(
-    environment: PublishedEnvironment, assets: Mapping[str, Any], renderer: str, kind: str
-) -> Callable[..., Any]:
-    """Return what gymnasium calls in place of the registered entry point; ``kind`` is "Vector" or "".
-
-    A plain function: gymnasium copies registrations deeply, which would copy the assets of anything else.
-    """
+def _registration(environment: PublishedEnvironment, assets: Mapping[str, Any], renderer: str) -> Any:
+    """Return the registration of an environment, with assets in place of those of the Hub."""
     # The module of the registrations is the one place of the package that names all of its environments.
     classes, ap_gym = published_package("tactile_mnist").registration, published_package("ap_gym")
     family = environment.family
-    settings_of = getattr(classes, family.config)
-    run = getattr(classes, family.environment.format(kind))
-    wrap = getattr(ap_gym, family.log_wrapper.format(kind))
-    sparsify = getattr(ap_gym, f"Sparsify{kind}Wrapper")
+    task, measured = CLASSES[family.task]
 
-    def create(*, default_config: Mapping[str, Any], config: Mapping[str, Any], **options: Any) -> Any:
-        made = run(settings_of(**{**default_config, **config, **assets}), **options)
-        if renderer == "fast":
-            render_fast(made)
-        env = wrap(made)
-        return sparsify(env) if environment.sparse else env
+    # Plain functions: gymnasium copies registrations deeply, which would copy the assets of anything else.
+    def creator(kind: str) -> Callable[..., Any]:
+        settings_of = getattr(classes, family.config)
+        run = getattr(classes, f"Tactile{'RealSnap' if family.recorded else ''}{task}{kind}Env")
+        wrap = getattr(ap_gym, f"Active{measured}{kind}LogWrapper")
+        sparsify = getattr(ap_gym, f"Sparsify{kind}Wrapper")
 
-    return create
+        def create(*, default_config: Mapping[str, Any], config: Mapping[str, Any], **options: Any) -> Any:
+            made = run(settings_of(**{**default_config, **config, **assets}), **options)
+            if renderer == "fast":
+                render_fast(made)
+            env = wrap(made)
+            return sparsify(env) if environment.sparse else env
+
+        return create
+
+    return dataclasses.replace(
+        environment.spec, entry_point=creator(""), vector_entry_point=creator("Vector")
+    )
 
 
 def _simulated(
@@ -199,7 +167,7 @@ def _simulated(
     """Return the settings that hold the objects of an environment: the provider's, or the user's ``own``."""
     split = environment.split
     if own is None:
-        meshes = _meshes(environment, _required(provider, environment), split, settings)
+        meshes = _meshes(environment, provider, split, settings)
     else:
         where = f"the given {type(own).__name__}"
         if isinstance(own, (str, PathLike)):
@@ -266,38 +234,34 @@ def _recorded(
 
 
 def _required(provider: AssetSource | None, environment: PublishedEnvironment) -> AssetSource:
-    if provider is not None:
-        return provider
-    name = environment.family.assets
-    given = "" if environment.family.recorded else ", or `assets`: a folder of meshes"
-    why = f"; {name!r} are {FOREIGN[name]}" if name in FOREIGN else ""
-    raise InputError(
-        f"no assets were given for {environment.spec.id!r}{why}",
-        next=f"give `provider`, such as env_assets.AssetProvider(){given}",
-    )
+    if provider is None:
+        given = "" if environment.family.recorded else ", or `assets`: a folder of meshes"
+        raise InputError(
+            f"no assets were given for {environment.spec.id!r}",
+            next=f"give `provider`, such as env_assets.AssetProvider(){given}",
+        )
+    return provider
 
 
 def _meshes(
-    environment: PublishedEnvironment, provider: AssetSource, split: str, settings: Mapping[str, Any]
+    environment: PublishedEnvironment, provider: AssetSource | None, split: str, settings: Mapping[str, Any]
 ) -> StoredMeshDataset:
     """Ask a provider for meshes; of what is not made here the source is named."""
     name = environment.family.assets
-    # Meshes that are not made here may be of any number of classes, in any order.
-    kind = None if name in FOREIGN else name
+    where = f"{name!r}, split {split!r},"
     try:
-        given = provider.meshes(name, split)
+        given = _required(provider, environment).meshes(name, split)
     except InputError as error:
-        if kind is not None:
-            raise
-        raise InputError(
-            f"no meshes {name!r}, split {split!r}: {str(error).partition('; next: ')[0]}; these are "
-            f"{FOREIGN[name]}",
-            next="give `assets`, a folder of meshes of your own, or let `places` of the provider name the "
-            f"place of {name!r}",
-        ) from error
+        if name in FOREIGN:
+            raise InputError(
+                f"{error.what}; {name!r} are {FOREIGN[name]}",
+                next="give `assets`, a folder of meshes of your own, or a `provider` with a place for them",
+            ) from error
+        raise
+    if name in FOREIGN:  # of any number of classes, in any order
+        return _fitting(environment, MeshView.of(given), None, where, settings)
     # A source other than ours may give a plain sequence of records, without names of classes.
-    view = MeshView.of(given, KINDS[kind].class_names if kind else ())
-    return _fitting(environment, view, kind, f"{name!r}, split {split!r},", settings)
+    return _fitting(environment, MeshView.of(given, KINDS[name].class_names), name, where, settings)
 
 
 def _fitting(
@@ -308,7 +272,7 @@ def _fitting(
     settings: Mapping[str, Any],
 ) -> StoredMeshDataset:
     """Hand meshes that fit an environment to the package; those of a ``kind`` must be what its name says."""
-    from env_assets.published.datasets import CELL_SIZE_M, StoredMeshDataset
+    from env_assets.published.datasets import CELL_SIZE_M, as_mesh_dataset
 
     # The registration wants some objects turned: they arrive so, as its own turn fails.
     view = dataclasses.replace(view, flat=bool(settings.get("smallest_dimension_up", False)))
@@ -322,7 +286,7 @@ def _fitting(
     if found:
         raise InputError(f"{where} has {found}; expected at least two", next="give more meshes")
     # The registration keeps the one mesh of a tool; all others are read again for each episode.
-    return StoredMeshDataset(view, "full" if environment.family.assets == "wrench" else 0)
+    return as_mesh_dataset(view, cache_size="full" if environment.family.assets == "wrench" else 0)
 
 
 def noise_folder(rounds: Any, where: str) -> Path:

@@ -11,7 +11,6 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from importlib import import_module
 from importlib.metadata import version
 from typing import Any, Literal
@@ -123,22 +122,17 @@ class Family:
     recorded: bool = False
 
     @property
-    def environment(self) -> str:
-        """Name in ``tactile_mnist`` of the class of one environment; of several with ``Vector`` in it."""
-        kinds = {"classification": "Classification", "volume": "VolumeEstimation", "pose": "PoseEstimation"}
-        return f"Tactile{'RealSnap' if self.recorded else ''}{kinds[self.task]}{{}}Env"
-
-    @property
-    def log_wrapper(self) -> str:
-        """Name in ``ap_gym`` of the wrapper that the registration puts around it."""
-        kind = "Classification" if self.task == "classification" else "Regression"
-        return f"Active{kind}{{}}LogWrapper"
-
-    @property
     def config(self) -> str:
         """Name in ``tactile_mnist`` of the class of its settings."""
         return "TactileRealSnapConfig" if self.recorded else "TactilePerceptionConfig"
 
+
+CLASSES: dict[Task, tuple[str, str]] = {
+    "classification": ("Classification", "Classification"),
+    "volume": ("VolumeEstimation", "Regression"),
+    "pose": ("PoseEstimation", "Regression"),
+}
+"""What the classes of a task are called in ``tactile_mnist``, and its log wrappers in ``ap_gym``."""
 
 FAMILIES: dict[str, Family] = {
     "TactileMNIST": Family("mnist3d", "classification"),
@@ -186,6 +180,11 @@ class PublishedEnvironment:
         return "sparse" in self.words
 
     @property
+    def sensor(self) -> str:
+        """Sensor of the registration; ``"direct"`` gives recorded pictures as they are."""
+        return str(self.settings.get("sensor_type", "taxim"))
+
+    @property
     def settings(self) -> dict[str, Any]:
         """Settings of the registration, by the names of the package's config class."""
         return dict(self.spec.kwargs["default_config"])
@@ -228,28 +227,11 @@ def takes_recorded_noise(settings: dict[str, Any]) -> bool:
     return getattr(settings.get("sensor_noise"), "real_base_depth_dataset", None) is not None
 
 
-@dataclass(frozen=True, slots=True)
-class EnvironmentState:
-    """One registered id.
+def overview(words: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """List the registered ids that hold all of these words, in the package's order, as JSON values.
 
-    ``state`` is ``ready`` where the toolkit makes the assets, ``touches`` where recorded ones are fetched,
-    ``meshes`` where the user gives some, ``sensor`` where packages are missing; ``note`` explains it.
-    """
-
-    id: str
-    task: str
-    split: str
-    sensor: str
-    assets: str
-    sparse: bool
-    state: str
-    note: str
-
-
-def overview(words: Sequence[str] = ()) -> list[EnvironmentState]:
-    """List the registered ids that hold all of these words, in the package's order.
-
-    InputError: none does. MissingExtraError: the package is not installed.
+    Each has an ``id``, what it is about, and a ``state``: ``"ready"``; ``"meshes"`` or ``"touches"``, which
+    have to be given; or ``"sensor"``, which cannot run here. A ``note`` says more where there is more to say.
     """
     published = published_environments()
     found = [each for each in published if set(words) <= set(each.words)]
@@ -261,12 +243,18 @@ def overview(words: Sequence[str] = ()) -> list[EnvironmentState]:
             f"no environment has {' and '.join(map(repr, strange or words))} in its id{near}",
             next=f"choose fewer words, or others such as {', '.join(FAMILIES)}, Depth, CycleGAN, DR or test",
         )
-    return [_state(each) for each in found]
+    # Hundreds of ids share three sensors, and a failing import is tried again each time.
+    missing = {}
+    for sensor in {each.sensor for each in found} - {"direct"}:
+        try:
+            require_sensor(sensor, "auto")
+        except InputError as error:
+            missing[sensor] = f"sensor: {error}"
+    return [_described(each, missing.get(each.sensor)) for each in found]
 
 
-def _state(environment: PublishedEnvironment) -> EnvironmentState:
-    family, settings = environment.family, environment.settings
-    sensor = str(settings.get("sensor_type", "taxim"))
+def _described(environment: PublishedEnvironment, missing: str | None) -> dict[str, Any]:
+    family = environment.family
     state, note = "ready", ""
     if environment.sparse and version("ap_gym") in SPARSE_SINGLE_BROKEN:
         note = "sparse: give num_envs, ap-gym cannot reset a single one"
@@ -276,23 +264,18 @@ def _state(environment: PublishedEnvironment) -> EnvironmentState:
             f"meshes: {family.assets} are {FOREIGN[family.assets]}; give env_assets.make(ID, assets=FOLDER) "
             "meshes of your own, or a provider with a place for them"
         )
-    elif family.recorded or takes_recorded_noise(settings):
+    elif family.recorded or takes_recorded_noise(environment.settings):
         state = "touches"
         note = f"touches: recorded ones are read, from places={{{TOUCHES!r}: ...}} of the provider"
-    missing = "" if family.recorded and sensor == "direct" else _missing_for(sensor)
-    if missing:
-        state, note = "sensor", f"sensor: {missing}"
-    assets = TOUCHES if family.recorded else family.assets
-    words = (environment.spec.id, family.task, environment.split, sensor, assets)
-    return EnvironmentState(*words, environment.sparse, state, note)
-
-
-# Hundreds of ids share three sensors, and a failing import is tried again each time.
-@cache
-def _missing_for(sensor: str) -> str:
-    """State what is missing here for a sensor; empty where nothing is."""
-    try:
-        require_sensor(sensor, "auto")
-    except InputError as error:
-        return str(error)
-    return ""
+    if missing is not None:
+        state, note = "sensor", missing
+    return {
+        "id": environment.spec.id,
+        "task": family.task,
+        "split": environment.split,
+        "sensor": environment.sensor,
+        "assets": TOUCHES if family.recorded else family.assets,
+        "sparse": environment.sparse,
+        "state": state,
+        "note": note,
+    }

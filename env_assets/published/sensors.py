@@ -27,15 +27,24 @@ def require_renderer(
     """Refuse a renderer that is unknown, or does not fit the environment (InputError)."""
     if renderer not in ("opengl", "fast"):
         raise InputError(f"renderer is {renderer!r}; expected one of opengl, fast")
-    if renderer == "opengl":
-        return
-    sensor, backend = settings.get("sensor_type", "taxim"), settings.get("sensor_backend", "auto")
-    is_depth = sensor == "depth" and backend in ("auto", "numpy") and not environment.family.recorded
-    if not is_depth or options.get("render_mode") == "human":
+    if renderer == "fast":
+        _require_sensor("renderer 'fast' does", environment, settings, "depth", "numpy")
+        if environment.family.recorded or options.get("render_mode") == "human":
+            raise InputError(
+                "renderer 'fast' does not apply to recorded touches, nor to a viewer", next="leave it away"
+            )
+
+
+def _require_sensor(
+    what: str, environment: PublishedEnvironment, settings: Mapping[str, Any], sensor: str, backend: str
+) -> None:
+    """Refuse what applies to environments with one sensor only (InputError)."""
+    found = settings.get("sensor_type", "taxim"), settings.get("sensor_backend", "auto")
+    if found not in ((sensor, "auto"), (sensor, backend)):
         raise InputError(
-            f"renderer 'fast' does not apply to {environment.spec.id!r}: its sensor is {sensor!r}, backend "
-            f"{backend!r}; expected simulated touches with 'depth' by 'numpy', and no viewer",
-            next="leave it away, or choose an environment with Depth in its name",
+            f"{what} not apply to {environment.spec.id!r}: its sensor is {found[0]!r}, backend {found[1]!r}; "
+            f"expected {sensor!r} with {backend!r}",
+            next="leave it away, or choose another environment",
         )
 
 
@@ -117,13 +126,7 @@ def learned_sensor(
     The package itself knows only the weights that it ships. InputError where the environment has another
     sensor, or the file holds no weights.
     """
-    sensor, backend = settings.get("sensor_type", "taxim"), settings.get("sensor_backend", "auto")
-    if sensor != "cycle_gan" or backend not in ("auto", "torch"):
-        raise InputError(
-            f"weights do not apply to {environment.spec.id!r}: its sensor is {sensor!r}, backend "
-            f"{backend!r}; expected 'cycle_gan' with 'torch'",
-            next="choose an environment with CycleGAN in its name",
-        )
+    _require_sensor("weights do", environment, settings, "cycle_gan", "torch")
     from tactile_sim.learned.networks import generator_of, read_weights
 
     read = read_weights(weights)

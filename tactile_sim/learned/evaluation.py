@@ -22,6 +22,7 @@ from tactile_sim.learned.cyclegan import by_taxim
 from tactile_sim.learned.networks import (
     Generator,
     depth_channels,
+    depth_of,
     generator_of,
     initialise,
     picture_channels,
@@ -252,7 +253,7 @@ class _Bench:
     def measure(self, name: str, pictures: Pictures) -> Measured:
         """Measure pictures that were made of the depth images."""
         depth = self.depth
-        off = np.abs(_depth_again(self.inverse, pictures) - depth.images)[depth.contact == 1]
+        off = np.abs(depth_of(self.inverse, pictures) - depth.images)[depth.contact == 1]
         if self.noise is not None:
             pictures = add_noise_per_object(pictures, depth.objects, self.noise, self.seed)
         apart = two_sample_test((self.real.images, self.real.objects), (pictures, depth.objects), self.seed)
@@ -273,10 +274,10 @@ class _Bench:
     def sheet(self, made: dict[str, Pictures]) -> bytes:
         """Draw some pictures of each way, and the depth that is recovered of them, as PNG."""
         shown, real = self.depth.shown(), self.real.images[self.real.shown()]
-        columns = [("real", real), ("its depth", _depth_again(self.inverse, real))]
+        columns = [("real", real), ("its depth", depth_of(self.inverse, real))]
         columns.append(("depth", self.depth.images[shown]))
         columns += [(name, pictures[shown]) for name, pictures in made.items()]
-        return sheet_png([*columns, ("depth again", _depth_again(self.inverse, made["trained"][shown]))])
+        return sheet_png([*columns, ("depth again", depth_of(self.inverse, made["trained"][shown]))])
 
 
 def add_noise_per_object(pictures: Pictures, objects: Places, noise: SensorNoise, seed: int) -> Pictures:
@@ -392,9 +393,3 @@ def _by_network(network: Generator, depth: Depths) -> Pictures:
     with torch.inference_mode():
         made = torch.cat([network(depth_channels(each[None])) for each in depth])
     return pictures_of(made, depth.shape[:0:-1])
-
-
-def _depth_again(inverse: Generator, pictures: Pictures) -> Depths:
-    with torch.inference_mode():
-        made = torch.cat([inverse(picture_channels(each[None]))[:, 2] for each in pictures])
-    return np.asarray(((made + 1) / 2).clip(0, 1).numpy(), np.float32)

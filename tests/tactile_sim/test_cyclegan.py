@@ -18,11 +18,13 @@ pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra e
 from tactile_sim.generation import optics_of  # noqa: E402
 from tactile_sim.learned import networks as files  # noqa: E402
 from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
-    CycleganDepth,
     CycleganOptics,
     Generator,
+    depth_of,
     generator_of,
     initialise,
+    published_weights,
+    read_weights,
     weights_of,
 )
 from tactile_sim.optics import make_optics  # noqa: E402
@@ -65,7 +67,7 @@ def small(tmp_path):
 
 def test_pictures_are_those_of_the_package_in_both_directions(package):
     renderer, estimator = package
-    optics, inverse = make_optics("cyclegan"), CycleganDepth()
+    optics, inverse = make_optics("cyclegan"), generator_of(read_weights(published_weights("depth")))
     assert optics.depth_size(64, 64) == renderer.get_desired_depth_map_size((64, 64)) == (256, 256)
     sensor, depths = _depths((128, 128))  # the networks take any size, and a small one costs less
     for size in ((128, 128), (64, 64)):
@@ -73,8 +75,9 @@ def test_pictures_are_those_of_the_package_in_both_directions(package):
         assert np.abs(optics.shades(depths, sensor, size) - expected).max() < 1e-4
         pictures = optics.render(depths, sensor, size)
         assert np.abs(pictures - 255 * expected).max() <= 0.5 + 255e-4
-    found = inverse.depth_m(pictures[:1], sensor, (80, 60))
-    assert np.abs(found - estimator.estimate(pictures[:1], (80, 60))).max() < 1e-7  # a tenth of a micrometre
+    large = optics.render(depths[:1], sensor, (256, 256))
+    found = depth_of(inverse.eval(), large) * (sensor.gel_m - sensor.press_m) + sensor.press_m
+    assert np.abs(found - estimator.estimate(large, (256, 256))).max() < 1e-7  # a tenth of a micrometre
     assert pictures[2].std() > 0  # a bare plate counts as no contact
 
 

@@ -48,9 +48,10 @@ from tactile_sim.learned.evaluation import (  # noqa: E402
     evaluate,
 )
 from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
-    CycleganDepth,
     CycleganOptics,
     GeneratorWeights,
+    depth_of,
+    generator_of,
     noisy_channels,
     picture_channels,
     read_weights,
@@ -452,7 +453,7 @@ def test_what_is_known_without_pairs_is_learned(pairs, tmp_path):
         sensor = tactile_sim.center_view(32, 32)
         level_m = np.full((1, 32, 32), sensor.gel_m)
         made = CycleganOptics(out / "depth_to_touch.npz").render(level_m, sensor, (32, 32))[0]
-        depth = CycleganDepth(out / "touch_to_depth.npz").images(nothing, (32, 32))
+        depth = depth_of(generator_of(read_weights(out / "touch_to_depth.npz")), nothing)
         off[weight] = np.abs(made - np.median(nothing, axis=0)).mean(), np.abs(depth - 1).mean()
     assert off[100][0] < 8 < off[0][0]
     assert off[100][1] < 0.05 < off[0][1]
@@ -464,7 +465,7 @@ def test_the_start_learns_where_relief_belongs(pairs, tmp_path):
     train(pairs, tmp_path, config, device="cpu", deterministic=True)
     data = Pairs.open(pairs)
     depth = data.depth.images(np.flatnonzero(data.depth.contact))
-    found = CycleganDepth(tmp_path / "touch_to_depth.npz").images(by_taxim(data)(depth), (32, 32))
+    found = depth_of(generator_of(read_weights(tmp_path / "touch_to_depth.npz")), by_taxim(data)(depth))
     assert np.corrcoef(found.ravel(), depth.ravel())[0, 1] > 0.7
     log = pq.read_table(tmp_path / "losses.parquet")
     assert log["touch_pretrain"][-1].as_py() < log["touch_pretrain"][0].as_py()

@@ -31,7 +31,7 @@ def test_taxim_is_the_package_on_slopes_and_no_further_off_where_it_is_flat(size
     package = jax.TaximJax(CALIB_GELSIGHT_MINI, params={"simulator": {"contact_scale": 0.6}})
     sensor = tactile_sim.center_view(*size)
     depths = _depths(sensor)
-    ours = make_optics("taxim").shades(depths, sensor)
+    ours = make_optics("taxim").shades(depths, sensor, size)
     assert (make_optics("taxim").render(depths, sensor, size) == np.rint(ours * np.float32(255))).all()
     for depth_m, shades in zip(depths, ours, strict=True):
         height_mm = (depth_m * 1000 - 4.25).astype(np.float32)
@@ -73,7 +73,7 @@ def test_optics_that_cannot_be_are_refused(monkeypatch):
         make_optics("lens")
     with pytest.raises(InputError, match="weights were given"):
         make_optics("depth", "weights.npz")
-    with pytest.raises(InputError, match="too small for Taxim"):
+    with pytest.raises(InputError, match="too small; expected at least 16 x 16"):
         make_optics("taxim").depth_size(8, 64)
     monkeypatch.setattr("tactile_sim.optics.find_spec", lambda _: None)
     import tactile_sim.optics

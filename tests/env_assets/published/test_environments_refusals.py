@@ -221,10 +221,6 @@ def test_unknown_sensor(provider, config):
     refused(ENV, provider, "no sensor .* expected one of|'numpy' cannot run here", config)
 
 
-def test_no_meshes_of_what_was_touched(provider):
-    refused("TactileMNISTVolumeRealSnap-train-v0", provider, "mesh_dataset .* None", {"mesh_dataset": None})
-
-
 @pytest.mark.parametrize(("sensor", "module"), [("taxim", "torch_scatter"), ("cycle_gan", "torchvision")])
 def test_sensor_without_its_packages(packages, monkeypatch, sensor, module):
     """What the package puts in its table where an import failed."""

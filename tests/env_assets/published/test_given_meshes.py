@@ -179,7 +179,7 @@ def refused(words: str, given: Any, env_id: str = "Minecraft-Depth-v0", **option
 
 def test_what_cannot_be_used_is_named(folder, tmp_path, assets):
     train = folder / "train"
-    refused("no assets were given.*Mojang.*next: give `provider`", None)
+    refused("no assets were given.*Mojang.*next: give `assets`", None)
     message = refused(
         "ABC data set", None, "ABCVolume-v0", provider=env_assets.AssetProvider(tmp_path / "no")
     )
