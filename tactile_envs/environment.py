@@ -95,9 +95,10 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         # Touches on objects take ten times as long as others: threads take small parts in turns.
         parts = np.array_split(range(num_envs), threads * _PARTS_A_THREAD if threads > 1 else 1)
         self._parts = [slice(part[0], part[-1] + 1) for part in parts if len(part)]
-        self._start_threads(min(threads, len(self._parts)))
         width, height = self._camera.depth_size
-        self._rooms = [np.empty((height, width + PADDING), np.float32) for _ in range(threads)]
+        room = (height, width + PADDING)
+        self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, len(self._parts)))]
+        self._start_threads()
         self._view = view = center_view(width, height)
         per_m = width / view.window_m[0]
         middle = [size / 2 - 0.5 - at for size, at in zip((width, height), view.sample_px, strict=True)]
@@ -117,10 +118,10 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._predicted: tuple[NDArray[Any], NDArray[Any]] | None = None
         self._score: Score | None = None
 
-    def _start_threads(self, count: int) -> None:
+    def _start_threads(self) -> None:
         """Start all threads but the one that steps are taken in."""
-        self._helpers = count - 1
-        self._threads = ThreadPoolExecutor(self._helpers) if self._helpers else None
+        helpers = len(self._rooms) - 1
+        self._threads = ThreadPoolExecutor(helpers) if helpers else None
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave threads and mapped meshes behind; a copy continues where this one is."""
@@ -129,7 +130,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._pool = MeshPool.of(self._records)
-        self._start_threads(self._helpers + 1)
+        self._start_threads()
 
     def _make_spaces(self) -> None:
         config, dtype = self.config, np.float32
@@ -275,12 +276,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         config, count = self.config, self.num_envs
         self._sensors[:] = self._targets
         if config.snap_touch_positions is not None:
-            size = (count, config.snap_touch_positions, 2)
-            places = self.np_random.uniform(self._low[:2], self._high[:2], size)
-            nearest = np.linalg.norm(places - self._targets[:, None, :2], axis=2).argmin(axis=1)
-            snapped = places[np.arange(count), nearest]
-            # Single precision at the start of an episode, as published.
-            self._sensors[:, :2] = snapped if self._step_number else snapped.astype(np.float32)
+            self._snap(config.snap_touch_positions)
         drift = _NO_DRIFT
         if config.perturb_object_pose:
             # One draw for all, as published.
@@ -291,37 +287,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         has_depth = config.depth_in_info or self._camera.sees_depth
         depths_m = np.empty((count, height, width) if has_depth else (0, 0, 0), np.float32)
         positions, is_bare = np.empty((count, 3), np.float32), np.empty(count, np.bool_)
-
-        parts = iter(self._parts)  # threads share it: taking the next is one step for all of them
-
-        def run(thread: int) -> None:
-            for part in parts:
-                touch(
-                    part.start,
-                    part.stop,
-                    self._window,
-                    self._motion,
-                    drift,
-                    self._pool.arrays,
-                    self._chosen,
-                    self._sensors,
-                    self._objects,
-                    self._rooms[thread],
-                    images,
-                    depths_m,
-                    positions,
-                    is_bare,
-                )
-
-        helpers = (
-            []
-            if self._threads is None
-            else [self._threads.submit(run, thread) for thread in range(1, self._helpers + 1)]
-        )
-        run(0)
-        for helper in helpers:
-            if not helper.cancel():  # one that did not start has nothing left to do
-                helper.result()
+        self._feel(drift, images, depths_m, positions, is_bare)
         self._felt = self._camera.pictures(images, depths_m, is_bare)
         observation = {"sensor_pos": positions, "sensor_img": self._felt}
         if config.timeout_behavior == "terminate":
@@ -331,6 +297,31 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         if config.depth_in_info:
             info["depth"] = depths_m
         return observation, info
+
+    def _snap(self, count: int) -> None:
+        """Move each sensor to the nearest of so many places."""
+        places = self.np_random.uniform(self._low[:2], self._high[:2], (self.num_envs, count, 2))
+        nearest = np.linalg.norm(places - self._targets[:, None, :2], axis=2).argmin(axis=1)
+        snapped = places[np.arange(self.num_envs), nearest]
+        # Single precision at the start of an episode, as published.
+        self._sensors[:, :2] = snapped if self._step_number else snapped.astype(np.float32)
+
+    def _feel(self, drift: NDArray[np.float64], *written: NDArray[Any]) -> None:
+        """Bring the sensors down and let the objects slip; writes as :func:`touch`."""
+        read = (self._window, self._motion, drift, self._pool.arrays, self._chosen)
+        parts = iter(self._parts)  # threads share it: taking the next is one step for all of them
+
+        def run(room: NDArray[np.float32]) -> None:
+            for part in parts:
+                touch(part.start, part.stop, *read, self._sensors, self._objects, room, *written)
+
+        helpers = (
+            [] if self._threads is None else [self._threads.submit(run, room) for room in self._rooms[1:]]
+        )
+        run(self._rooms[0])
+        for helper in helpers:
+            if not helper.cancel():  # one that did not start has nothing left to do
+                helper.result()
 
     def _given(self, options: Mapping[str, Any], name: str) -> Sequence[Any]:
         given = list(options.get(name, [None] * self.num_envs))
