@@ -58,12 +58,10 @@ def rasterise(
             first_row = max(math.ceil(min(a[1], b[1], c[1]) - _EDGE_PX), 0)
             last_row = min(math.floor(max(a[1], b[1], c[1]) + _EDGE_PX), rows - 1)
             if first_row <= last_row:
-                profile = (
-                    _profile(vertices[one], vertices[two], vertices[three], layers)
-                    if layers is not None
-                    else (0.0, 0.0)
-                )
-                _raise_rows(out, first_row, last_row, (a, b, c), profile, layers)
+                run = 0.0
+                if layers is not None:
+                    run = _run(vertices[one], vertices[two], vertices[three], layers)
+                _raise_rows(out, first_row, last_row, (a, b, c), run, layers)
 
 
 @compiled
@@ -87,7 +85,7 @@ def _raise_rows(
     first_row: int,
     last_row: int,
     corners: tuple[Point, Point, Point],
-    profile: tuple[float, float],
+    run: float,
     layers: Any,
 ) -> None:
     """Raise the pixels over a triangle that faces upwards, in the rows that it meets."""
@@ -118,51 +116,37 @@ def _raise_rows(
         for step in range(last - first + 1):
             height = start + rise * step
             if layers is not None:
-                height += _layer_rise(first + step, row, height, profile, layers)
+                height += _layer_rise(height, run, layers)
             if height > line[first + step]:
                 line[first + step] = height
 
 
 @compiled
-def _profile(a: Numbers, b: Numbers, c: Numbers, layers: Numbers) -> tuple[float, float]:
-    """Return how far a triangle runs outwards for a step down, and how sideways it is seen."""
+def _run(a: Numbers, b: Numbers, c: Numbers, layers: Numbers) -> float:
+    """Return how far a triangle runs outwards for a step down."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
     x, y, z = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
-    level = max(math.sqrt(x * x + y * y), layers[11] * abs(z))
-    return z / level, (layers[3] * x + layers[4] * y) / level
+    return float(z / max(math.sqrt(x * x + y * y), layers[4] * abs(z)))
 
 
 @compiled
-def _layer_rise(column: int, row: int, height: float, profile: tuple[float, float], layers: Numbers) -> float:
-    """Return how far above a point of the solid its layers end, towards the sensor; -inf where none does.
+def _layer_rise(height: float, run: float, layers: Numbers) -> float:
+    """Return how far above a point of the solid its layer ends; -inf where none does.
 
     In the section across the contour lines, with the point at the origin of the line of sight, ``across`` and
     ``down`` lead from the middle of the round end of a layer to the point.
     """
-    run, sideways = profile
-    layer, slack, count, upward = layers[0], layers[1], layers[2], layers[5]
-    over = ((layers[6] * column + layers[7] * row) + layers[8] * height) + layers[9]
-    radius = 0.5 * layer
-    square = sideways * sideways + upward * upward
-    middle = math.floor((over + slack) / layer - 0.5)
-    best = -np.inf
-    for number in range(middle - int(layers[10]), middle + int(layers[10]) + 1):
-        if number < 0 or number >= count:
-            continue
-        down = over - (number + 0.5) * layer
-        across = radius - run * (down + slack)
-        flat = ((radius if upward > 0.0 else -radius) - down) / upward
-        if across + flat * sideways <= 0.0:
-            best = max(best, flat)
-            continue
-        half = across * sideways + down * upward
-        root = half * half - square * ((across * across + down * down) - radius * radius)
-        if root >= 0.0:
-            round_end = (math.sqrt(root) - half) / square
-            if across + round_end * sideways >= 0.0:
-                best = max(best, round_end)
-    return float(min(best, 2.0 * layer))
+    layer, slack, count, over = layers[0], layers[1], layers[2], height + layers[3]
+    radius, number = 0.5 * layer, math.floor((over + slack) / layer - 0.5)
+    if number < 0 or number >= count:
+        return -np.inf
+    down = over - (number + 0.5) * layer
+    across = radius - run * (down + slack)
+    if across <= 0.0:
+        return float(min(radius - down, 2.0 * layer))
+    root = down * down - ((across * across + down * down) - radius * radius)
+    return float(min(math.sqrt(root) - down, 2.0 * layer)) if root >= 0.0 else -np.inf
 
 
 @compiled

@@ -4,8 +4,8 @@ Solids are felt as they are modelled, or with the surface that a printer makes o
 printer of molten plastic lays a solid down from its foot, flat side down, in layers of one height. Each has
 the outline of the solid at its middle, and its edge bulges as a half circle. Where the solid is about plane,
 its section across the contour lines is a row of half-infinite bars with round ends, one on another; what the
-gel feels at a point is where the line of sight through that point leaves them. That is one quadratic equation
-for each layer nearby, whichever way the solid or the sensor leans.
+gel feels at a point is where the line of sight straight up through that point leaves them: one quadratic
+equation. So a printed solid stands as it was printed, and is felt from above.
 
 What follows from that: a layer is printed where the solid reaches its middle, as slicers decide; tops end at
 an integer of layers; edges of faces that meet at an angle are rounded by the slope of each face alone.
@@ -35,7 +35,6 @@ Numbers = NDArray[np.float64]
 _LEAST_M, _MOST_M = 2e-5, 2e-3
 _SLACK = 0.005  # of a layer: rounding must not decide whether a top at the middle of a layer is printed
 _LEVEL = 1e-9  # least slope: the outline of a level face is far away, and still a finite number
-_AROUND = 2  # layers below and above that a slanted line of sight may leave
 
 
 def checked_layer_m(layer_m: Any) -> float:
@@ -45,28 +44,6 @@ def checked_layer_m(layer_m: Any) -> float:
         return found
     raise InputError(
         f"layers are {layer_m!r} m high; expected {_LEAST_M} to {_MOST_M} m, such as 0.0002, or 0 for none"
-    )
-
-
-def seen_layers(affine: Numbers, layer_m: float, foot_m: float, top_m: float) -> Numbers:
-    """Return how the layers of a solid between two heights are seen through ``affine``, shape (3, 4).
-
-    0: height of a layer; 1: how far below its middle its outline is taken; 2: number of layers; 3 to 5: the
-    line of sight towards the sensor, in the frame of the solid; 6 to 9: factors of column, row and height,
-    and a constant, that give the height over the foot; 10: layers around that may be seen; 11: least slope.
-    """
-    x, y, z = affine[:, :3]
-    # The last row of the inverse, by cofactors: `numpy.linalg.inv` rounds as BLAS likes.
-    over = [one[0] * two[1] - one[1] * two[0] for one, two in ((y, z), (z, x), (x, y))]
-    size = (over[0] * x[2] + over[1] * y[2]) + over[2] * z[2]
-    factors = [each / size for each in over]
-    shift = (factors[0] * affine[0, 3] + factors[1] * affine[1, 3]) + factors[2] * affine[2, 3]
-    slack_m = _SLACK * layer_m
-    count = np.floor((top_m - foot_m + slack_m) / layer_m - 0.5) + 1
-    upright = z[0] == 0 and z[1] == 0 and z[2] > 0
-    return np.array(
-        [layer_m, slack_m, count, *z, *factors, -shift - foot_m, 0 if upright else _AROUND, _LEVEL],
-        np.float64,
     )
 
 
@@ -143,10 +120,22 @@ class Pressable:
         return float(self.vertices_m[:, 2].min())
 
     def layers(self, affine: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return what the kernels need of the layers, seen through a map."""
+        """Return what the kernels need of the layers, seen through a map; InputError for one that leans.
+
+        0: height of a layer; 1: how far below its middle its outline is taken; 2: number of layers; 3: what,
+        added to a height, gives that over the foot; 4: least slope.
+        """
         if not self.layer_m:
             return None
-        return seen_layers(affine, self.layer_m, self.foot_m, float(self.vertices_m[:, 2].max()))
+        if tuple(affine[2, :3]) != (0.0, 0.0, 1.0):
+            raise InputError(
+                "layers of a print were asked for, and the solid leans, or the sensor; expected both upright",
+                next="layer_m=0",
+            )
+        foot_m, slack_m = self.foot_m, _SLACK * self.layer_m
+        top_m = float(self.vertices_m[:, 2].max())
+        count = np.floor((top_m - foot_m + slack_m) / self.layer_m - 0.5) + 1
+        return np.array([self.layer_m, slack_m, count, -affine[2, 3] - foot_m, _LEVEL])
 
 
 def _face_blocks(

@@ -33,12 +33,11 @@ def rasterise(
     x, y, z = vertices.T
     points = np.stack([((row[0] * x + row[1] * y) + row[2] * z) + row[3] for row in affine])
     upright: Any = out[::-1]
-    profile = profiles(vertices, faces, layers) if layers is not None else ()
+    run = runs(vertices, faces, layers) if layers is not None else np.zeros(0)
     for face, line, pixel, height in covered_pixels(points, faces, out.shape):
         row, column = np.divmod(pixel, out.shape[1])
         if layers is not None:
-            run, sideways = (each[face[line]] for each in profile)
-            height = height + layer_rises(column, row, height, run, sideways, layers)
+            height = height + layer_rises(height, run[face[line]], layers)
         # Unbuffered: triangles share pixels at their edges.
         np.maximum.at(upright, (row, column), height)
 
@@ -51,47 +50,26 @@ def to_depth(heights_m: Numbers, image: NDArray[np.float32], press_m: float, gel
     return highest
 
 
-def profiles(vertices: Numbers, faces: NDArray[np.integer[Any]], layers: Numbers) -> tuple[Numbers, Numbers]:
-    """Return of each face how far it runs outwards for a step down, and how sideways it is seen."""
+def runs(vertices: Numbers, faces: NDArray[np.integer[Any]], layers: Numbers) -> Numbers:
+    """Return of each face how far it runs outwards for a step down."""
     a, b, c = (vertices[corner].T for corner in faces.T)
     (abx, aby, abz), (acx, acy, acz) = b - a, c - a
     x, y, z = aby * acz - abz * acy, abz * acx - abx * acz, abx * acy - aby * acx
-    level = np.maximum(np.sqrt(x * x + y * y), layers[11] * np.abs(z))
-    return z / level, (layers[3] * x + layers[4] * y) / level
+    return np.asarray(z / np.maximum(np.sqrt(x * x + y * y), layers[4] * np.abs(z)))
 
 
-def layer_rises(
-    column: NDArray[np.int64],
-    row: NDArray[np.int64],
-    height: Numbers,
-    run: Numbers,
-    sideways: Numbers,
-    layers: Numbers,
-) -> Numbers:
-    """Return how far above points of the solid its layers end, towards the sensor; -inf where there is none.
+def layer_rises(height: Numbers, run: Numbers, layers: Numbers) -> Numbers:
+    """Return how far above points of the solid their layer ends; -inf where there is none.
 
-    ``column``, ``row`` and ``height`` are the points as the sensor sees them, ``run`` and ``sideways`` the
-    :func:`profiles` of their faces. In the section across the contour lines, with the point at the origin of
-    the line of sight, ``across`` and ``down`` lead from the middle of the round end of a layer to the point.
+    ``run`` are the :func:`runs` of their faces. In the section across the contour lines, with the point at
+    the origin of the line of sight, ``across`` and ``down`` lead from the middle of the round end of a layer
+    to the point.
     """
-    layer, slack, count, upward = layers[0], layers[1], layers[2], layers[5]
-    over = ((layers[6] * column + layers[7] * row) + layers[8] * height) + layers[9]
-    radius = 0.5 * layer
-    square = sideways * sideways + upward * upward
-    middle = np.floor((over + slack) / layer - 0.5)
-    best = np.full(len(over), -np.inf)
-    for around in range(-int(layers[10]), int(layers[10]) + 1):
-        number = middle + around
-        printed = (number >= 0) & (number < count)
-        down = over - (number + 0.5) * layer
-        across = radius - run * (down + slack)
-        with np.errstate(all="ignore"):  # what is divided by nothing is never chosen
-            flat = ((radius if upward > 0 else -radius) - down) / upward
-            ends_flat = across + flat * sideways <= 0
-            half = across * sideways + down * upward
-            root = half * half - square * ((across * across + down * down) - radius * radius)
-            round_end = (np.sqrt(root) - half) / square
-            ends_round = ~ends_flat & (root >= 0) & (across + round_end * sideways >= 0)
-        best = np.where(printed & ends_flat, np.maximum(best, flat), best)
-        best = np.where(printed & ends_round, np.maximum(best, round_end), best)
-    return np.asarray(np.minimum(best, 2.0 * layer))
+    layer, slack, count, over = layers[0], layers[1], layers[2], height + layers[3]
+    radius, number = 0.5 * layer, np.floor((over + slack) / layer - 0.5)
+    down = over - (number + 0.5) * layer
+    across = radius - run * (down + slack)
+    root = down * down - ((across * across + down * down) - radius * radius)
+    with np.errstate(invalid="ignore"):  # what has no root is not chosen
+        rise = np.where(across <= 0, radius - down, np.where(root >= 0, np.sqrt(root) - down, -np.inf))
+    return np.where((number >= 0) & (number < count), np.minimum(rise, 2.0 * layer), -np.inf)
