@@ -418,7 +418,7 @@ def _open_meshes(shards: tuple[Shard, ...], name: str) -> MeshSet:
             next=f"give the data set by another name, or put {expected.nouns} in its place",
         )
     dataset: Any = SolidDataset if kind is None else _DATASETS.get(kind.name, SolidDataset)
-    opened: MeshSet = dataset([table], label_names=names)
+    opened: MeshSet = dataset(table, label_names=names)
     return opened
 
 

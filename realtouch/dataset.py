@@ -24,6 +24,7 @@ from realtouch.touch import Touch
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
@@ -52,10 +53,10 @@ class TouchDataset(RecordDataset[R]):
 
     Parameters
     ----------
-    tables, rows, label_names
+    table, rows, label_names
         As for :class:`tactile_toolkit.read.dataset.RecordDataset`.
     skipped : sequence of (int or None, Damage)
-        Damage that was found and is left out, each with the number of its row in the joined tables: rounds by
+        Damage that was found and is left out, each with the number of its row in the table: rounds by
         the data set itself, single touches by :meth:`touches`. None stands for a file left out as a whole.
     """
 
@@ -64,12 +65,12 @@ class TouchDataset(RecordDataset[R]):
 
     def __init__(
         self,
-        tables: Sequence[ShardedTable],
+        table: ShardedTable,
         rows: range | NDArray[np.int64] | None = None,
         label_names: Sequence[str] = (),
         skipped: Sequence[tuple[int | None, Damage]] = (),
     ) -> None:
-        super().__init__(tables, rows, label_names)
+        super().__init__(table, rows, label_names)
         self._skipped = tuple(skipped)
 
     @property
@@ -118,7 +119,7 @@ class TouchDataset(RecordDataset[R]):
         return z_m, starts
 
     def _concat(self, other: Self) -> Self:
-        joined, offset = super()._concat(other), int(self._starts[-1])
+        joined, offset = super()._concat(other), len(self._table)
         moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
         joined._skipped = (*self._skipped, *moved)
         return joined
@@ -133,11 +134,7 @@ class TouchDataset(RecordDataset[R]):
         def counts(shard: Shard) -> list[NDArray[np.int64]]:
             return [stored_touch_counts(shard, index) for index in range(shard.metadata.num_row_groups)]
 
-        return np.concatenate([table.per_shard("touches", counts) for table in self._tables])
-
-    @property
-    def _shards(self) -> list[Shard]:
-        return [shard for table in self._tables for shard in table.shards]
+        return self._table.per_shard("touches", counts)
 
     @property
     def row_numbers(self) -> NDArray[np.int64]:
@@ -146,7 +143,7 @@ class TouchDataset(RecordDataset[R]):
 
     def has_column(self, name: str) -> bool:
         """Return whether the data set has a column, by dotted name."""
-        return all(name in table.shards[0].types for table in self._tables)
+        return all(name in column_types(schema) for schema in self._table.schemas)
 
     def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Return what :meth:`contact_z_m` does; NaN wherever a height cannot be read."""
@@ -185,7 +182,7 @@ class TouchDataset(RecordDataset[R]):
             groups = shard.all_blocks(columns)
             return [known(Row(group, index)) for group in groups for index in range(len(group.table))]
 
-        return np.concatenate([table.per_shard(key, of_shard) for table in self._tables])
+        return self._table.per_shard(key, of_shard)
 
     def plates_z_m(self) -> NDArray[np.float64]:
         """Return the height of the plate of every stored row, shape (stored rows,), metres, cell frame.
@@ -193,7 +190,7 @@ class TouchDataset(RecordDataset[R]):
         NaN where it is neither known nor stored, as in the published sets: the deepest touch shows it there.
         """
         plates: list[NDArray[np.float64]] = []
-        for shard in self._shards:
+        for shard in self._table.shards:
             rule = ContactHeight.of(shard.types)
             if rule.plate == "stored":
                 stored = ShardedTable((shard,)).column(PLATE_COLUMN)
@@ -204,7 +201,8 @@ class TouchDataset(RecordDataset[R]):
 
     def contact_rules(self) -> list[ContactHeight]:
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
-        of_rows = [rule for shard in self._shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
+        shards = self._table.shards
+        of_rows = [rule for shard in shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
         return [of_rows[row] for row in self.row_numbers.tolist()]
 
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
@@ -213,7 +211,7 @@ class TouchDataset(RecordDataset[R]):
         # Through the stored rows in their order: each block is read once, whatever the order of the view.
         wanted = set(self.row_numbers.tolist())
         media = MEDIA_COLUMN[self.kind]
-        for shard in self._shards:
+        for shard in self._table.shards:
             columns = [name for name in shard.schema.names if name != media]
             for index in range(shard.metadata.num_row_groups):
                 for block, group in enumerate(shard.blocks(index, columns)):
@@ -655,7 +653,7 @@ def dataset_of(
     names = stated_class_names(shards) or CLASS_NAMES
     is_seq = kind_of(shards[0].schema, shards[0].path) == "seq"
     dataset = TouchSeqDataset if is_seq else TouchSingleDataset
-    return dataset([ShardedTable(tuple(shards))], rows, names, skipped)
+    return dataset(ShardedTable(tuple(shards)), rows, names, skipped)
 
 
 class TouchStream:
@@ -747,5 +745,5 @@ class TouchStream:
                 yield intact.with_touches(kept) if lost else intact
 
     def __repr__(self) -> str:
-        words = with_origins(counted(len(self.shards), "shards"), [ShardedTable(self.shards)])
+        words = with_origins(counted(len(self.shards), "shards"), ShardedTable(self.shards))
         return f"TouchStream({self.kind}, {', '.join(words)})"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from array import array
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, Literal, overload
 
 import numpy as np
+import pyarrow as pa
 from numpy.typing import NDArray
 
 from starstruck_gen.columns import scene_schema
@@ -22,7 +25,7 @@ from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
 from tactile_toolkit.read.columns import RaggedColumn, RowGroup, column_names
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.wording import counted, is_integer, plain_number
 
@@ -115,8 +118,7 @@ class SceneMeshDataset(RecordDataset[SceneRecord]):
     @property
     def star_counts(self) -> NDArray[np.int64]:
         """Number of stars of each row, shape (len,); loads no mesh. As :attr:`SceneRecord.star_count`."""
-        tables = [table for table in self._tables if len(table)]
-        stored = ["star_count" in column_names(table.schema) for table in tables]
+        stored = ["star_count" in column_names(schema) for schema in self._table.schemas]
         if all(stored) and stored:
             return self.int_column("star_count")
         # Joined sets may differ: the published one stores no such column.
@@ -176,11 +178,13 @@ def load(
 DEFAULT_SIZE = 300_000
 """Scenes of a split on the fly, where no size is given (package tactile-mnist 0.13.0)."""
 
+_MADE_TOGETHER = 4096  # rows that training mixes as those of a shard
+
 _KNOWN = ("id", "label", "star_count", "seed")
 """Columns that follow from the number of a scene."""
 
 
-class SceneTable(ShardedTable):
+class SceneShard(Shard):
     """The rows of a split, each made when it is asked for; pickles as the four values that make them."""
 
     spec: SceneSpec
@@ -189,15 +193,14 @@ class SceneTable(ShardedTable):
     seed: int
 
     def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
-        # There are no files: all that the base asks of shards is answered below.
-        super().__init__(())
-        self.__dict__.update(spec=spec, split=split, size=size, seed=seed)
+        # There is no file: all that others ask of one is answered below.
+        super().__init__("", size)
+        layout = {"group_starts": array("q", [0, size]), "block_rows": array("q", [1])}
+        self.__dict__.update(spec=spec, split=split, size=size, seed=seed, **layout)
+        self.__dict__["identity"] = (spec, split, size, seed)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.spec, self.split, self.size, self.seed)
-
-    def __len__(self) -> int:
-        return self.size
 
     @property
     def schema(self) -> Any:
@@ -205,27 +208,31 @@ class SceneTable(ShardedTable):
         return scene_schema(self.spec.class_names)
 
     @property
-    def identity(self) -> str:
-        """By what these scenes differ from all others."""
-        return repr((self.spec, self.split, self.size, self.seed))
+    def part_sizes(self) -> Sequence[int]:
+        """Rows of the parts that training mixes."""
+        return [min(_MADE_TOGETHER, self.size - row) for row in range(0, self.size, _MADE_TOGETHER)]
 
     @property
-    def origins(self) -> list[tuple[str, str]]:
+    def origin(self) -> tuple[str, str]:
         """The seed, in place of a name, and the split."""
-        return [(f"seed {self.seed}", self.split)]
+        return f"seed {self.seed}", self.split
 
-    def locate(self, row: int) -> tuple[RowGroup, int]:
+    def block(self, _index: int, number: int) -> RowGroup:
         """Return a row as a group of its own; nothing of it is made yet."""
-        return LazyRow(self, row), 0
+        return LazyRow(self, number)
+
+    def unpack(self, _index: int) -> bool:
+        """Return that nothing is unpacked."""
+        return False
 
     def made(self, start: int, count: int) -> Any:
         """Make some rows at once, as an Arrow table."""
         rows = make_rows(self.spec, self.split, self.seed, start, count)
         return table_of(rows, scene_schema(self.spec.class_names))
 
-    def column(self, name: str, _: Any = None) -> NDArray[Any]:
+    def column(self, name: str) -> Any:
         """Return one column of all rows, of those that need no scene."""
-        return self.known(name, range(self.size))
+        return pa.array(self.known(name, range(self.size)))
 
     def known(self, name: str, rows: range) -> NDArray[np.int64]:
         """Return what follows from the number of each of some rows; KeyError for any other column."""
@@ -245,9 +252,9 @@ class SceneTable(ShardedTable):
 class LazyRow(RowGroup):
     """One row that looks like a stored one; scene and mesh are made on first use."""
 
-    _origin: SceneTable
+    _origin: SceneShard
 
-    def __init__(self, origin: SceneTable, row: int) -> None:
+    def __init__(self, origin: SceneShard, row: int) -> None:
         # The base's fields would be set through its frozen constructor, which wants the table at once.
         self.__dict__.update(_origin=origin, path="", first_row=row)
 
@@ -331,7 +338,7 @@ class SceneDataset(SceneMeshDataset):
         if not (is_integer(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
             found = f"size is {size!r} and seed is {seed!r}"
             raise InputError(f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0")
-        super().__init__([SceneTable(spec, split, size, seed)], label_names=spec.class_names)
+        super().__init__(ShardedTable((SceneShard(spec, split, size, seed),)), label_names=spec.class_names)
 
     def int_column(self, name: str) -> NDArray[np.int64]:
         """Return one column of integers, shape (len,), int64; none is stored, so that none is damaged.

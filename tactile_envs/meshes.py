@@ -119,10 +119,10 @@ class MeshPool:
 
 def _name_of(records: Sequence[Any]) -> str | None:
     """Return a name for the content of a data set on disk; None for records that are in memory."""
-    tables = getattr(records, "_tables", ())
-    if not tables:
+    table = getattr(records, "_table", None)
+    if table is None:
         return None
-    content = [table.identity for table in tables]  # what was there when it was loaded, at addresses too
+    content = [table.identity]  # what was there when it was loaded, at addresses too
     rows = np.asarray(cast(Any, records)._rows, np.int64)
     digest = hashlib.sha256(repr((_FORMAT, CELL_M, content)).encode() + rows.tobytes())
     return f"meshes-{digest.hexdigest()[:32]}"

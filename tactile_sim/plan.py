@@ -49,7 +49,7 @@ class SolidSplit:
 
     def solids(self) -> SolidDataset:
         """Open it."""
-        return SolidDataset([ShardedTable(self.shards)], label_names=self.names)
+        return SolidDataset(ShardedTable(self.shards), label_names=self.names)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -300,7 +300,7 @@ def noise_folder(rounds: Any, where: str) -> Path:
     found = None if len(rounds) else "no round"
     if len(rounds) and not hasattr(rounds.record_class, "sensor_image"):
         found = "clips"
-    files = [shard.path for table in rounds._tables for shard in table.shards]
+    files = [shard.path for shard in rounds._table.shards]
     found = next((f"{file!r}" for file in files if "://" in file), found)
     if found is not None:
         raise InputError(

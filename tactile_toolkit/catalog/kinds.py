@@ -42,7 +42,7 @@ def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[
     folder = folder_named(name)
     manifest = None if folder is None else read_manifest(folder)
     if manifest is None:
-        schemas = (table.schema for dataset in datasets for table in dataset._tables)
+        schemas = (dataset._table.schema for dataset in datasets)
         # What does not say of what kind it is may well be of this one.
         other: DatasetKind | None = next(filter(None, map(kind_of_meshes, schemas)), kind)
     else:

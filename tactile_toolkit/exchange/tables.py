@@ -70,7 +70,7 @@ def plan_tables(
     """
     tasks, shards = [], {}
     for split, rows, places in choices:
-        shards[split] = [shard for table in rows._tables for shard in table.shards]
+        shards[split] = list(rows._table.shards)
         starts = range(0, len(places), _ROWS_PER_FILE)
         for index, start in enumerate(starts):
             part = rows[places[start : start + _ROWS_PER_FILE]]
@@ -138,7 +138,7 @@ def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str
                 "clips without it); nothing was sent",
                 next="leave --viewer out",
             )
-        rows = SolidDataset([ShardedTable((shard,))], label_names=class_names(shard.schema, ()))
+        rows = SolidDataset(ShardedTable((shard,)), label_names=class_names(shard.schema, ()))
         content = encode_parquet(flat_table(rows), _VIEWER_STYLE)
         path = f"{VIEWER_FOLDER}/{record.shard}.parquet"
         (out / path).write_bytes(content)

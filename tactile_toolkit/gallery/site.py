@@ -41,7 +41,6 @@ MOST_BYTES = 2_000_000_000
 
 # The first few items may be unusually large.
 _JUDGED_AFTER = 24
-_SAMPLED_TASKS = 3
 _MARK = "tactile-toolkit gallery"
 # Folders of runs that are not finished; each is locked as long as its run lives.
 _PREFIX = ".gallery-"
@@ -69,14 +68,14 @@ def build_site(
     """Make the site of a gallery, whose page appears when all is there; equal galleries, equal bytes.
 
     ``overwrite`` replaces a gallery that is there; anything else is never touched. A folder that is there
-    stays, and whoever is in it stays in it. A finished gallery with equal files is left as it is.
+    stays, and whoever is in it stays in it.
     InputError: the folder holds something, there is nothing to show, or the site would be too large.
     StorageError: it cannot be written, or the disk is full.
     """
-    path, finished = _require_free(gallery, out, overwrite=overwrite)
+    path = _require_free(out, overwrite=overwrite)
     _require_size(gallery)
     with named_failures(str(path)), _staging(path) as staging:
-        site = _Files(gallery, staging, equal_to=finished)
+        site = _Files(gallery, staging)
         on_progress(0, gallery.size)
         tasks = list(zip(_first_numbers(gallery.tasks), gallery.tasks, strict=True))
         made = cast("Generator[tuple[int, list[Item]]]", runner_for(runner).run(_make, tasks))
@@ -95,13 +94,9 @@ def build_site(
                     )
                 on_progress(len(site.shown), gallery.size)
         site.finish()
-        if finished is None:
-            # Asked again is what may be replaced: hours may have passed.
-            with locked(path):
-                former, other = _require_gallery(path)
-                if other is not None and not overwrite:
-                    raise _holds_gallery(path)
-                _replace(staging, path, site, former)
+        # Asked again is what may be replaced: hours may have passed.
+        with locked(path):
+            _replace(staging, path, site, _require_gallery(path, overwrite=overwrite))
     return Site(str(path), len(site.shown), len(site.names), site.size, dict(gallery.splits))
 
 
@@ -116,13 +111,10 @@ def _make(numbered: tuple[int, RowsTask]) -> tuple[int, list[Item]]:
 
 
 class _Files:
-    """The files of a site as they are made, in whatever order; without a folder they are only counted.
+    """The files of a site as they are made, in whatever order; without a folder they are only counted."""
 
-    With ``equal_to``, a finished gallery, the first file that is not the same there raises InputError.
-    """
-
-    def __init__(self, gallery: Gallery, folder: Path | None = None, *, equal_to: Path | None = None) -> None:
-        self.gallery, self.folder, self.equal_to = gallery, folder, equal_to
+    def __init__(self, gallery: Gallery, folder: Path | None = None) -> None:
+        self.gallery, self.folder = gallery, folder
         self.names: list[str] = []
         self.size = 0
         self.shown: dict[int, Item] = {}  # what the page filters and sorts by, by number
@@ -162,10 +154,6 @@ class _Files:
 
     def _write(self, name: str, content: str | bytes) -> None:
         encoded = content.encode() if isinstance(content, str) else content
-        if self.equal_to is not None:
-            there = self.equal_to / name
-            if not there.is_file() or there.read_bytes() != encoded:
-                raise _holds_gallery(self.equal_to)
         if self.folder is not None:
             path = self.folder / name
             path.parent.mkdir(exist_ok=True)
@@ -219,11 +207,8 @@ def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
     mark(site.marker())
 
 
-def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> tuple[Path, Path | None]:
-    """Return where a site may be made, and again where a finished one is there that may be the same.
-
-    InputError where anything else is there.
-    """
+def _require_free(out: str, *, overwrite: bool) -> Path:
+    """Return where a site may be made; InputError where anything is there that it may not replace."""
     if "://" in out:
         raise InputError(
             f"--out is {out!r}; a gallery is made in a local folder", next="make it there, then copy it"
@@ -231,54 +216,41 @@ def _require_free(gallery: Gallery, out: str, *, overwrite: bool) -> tuple[Path,
     # Where a symbolic link leads: the link itself is not ours to replace.
     path = Path(os.path.realpath(expanded(out)))
     if path.is_dir():
-        _, finished = _require_gallery(path)
-        if finished is None or overwrite:
-            return path, None
-        if (finished.get("kind"), finished.get("items")) != (gallery.kind, gallery.size):
-            raise _holds_gallery(path)
-        return path, path
-    if path.exists():
+        _require_gallery(path, overwrite=overwrite)
+    elif path.exists():
         raise InputError(
             f"{str(path)!r} is a file; a gallery is a folder; nothing was changed", next="another --out"
         )
-    return path, None
+    return path
 
 
-def _require_gallery(path: Path) -> tuple[set[str], dict[str, Any] | None]:
-    """Return the files of the gallery that a folder holds, and its marker where all of them are there.
+def _require_gallery(path: Path, *, overwrite: bool) -> set[str]:
+    """Return the files of the gallery that a folder holds.
 
-    InputError where it holds anything else.
+    InputError where it holds anything else, or a finished gallery that is not to be overwritten.
     """
-    marker, found = _marker_in(path), list(_entries(path))
-    listed = set(map(str, marker["files"])) if marker else set()
-    # A run that was killed may leave a folder of its files empty.
-    folders = {str(PurePosixPath(name).parent) for name in listed}
-    known = {LOCK_FILE} | ({MARKER_FILE, *listed, *folders} if marker else set())
-    for name in found:
-        if name not in known:
-            raise InputError(
-                f"{str(path)!r} holds {name!r}, which is not part of a gallery; nothing was changed",
-                next="choose an empty or new folder with --out",
-            )
-    # Of one whose run was killed while it appeared, some files are missing.
-    return listed.intersection(found), marker if listed.issubset(found) else None
-
-
-def _holds_gallery(path: Path) -> InputError:
-    return InputError(
-        f"{str(path)!r} holds a gallery already; nothing was changed",
-        next="replace it with --overwrite, or choose another folder with --out",
-    )
-
-
-def _marker_in(folder: Path) -> dict[str, Any] | None:
-    """Return the marker of the gallery that a folder holds; None where it holds none."""
     try:
-        marker = json.loads((folder / MARKER_FILE).read_bytes())
+        marker = json.loads((path / MARKER_FILE).read_bytes())
     except (OSError, ValueError):
-        return None
+        marker = None
     is_ours = isinstance(marker, dict) and marker.get("what") == _MARK
-    return marker if is_ours and isinstance(marker.get("files"), list) else None
+    listed = set(map(str, marker["files"])) if is_ours and isinstance(marker.get("files"), list) else set()
+    # A run that was killed may leave a folder of its files empty.
+    known = {LOCK_FILE, *listed, *(str(PurePosixPath(name).parent) for name in listed)}
+    found = [name for name in _entries(path) if name != MARKER_FILE or not listed]
+    strangers = [name for name in found if name not in known]
+    if strangers:
+        raise InputError(
+            f"{str(path)!r} holds {strangers[0]!r}, which is not part of a gallery; nothing was changed",
+            next="choose an empty or new folder with --out",
+        )
+    # Of one whose run was killed while it appeared, some files are missing.
+    if listed and listed.issubset(found) and not overwrite:
+        raise InputError(
+            f"{str(path)!r} holds a gallery already; nothing was changed",
+            next="replace it with --overwrite, or choose another folder with --out",
+        )
+    return listed.intersection(found)
 
 
 def _entries(folder: Path) -> Iterator[str]:
@@ -327,15 +299,13 @@ class SiteForecast:
 
 def forecast_site(gallery: Gallery, out: str, workers: int, *, overwrite: bool = False) -> SiteForecast:
     """Make a few items, write nothing, and return what all would take; InputError as :func:`build_site`."""
-    _require_free(gallery, out, overwrite=overwrite)
+    _require_free(out, overwrite=overwrite)
     _require_size(gallery)
     site, tasks = _Files(gallery), gallery.tasks
-    if len(tasks) > _SAMPLED_TASKS:  # some, evenly from first to last
-        steps = _SAMPLED_TASKS - 1
-        tasks = tuple(tasks[step * (len(tasks) - 1) // steps] for step in range(_SAMPLED_TASKS))
     start_s = time.monotonic()
-    for first, task in zip(_first_numbers(tasks), tasks, strict=True):
-        site.add(first, task.make())
+    # One, or three from first to last.
+    for number in sorted({0, len(tasks) // 2, len(tasks) - 1}):
+        site.add(len(site.shown), tasks[number].make())
     elapsed_s = time.monotonic() - start_s
     share = gallery.size / len(site.shown)
     made = len(site.names) - site.fixed_files

@@ -96,7 +96,7 @@ class RecordStream(Generic[R]):
         return class_names(self._shards[0].schema, self._default_names)
 
     def __repr__(self) -> str:
-        words = with_origins(counted(len(self._shards), "shards"), [ShardedTable(self._shards)])
+        words = with_origins(counted(len(self._shards), "shards"), ShardedTable(self._shards))
         return f"{type(self).__name__}({self._record.__name__}, {', '.join(words)})"
 
     def __iter__(self) -> Iterator[R]:
@@ -117,4 +117,4 @@ def open_solids(
     require_mesh_columns(table.schema, name, kind.made_by)
     if streaming:
         return RecordStream(shards, dataset.record_class, kind.class_names)
-    return dataset([table], label_names=class_names(table.schema, kind.class_names, name))
+    return dataset(table, label_names=class_names(table.schema, kind.class_names, name))

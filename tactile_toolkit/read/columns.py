@@ -210,22 +210,6 @@ def column_names(schema: Any) -> tuple[str, ...]:
     return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
 
 
-def same_values(one: Any, other: Any) -> bool:
-    """Return whether two Arrow arrays hold the same values of the same type; a NaN equals that same NaN."""
-    if one.type != other.type or len(one) != len(other):
-        return False
-    # To Arrow a NaN equals nothing; bytes equal themselves.
-    return bool(one.equals(other)) or _packed(one).equals(_packed(other))
-
-
-def _packed(array: Any) -> Any:
-    import pyarrow as pa
-
-    # Taken, as bytes of a part would hold some of the rows next to it.
-    copy = array.take(pa.array(range(len(array)), pa.int64()))
-    return pa.RecordBatch.from_arrays([copy], [""]).serialize()
-
-
 def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
     """Find the rows of a table, one chunk per column, in which one of some columns holds a null at any depth.
 

@@ -3,32 +3,18 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, Self, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import RowGroup, column_types, numpy_values, same_values
+from tactile_toolkit.read.columns import RowGroup, column_types
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence
 from tactile_toolkit.wording import counted
-
-_LARGEST = np.iinfo(np.int64).max
-_MADE_TOGETHER = 4096  # rows that lie in no shard, because each is made when it is asked for
-
-
-def _ints(array: Any) -> NDArray[np.int64]:
-    """Return each value of an Arrow array, and whether it is unusable; shape (rows, 2)."""
-    unusable = array.is_null().to_numpy(zero_copy_only=False)
-    # Filled first: numpy has no null, and would make all of the column floats, which round large ids.
-    values = array.fill_null(0).to_numpy(zero_copy_only=False)
-    is_float = values.dtype.kind == "f"  # "~": of a NaN, no comparison is true
-    unusable = unusable | (~(np.abs(values) < float(_LARGEST)) if is_float else values > _LARGEST)
-    return np.column_stack([np.where(unusable, 0, values).astype(np.int64), unusable])
-
 
 T = TypeVar("T")
 
@@ -79,18 +65,18 @@ class Row:
 
     def equals(self, other: Row) -> bool:
         """Return whether two rows have the same columns and values, wherever they are stored."""
-        if self.group is other.group and self.index == other.index:
-            return True
-        names = self.group.names
-        if set(names) != set(other.group.names):
+        one, another = self._alone(), other._alone()
+        if one.schema != another.schema:
             return False
-        # Ids first: most rows differ there, and no mesh or picture is looked at then.
-        return all(
-            same_values(
-                self.group.arrow(name).slice(self.index, 1), other.group.arrow(name).slice(other.index, 1)
-            )
-            for name in sorted(names, key=lambda name: name != "id")
-        )
+        # To Arrow a NaN equals nothing; written it equals itself.
+        return bool(one.equals(another)) or repr(one.to_pydict()) == repr(another.to_pydict())
+
+    def _alone(self) -> Any:
+        """Return this row as a table of its columns, by dotted name."""
+        import pyarrow as pa
+
+        names = sorted(self.group.names)
+        return pa.table({name: self.group.arrow(name).slice(self.index, 1) for name in names})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a table of this one row, not as its entire row group."""
@@ -162,10 +148,10 @@ class RecordDataset(LazySequence[T]):
 
     Parameters
     ----------
-    tables : sequence of ShardedTable
-        Stored rows; their numbering is joined in this order.
+    table : ShardedTable
+        Stored rows.
     rows : sequence of int, optional
-        Which rows of the joined numbering, in which order; all by default.
+        Which of them, in which order; all by default.
     label_names : sequence of str
         Name of each class.
     """
@@ -174,13 +160,12 @@ class RecordDataset(LazySequence[T]):
 
     def __init__(
         self,
-        tables: Sequence[ShardedTable],
+        table: ShardedTable,
         rows: range | NDArray[np.int64] | None = None,
         label_names: Sequence[str] = (),
     ) -> None:
-        self._tables = tuple(tables)
-        self._starts = np.cumsum([0, *map(len, self._tables)])
-        self._rows = range(int(self._starts[-1])) if rows is None else rows
+        self._table = table
+        self._rows = range(len(table)) if rows is None else rows
         self._label_names = tuple(label_names)
 
     @property
@@ -200,11 +185,10 @@ class RecordDataset(LazySequence[T]):
 
     @property
     def _types(self) -> dict[str, Any]:
-        """Arrow type of each column that all parts store alike, by dotted name; structs are left out."""
+        """Arrow type of each column that joined sets store alike, by dotted name; structs are left out."""
         import pyarrow as pa
 
-        schemas = [table.schema for table in self._tables if table.schema is not None]
-        found, *others = [column_types(schema) for schema in schemas] or [{}]
+        found, *others = [column_types(schema) for schema in self._table.schemas] or [{}]
         return {
             name: each
             for name, each in found.items()
@@ -242,8 +226,7 @@ class RecordDataset(LazySequence[T]):
         blocks = {(row.path, row.group.first_row): row.group.table for row in rows}
         starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
         places = [starts[row.path, row.group.first_row] + row.index for row in rows]
-        schemas = [table.schema for table in self._tables if table.schema is not None]
-        parts = list(blocks.values()) or [schema.empty_table() for schema in schemas[:1]]
+        parts = list(blocks.values()) or [schema.empty_table() for schema in self._table.schemas[:1]]
         if not parts:
             return Dataset.from_dict({})
         shared = set.intersection(*({(each.name, each.type) for each in part.schema} for part in parts))
@@ -262,7 +245,15 @@ class RecordDataset(LazySequence[T]):
         InputError
             When the data set has no such column.
         """
-        return self._column(name, numpy_values)
+        try:
+            values = self._table.column(name)
+        except KeyError as error:
+            raise InputError(f"no column {name!r} in this data set") from error
+        rows = self._rows
+        if isinstance(rows, range):
+            # One that runs down to row 0 stops at -1, which to a slice is the last row.
+            return values[rows.start : rows.stop if rows.stop >= 0 else None : rows.step]
+        return values[rows]
 
     def int_column(self, name: str) -> NDArray[np.int64]:
         """Read one column of integers, shape (len,), int64, without touching any other.
@@ -274,62 +265,39 @@ class RecordDataset(LazySequence[T]):
         IntegrityError
             A value is missing or does not fit into 64 bits; names file and row.
         """
-        # What rows that are not chosen hold does not matter.
-        values, unusable = self._column(name, _ints).reshape(-1, 2).T
-        if unusable.any():
-            row = self._row(int(self._rows[int(np.argmax(unusable))]))
+        values = self.column(name)
+        # With a missing value in any row, chosen or not, all are floats; no comparison holds for NaN.
+        kind = values.dtype.kind
+        bits = 53 if kind == "f" else 63
+        usable = np.abs(values) < 2**bits if kind in "uf" else np.full(len(values), kind in "bi")
+        if not usable.all():
+            row = self._row(int(self._rows[int(np.argmin(usable))]))
             value = row.group.arrow(name)[row.index].as_py()
             found = "no value is stored" if value is None else f"the value is {value}"
-            expected = "expected an integer below 2**63"
+            expected = f"expected an integer below 2**{bits}"
             raise IntegrityError.in_file(row.path, f", row {row.number}, field {name!r}: {found}; {expected}")
         return np.ascontiguousarray(values, np.int64)
-
-    def _column(self, name: str, convert: Callable[[Any], NDArray[Any]]) -> NDArray[Any]:
-        try:
-            parts = [table.column(name, convert) for table in self._tables]
-        except (KeyError, IndexError) as error:
-            raise InputError(f"no column {name!r} in this data set") from error
-        values = parts[0] if len(parts) == 1 else np.concatenate(parts or [np.zeros(0)])
-        rows = self._rows
-        if isinstance(rows, range):
-            # One that runs down to row 0 stops at -1, which to a slice is the last row.
-            return values[rows.start : rows.stop if rows.stop >= 0 else None : rows.step]
-        return values[rows]
 
     @property
     def identity(self) -> str:
         """What distinguishes the stored rows that this is a view of from all others, later ones there too."""
-        return "+".join(table.identity for table in self._tables)
+        return self._table.identity
 
     def _row(self, number: int) -> Row:
         """Return a row by its number among those that are stored."""
-        if len(self._tables) == 1:
-            return Row(*self._tables[0].locate(number))
-        part = int(np.searchsorted(self._starts, number, side="right")) - 1
-        return Row(*self._tables[part].locate(number - int(self._starts[part])))
+        return Row(*self._table.locate(number))
 
     def _stored(self, row: int) -> T:
         record: T = self.record_class(self._row(row))
         return record
 
     def _concat(self, other: Self) -> Self:
-        offset = int(self._starts[-1])
-        joined = self._view(np.concatenate([self._row_numbers, other._row_numbers + offset]))
-        joined._tables = (*self._tables, *other._tables)
-        joined._starts = np.concatenate([self._starts, other._starts[1:] + offset])
+        joined = self._view(np.concatenate([self._row_numbers, other._row_numbers + len(self._table)]))
+        joined._table = ShardedTable((*self._table.shards, *other._table.shards))
         return joined
 
-    @property
-    def _shard_starts(self) -> NDArray[np.int64]:
-        """Where each shard begins in the joined numbering, and the end."""
-        starts = [0]
-        for table in self._tables:
-            made = [min(_MADE_TOGETHER, len(table) - row) for row in range(0, len(table), _MADE_TOGETHER)]
-            starts += map(len, table.shards) if table.shards else made
-        return np.cumsum(starts)
-
     def _stored_parts(self) -> StoredParts:
-        rows, starts = self._rows, self._shard_starts
+        rows, starts = self._rows, self._table.part_starts
         if isinstance(rows, range) and rows.step == 1:
             return StoredParts.of(np.clip(starts, rows.start, rows.stop) - rows.start)
         order = np.argsort(self._row_numbers, kind="stable")
@@ -338,23 +306,20 @@ class RecordDataset(LazySequence[T]):
     def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
         rows = self._rows
         numbers = np.unique(rows.start + rows.step * chosen if isinstance(rows, range) else rows[chosen])
-        found: list[tuple[Shard, int]] = []
-        for first, table in zip(self._starts.tolist(), self._tables, strict=False):
-            found += table.row_groups(numbers[(numbers >= first) & (numbers < first + len(table))] - first)
-        return found
+        return self._table.row_groups(numbers)
 
     def _description(self) -> list[str]:
-        return with_origins(counted(len(self), self.things), self._tables)
+        return with_origins(counted(len(self), self.things), self._table)
 
     @property
     def splits(self) -> tuple[str, ...]:
         """Splits that the rows are of, by the names of their files."""
-        return tuple(dict.fromkeys(split for table in self._tables for _, split in table.origins if split))
+        return tuple(dict.fromkeys(split for _, split in self._table.origins if split))
 
 
-def with_origins(things: str, tables: Iterable[ShardedTable]) -> list[str]:
+def with_origins(things: str, table: ShardedTable) -> list[str]:
     """Say of what data sets and splits some things are, such as ``20 rows``."""
-    origins = [origin for table in tables for origin in table.origins]
+    origins = table.origins
     names = dict.fromkeys(name for name, _ in origins)
     splits = dict.fromkeys(f"split {split}" for _, split in origins if split)
     return [f"{things} of {' and '.join(names)}" if names else things, *splits]

@@ -390,6 +390,34 @@ class Shard:
         return self.path.rpartition("/")[2], *_stat_key(os.stat(self.path))  # noqa: PTH116
 
     @property
+    def part_sizes(self) -> Sequence[int]:
+        """Rows of the parts that training mixes: all together."""
+        return (len(self),)
+
+    @cached_property
+    def split(self) -> str:
+        """Split by the name of the file; empty where that states none."""
+        name = ShardName.parse(self.path.rpartition("/")[2])
+        return "" if name is None else name.split
+
+    @property
+    def set_name(self) -> tuple[str, str]:
+        """Folder and split, or file name where that states no split: shards of one set have one schema."""
+        folder, _, name = self.path.rpartition("/")
+        return folder, self.split or name
+
+    @property
+    def origin(self) -> tuple[str, str]:
+        """Name in quotes and split of the data set: a repository of the Hub, or a folder."""
+        # hf://datasets/USER/NAME@COMMIT, or datasets--USER--NAME in the cache of the Hub's client.
+        on_hub = re.search(r"(?:^hf://datasets/|/datasets--)([^/]+?)(?:/|--)([^/@]+)(?:@[^/]*)?/", self.path)
+        if on_hub is not None:
+            return repr(f"{on_hub[1]}/{on_hub[2]}"), self.split
+        folders = (self.path if self.is_remote else os.path.abspath(self.path)).split("/")[:-1]  # noqa: PTH100
+        named = [part for part in folders if part not in ("", ".", DATA_FOLDER)] or folders
+        return repr(named[-1]), self.split
+
+    @property
     def is_remote(self) -> bool:
         """Whether it is at an address."""
         return "://" in self.path
@@ -460,19 +488,6 @@ def _small_column(small: tuple[Shard, str] | None, shards: Sequence[Shard], name
     return None
 
 
-def _origin(path: str) -> tuple[str, str]:
-    """Return name in quotes and split of the data set of a shard: a repository of the Hub, or a folder."""
-    shard = ShardName.parse(path.rpartition("/")[2])
-    split = "" if shard is None else shard.split
-    # hf://datasets/USER/NAME@COMMIT, or datasets--USER--NAME in the cache of the Hub's client.
-    on_hub = re.search(r"(?:^hf://datasets/|/datasets--)([^/]+?)(?:/|--)([^/@]+)(?:@[^/]*)?/", path)
-    if on_hub is not None:
-        return repr(f"{on_hub[1]}/{on_hub[2]}"), split
-    folders = (path if "://" in path else os.path.abspath(path)).split("/")[:-1]  # noqa: PTH100
-    named = [part for part in folders if part not in ("", ".", DATA_FOLDER)] or folders
-    return repr(named[-1]), split
-
-
 @dataclass(frozen=True)
 class ShardedTable:
     """The rows of several shards, in their order, under one numbering; reads nothing until asked."""
@@ -507,6 +522,19 @@ class ShardedTable:
         return self.shards[0].schema if self.shards else None
 
     @property
+    def schemas(self) -> list[Any]:
+        """Arrow schemas of the first shards of all data sets of which shards are here, each of one split."""
+        # Of files that are not named as shards are, each may be of another.
+        first = {shard.set_name: shard for shard in reversed(self.shards)}
+        return [shard.schema for shard in reversed(first.values())]
+
+    @property
+    def part_starts(self) -> NDArray[np.int64]:
+        """Where each part that training mixes begins, and the end: a shard, or some rows that are made."""
+        sizes = chain.from_iterable(shard.part_sizes for shard in self.shards)
+        return np.array([0, *accumulate(sizes)], np.int64)
+
+    @property
     def identity(self) -> str:
         """What distinguishes these rows from all others, also from later ones of the same files."""
         return repr([shard.identity for shard in self.shards])
@@ -514,7 +542,7 @@ class ShardedTable:
     @property
     def origins(self) -> list[tuple[str, str]]:
         """Name of the data set, and split where that is known, of each shard, by where it lies."""
-        return [_origin(shard.path) for shard in self.shards]
+        return [shard.origin for shard in self.shards]
 
     def locate(self, row: int) -> tuple[RowGroup, int]:
         """Return the row group (or block of one) that holds a row, and the row's index in it."""
@@ -538,12 +566,9 @@ class ShardedTable:
             found += [(shard, group) for group in groups.tolist()]
         return found
 
-    def column(self, name: str, convert: Callable[[Any], NDArray[Any]] = numpy_values) -> NDArray[Any]:
-        """Read one plain column of all rows by dotted name, and only that column; kept for the next call.
-
-        ``convert`` makes numpy's array of each Arrow array, along the first axis.
-        """
-        return self._kept(f"{convert.__name__} {name}", map(convert, self._arrays(name)))
+    def column(self, name: str) -> NDArray[Any]:
+        """Read one plain column of all rows by dotted name, and only that column; kept for the next call."""
+        return self._kept(f"column {name}", map(numpy_values, self._arrays(name)))
 
     def per_shard(self, key: str, compute: Callable[[Shard], Sequence[NDArray[Any]]]) -> NDArray[Any]:
         """Join along the first axis what is computed of each shard; kept under ``key`` for the next call."""

@@ -33,7 +33,7 @@ def test_blocks_read_as_one(rows_per_block: int, one_group: Path, monkeypatch: p
     monkeypatch.setenv(CACHE_VARIABLE, str(one_group / "cache"))
     BLOCKS.clear()
     dataset = realtouch.load(one_group)
-    assert list(dataset._tables[0].shards[0].block_rows) == [rows_per_block]
+    assert list(dataset._table.shards[0].block_rows) == [rows_per_block]
     for row in (5, 0, 3, 1, 4, 2):  # in any order
         record = dataset[row]
         assert (record.id, record._row.number) == (whole[row][0], row)

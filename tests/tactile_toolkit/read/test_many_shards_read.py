@@ -29,7 +29,7 @@ def test_open_files_and_maps_are_bounded_however_many_shards_are_read(tmp_path, 
     for index in range(SHARDS):
         shards.append(Shard(str(tmp_path / f"train-{index:05d}-of-{SHARDS:05d}.parquet"), 2))
         pq.write_table(pa.table({"id": [2 * index, 2 * index + 1]}), shards[-1].path)
-    rows = RecordDataset([ShardedTable(tuple(shards))])
+    rows = RecordDataset(ShardedTable(tuple(shards)))
     most_files = most_maps = 0
     before = _held()
     for turn in range(2):

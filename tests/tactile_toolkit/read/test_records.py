@@ -53,7 +53,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def opened(folder: Path) -> ToyDataset:
-    return ToyDataset([ShardedTable(find_shards(str(folder), "train"))], label_names=("a", "b", "c"))
+    return ToyDataset(ShardedTable(find_shards(str(folder), "train")), label_names=("a", "b", "c"))
 
 
 @pytest.fixture
@@ -159,10 +159,10 @@ def test_concatenate(dataset):
     with pytest.raises(
         InputError, match=r"cannot join data sets with classes \('a', 'b', 'c'\) and \('x',\)"
     ):
-        dataset + ToyDataset(dataset._tables, label_names=("x",))
+        dataset + ToyDataset(dataset._table, label_names=("x",))
     with pytest.raises(TypeError):
         _ = dataset + list(dataset)
-    assert dataset != ToyDataset(dataset._tables, label_names=("x",))
+    assert dataset != ToyDataset(dataset._table, label_names=("x",))
     assert dataset != [*dataset]
 
 
@@ -263,9 +263,9 @@ def test_changed_file_is_not_served_from_the_cache(tmp_path):
         pq.write_table(pa.table({"id": [1], "points": list_array(rows, pa.float32())}), file)
 
     write(1.0)
-    first = ToyDataset([ShardedTable((Shard(str(file)),))])[0].points
+    first = ToyDataset(ShardedTable((Shard(str(file)),)))[0].points
     write(2.0)
-    second = ToyDataset([ShardedTable((Shard(str(file)),))])[0].points
+    second = ToyDataset(ShardedTable((Shard(str(file)),)))[0].points
     assert first.max() == 1.0
     assert second.min() == 2.0
 
@@ -334,7 +334,7 @@ def test_damaged_cache_is_made_again(dataset, folder):
     (unpacked,) = cache_folder().rglob("*.arrow")
     unpacked.write_bytes(unpacked.read_bytes()[:100])
     BLOCKS.clear()
-    again = ToyDataset([ShardedTable(find_shards(str(folder), "train"))])
+    again = ToyDataset(ShardedTable(find_shards(str(folder), "train")))
     np.testing.assert_array_equal(again[1].points, points(1))
     assert unpacked.stat().st_size > 100
 

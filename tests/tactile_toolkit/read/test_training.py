@@ -72,7 +72,7 @@ def paths(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 @pytest.fixture
 def rows(paths: list[str]) -> Rows:
-    return Rows([ShardedTable(tuple(map(Shard, paths)))])
+    return Rows(ShardedTable(tuple(map(Shard, paths))))
 
 
 def batches_of(rows: Any, batch_size: int = 3, **options: Any) -> TrainingBatches:
@@ -149,7 +149,7 @@ def test_a_job_goes_on_on_other_ranks_without_losing_or_doubling_an_item(
 @pytest.fixture(scope="module")
 def rows_for_ever(paths: list[str]) -> Rows:
     """Of the module, as hypothesis wants them: nothing of a test stays in them."""
-    return Rows([ShardedTable(tuple(map(Shard, paths)))])
+    return Rows(ShardedTable(tuple(map(Shard, paths))))
 
 
 def the_state_of_a_loader_goes_on_with_the_same_or_with_other_workers(rows: Rows) -> None:
@@ -288,7 +288,7 @@ def test_ranks_are_those_of_the_launcher(rows: Rows, monkeypatch: pytest.MonkeyP
 def test_views_come_shard_by_shard(paths: list[str]) -> None:
     """Whatever was chosen, joined or shuffled: without a seed as stored, with one each item once."""
     table = ShardedTable(tuple(map(Shard, paths)))
-    rows = Rows([table])
+    rows = Rows(table)
     for view in (
         rows,
         rows[5:30],
@@ -358,7 +358,7 @@ def where(touch: realtouch.Touch) -> tuple[int, int]:
 
 
 def test_damage_is_named_where_it_is_met(tmp_path: Path) -> None:
-    rows = Rows([ShardedTable(tuple(map(Shard, write_shards(tmp_path))))])
+    rows = Rows(ShardedTable(tuple(map(Shard, write_shards(tmp_path)))))
     damaged = tmp_path / "train-00004-of-00006.parquet"
     content = bytearray(damaged.read_bytes())
     content[8] ^= 0xFF
@@ -371,7 +371,7 @@ def test_no_more_than_two_windows_are_unpacked_ahead(
     paths: list[str], tmp_path: Path, monkeypatch: Any
 ) -> None:
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    rows = Rows([ShardedTable(tuple(map(Shard, paths)))])
+    rows = Rows(ShardedTable(tuple(map(Shard, paths))))
     passing = iter(batches_of(rows, window=1))
     _ = next(passing)
     passing.close()
@@ -383,24 +383,24 @@ def test_no_more_than_two_windows_are_unpacked_ahead(
 def test_a_cache_that_is_too_small_or_not_there_costs_speed_only(
     paths: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    rows = Rows([ShardedTable(tuple(map(Shard, paths)))])
+    rows = Rows(ShardedTable(tuple(map(Shard, paths))))
     expected = epoch_ids(rows, 0)
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "small"))
     monkeypatch.setenv(CACHE_LIMIT_VARIABLE, "0")
     with pytest.warns(
         RuntimeWarning, match=rf"again and again; next: take a smaller window, or set {CACHE_LIMIT_VARIABLE}="
     ):
-        assert flat(batches_of(Rows([ShardedTable(tuple(map(Shard, paths)))]))) == expected
+        assert flat(batches_of(Rows(ShardedTable(tuple(map(Shard, paths)))))) == expected
     monkeypatch.delenv(CACHE_LIMIT_VARIABLE)
     (tmp_path / "file").touch()
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert flat(batches_of(Rows([ShardedTable(tuple(map(Shard, paths)))]))) == expected
+        assert flat(batches_of(Rows(ShardedTable(tuple(map(Shard, paths)))))) == expected
     monkeypatch.setenv(CACHE_LIMIT_VARIABLE, "much")
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "other"))
     with pytest.raises(InputError, match="expected an integer of MiB"):
-        flat(batches_of(Rows([ShardedTable(tuple(map(Shard, paths)))])))
+        flat(batches_of(Rows(ShardedTable(tuple(map(Shard, paths))))))
 
 
 UNPACK = """
@@ -457,7 +457,7 @@ JOB = """
     folder, stop = Path(folder), int(stop)
     dist.init_process_group("gloo")
     batches = TrainingBatches(
-        RecordDataset([ShardedTable(tuple(map(Shard, paths)))]), 2, seed=5, window=2, collate_fn=ids
+        RecordDataset(ShardedTable(tuple(map(Shard, paths)))), 2, seed=5, window=2, collate_fn=ids
     )
     # A program that is no file cannot be read again by workers that start afresh, as from Python 3.14 on.
     started = "fork" if int(workers) else None
@@ -536,7 +536,7 @@ def test_a_job_of_several_processes_that_is_killed_goes_on_on_others(
         errors = process.communicate()[1]
         assert process.returncode == 0, errors
     log = [json.loads(line) for line in (tmp_path / "log").read_text().splitlines()]
-    rows = Rows([ShardedTable(tuple(map(Shard, paths)))])
+    rows = Rows(ShardedTable(tuple(map(Shard, paths))))
     for epoch in (0, 1):
         steps = [given for number, given in log if number == epoch]
         assert all(len({len(batch) for batch in given}) == 1 for given in steps), "equal steps on all ranks"

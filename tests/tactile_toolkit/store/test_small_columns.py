@@ -44,7 +44,7 @@ def opened(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[int], li
 
     with monkeypatch.context() as patch:
         patch.setattr(Shard, "_opened", noted)
-        dataset = RecordDataset([ShardedTable(find_shards(str(folder), "train"))], label_names="abc")
+        dataset = RecordDataset(ShardedTable(find_shards(str(folder), "train")), label_names="abc")
         return dataset.labels.tolist(), dataset.ids.tolist(), seen
 
 
