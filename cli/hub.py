@@ -56,9 +56,9 @@ def upload(
     result = None
     if not dry_run:
         # Even where all files are there, a branch to make is a change that may not be meant.
-        is_change = not (prepared.plan.is_done and prepared.target.has_branch)
+        is_change = not (prepared.plan.is_done and prepared.branch.exists)
         refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
-        question = f"Send this to {prepared.target.page}?"
+        question = f"Send this to {prepared.page}?"
         if is_change and not (
             yes or _confirmed(question, refused, "add --yes, or look first with --dry-run")
         ):
@@ -138,22 +138,23 @@ def _listed(paths: Sequence[str]) -> str:
 
 
 def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
-    plan, target, where = prepared.plan, prepared.target, _where(prepared)
+    plan, branch, where = prepared.plan, prepared.branch, _where(prepared)
     for paths, words in (
         (prepared.left_out, "left out, no part of the data set: {}"),
         (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes it)"),
     ):
         if paths:
             sink.info(words.format(_listed(paths)))
-    if target.held is None:
+    if branch.held is None:
         visible = "private" if prepared.options.private else "public"
         sink.line(f"{visible} repository to create: {where}")
-    elif not target.has_branch:
-        sink.line(f"branch to create at the head of main: {target.branch}")
+    elif not branch.exists:
+        sink.line(f"branch to create at the head of main: {prepared.branch_name}")
     if plan.is_done:
         return
+    there = branch.held.files if branch.held else {}
     rows = [
-        (file.path, bytes_text(file.size), "changed" if file.path in target.files else "new")
+        (file.path, bytes_text(file.size), "changed" if file.path in there else "new")
         for file in plan.to_send
     ]
     sink.table(("file", "size", "on the Hub"), rows[:_FILES_SHOWN])
@@ -171,23 +172,24 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
 def _print_result(
     sink: Sink, kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None
 ) -> None:
-    plan, target, where = prepared.plan, prepared.target, _where(prepared)
+    plan, held, where = prepared.plan, prepared.branch.held, _where(prepared)
+    name = prepared.branch_name
     pull = result.pull if result else None
-    address = target.page if target.branch == MAIN_BRANCH else f"{target.page}/tree/{target.branch}"
+    address = prepared.page if name == MAIN_BRANCH else f"{prepared.page}/tree/{name}"
     if pull:  # its branch (refs/pr/N) has no page that can be merged from
-        address = f"{target.page}/discussions/{pull.rpartition('/')[2]}"
-    revision = pull or (None if target.branch == MAIN_BRANCH else target.branch)
+        address = f"{prepared.page}/discussions/{pull.rpartition('/')[2]}"
+    revision = pull or (None if name == MAIN_BRANCH else name)
     split = prepared.manifest.splits[0]
-    first, call = kind.loading_lines(prepared.manifest, target.repo_id, split, revision)
+    first, call = kind.loading_lines(prepared.manifest, prepared.repo_id, split, revision)
     lines = [first, f"data = {call}"]
     sink.document(
         {
-            "repository": target.repo_id,
-            "revision": target.branch,
+            "repository": prepared.repo_id,
+            "revision": name,
             "address": address,
             "dry_run": result is None,
-            "exists": target.held is not None,
-            "private": target.held.is_private if target.held else prepared.options.private,
+            "exists": held is not None,
+            "private": held.is_private if held else prepared.options.private,
             "files": len(prepared.files),
             "bytes": sum(file.size for file in prepared.files),
             "to_send": [file.path for file in plan.to_send],
@@ -219,8 +221,8 @@ def _print_result(
 
 
 def _where(prepared: PreparedUpload) -> str:
-    branch = prepared.target.branch
-    return prepared.target.repo_id if branch == MAIN_BRANCH else f"{prepared.target.repo_id} ({branch})"
+    name = prepared.branch_name
+    return prepared.repo_id if name == MAIN_BRANCH else f"{prepared.repo_id} ({name})"
 
 
 def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:

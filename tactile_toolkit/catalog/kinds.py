@@ -11,7 +11,7 @@ from typing import Any
 
 from tactile_toolkit.catalog.locate import folder_named
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.hub.repository import HubRepository, cached_snapshot, commit_of
+from tactile_toolkit.hub.repository import HubRepository, cached_snapshot
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
 from tactile_toolkit.mesh.columns import class_names
 from tactile_toolkit.read.dataset import RecordDataset
@@ -184,13 +184,14 @@ def states(sets: Sequence[PublishedSet]) -> list[SetState]:
 
 
 def _state(entry: PublishedSet) -> SetState:
-    commit, size_bytes, licence = commit_of(entry.repo_id, "main"), None, entry.licence
+    size_bytes, licence = None, entry.licence
     with suppress(ToolkitError):
         found = HubRepository(entry.repo_id).snapshot
         if not found.is_cache:
             size_bytes = sum(file.size_bytes for file in found.files.values())
-            commit, licence = found.commit, licence or found.licence
-    here = cached_snapshot(entry.repo_id, commit).files if commit else {}
+            licence = licence or found.licence
+    cached = cached_snapshot(entry.repo_id, "main")
+    here = cached.files if cached else {}
     splits = tuple(dict.fromkeys(file.split for file in shard_files(here)))
     local_bytes = sum(file.size_bytes for file in here.values())
     return SetState(entry, local_bytes, splits, size_bytes, licence)

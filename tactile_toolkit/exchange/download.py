@@ -19,33 +19,16 @@ from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
 from tactile_toolkit.cards.facts import card_head, folder_facts, viewer_files, with_head
 from tactile_toolkit.catalog.kinds import published_set
 from tactile_toolkit.catalog.locate import hub_split, repository_named, repository_shards
-from tactile_toolkit.errors import (
-    HubError,
-    InputError,
-    IntegrityError,
-    SpecMismatchError,
-    ToolkitError,
-)
-from tactile_toolkit.hub.calls import is_unanswered, not_cached
-from tactile_toolkit.hub.repository import (
-    HubRepository,
-    Transfers,
-    cached_snapshot,
-    snapshot_folder,
-)
+from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, ToolkitError
+from tactile_toolkit.hub.calls import not_cached
+from tactile_toolkit.hub.repository import HubRepository, Transfers, snapshot_folder
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
-from tactile_toolkit.store.origin import (
-    DownloadRecord,
-    HubFile,
-    digest_like,
-    read_record,
-    write_record,
-)
+from tactile_toolkit.store.origin import DownloadRecord, HubFile, digest_like, read_record, write_record
 from tactile_toolkit.store.shards import shard_files
 
 # What is fitted to the splits that a folder gets.
@@ -120,7 +103,7 @@ def plan_download(
 
     ``name`` is a short name of a published set, or ``USER/NAME``; ``out`` a folder to fill instead of the
     Hub's cache. No split named means all; splits that are in the folder already stay in step with them. A
-    Hub in trouble is waited for; in place of one that stays silent the cache and the folder's record answer.
+    Hub in trouble is waited for; in place of one that stays silent the cache answers, but not for a folder.
     Raises InputError (not a repository, no such split, a user's own files in the folder),
     SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
     """
@@ -132,17 +115,14 @@ def plan_download(
 
 def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder | None) -> DownloadPlan:
     earlier = _earlier_record(folder, repository) if folder is not None else None
-    repository = _with_snapshot(repository, earlier)
     snapshot, recorded = repository.snapshot, earlier.files if earlier else {}
-    # In place of a silent Hub: all that the record lists stays wanted.
-    known, manifest = earlier if snapshot.is_cache else None, repository.manifest
-    shards = repository_shards(repository)
-    described = known or manifest
-    all_splits = described.splits if described else tuple(sorted({shard.split for shard in shards}))
-    before = {shard.split for shard in shard_files(recorded)}
-    wanted = {*splits, *before} if splits or known else set(all_splits)
+    if folder is not None and snapshot.is_cache:  # which may list a part of the files only
+        raise not_cached(repository.repo_id, "the present list of files")
+    manifest, shards = repository.manifest, repository_shards(repository)
+    all_splits = manifest.splits if manifest else tuple(sorted({shard.split for shard in shards}))
+    wanted = {*splits, *(shard.split for shard in shard_files(recorded))} if splits else set(all_splits)
     chosen = tuple(split for split in all_splits if split in wanted)
-    paths = list(known.files) if known else _accompanying_files(repository, chosen, fitted=folder is None)
+    paths = _accompanying_files(repository, chosen, fitted=folder is None)
     # Of a repository without shards, the usual split is reported missing.
     for split in dict.fromkeys([*chosen, *splits] or ["train"]):
         paths += [file.path for file in hub_split(repository, shards, split)]
@@ -157,12 +137,9 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
     here = in_threads(is_here, files.values(), _THREADS)
     missing = tuple(file for file, is_intact in zip(files.values(), here, strict=True) if not is_intact)
     # Other tools write files of that name, too, which are not manifests.
-    ours = (
+    metadata = tuple(
         path for path in _METADATA_FILES if path in snapshot.files and (path != MANIFEST_FILE or manifest)
     )
-    metadata = known.metadata_files if known else tuple(ours)
-    origin = (repository.repo_id, snapshot.commit, repository.revision)
-    record = DownloadRecord(*origin, files, all_splits, metadata)
     is_done = not missing
     if folder is not None:
         own = [file.path for file in missing if file.path not in recorded and folder.exists(file.path)]
@@ -174,26 +151,11 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
             )
         same = earlier is not None and earlier.finished and earlier.commit == snapshot.commit
         is_done = same and not missing and recorded.keys() <= files.keys() and _is_described(folder, metadata)
-    for path in (*(file.path for file in missing), *metadata) if snapshot.is_cache and not is_done else ():
-        if repository.cached(path) is None:  # found out before anything is touched
-            raise not_cached(repository.repo_id, repr(path))
+    elif missing and snapshot.is_cache:
+        raise not_cached(repository.repo_id, repr(missing[0].path))
+    origin = (repository.repo_id, snapshot.commit, repository.revision)
+    record = DownloadRecord(*origin, files, all_splits, metadata)
     return DownloadPlan(repository, folder, chosen, missing, is_done, record, earlier)
-
-
-def _with_snapshot(repository: HubRepository, record: DownloadRecord | None) -> HubRepository:
-    """Return the repository with what it holds: as the Hub states, or else as the record of a folder does."""
-    try:
-        if record is None or not repository.snapshot.is_cache:
-            return repository
-    except HubError as error:
-        # A refusal counts, whatever is here.
-        if record is None or not is_unanswered(error):
-            raise
-    # Only the Hub knows whether two names mean one commit.
-    if (repository.revision or "main") != (record.revision or "main"):
-        raise not_cached(repository.repo_id, f"commit {record.commit[:12]}, which the folder holds,")
-    cached = cached_snapshot(repository.repo_id, record.commit)
-    return replace(repository, known=replace(cached, files={**cached.files, **record.files}))
 
 
 def _is_intact(folder: DataFolder, file: HubFile, earlier: DownloadRecord | None) -> bool:

@@ -11,9 +11,9 @@ import warnings
 import weakref
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, with_repo_name
 from tactile_toolkit.cards.checks import check_card
@@ -40,8 +40,6 @@ _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _THREADS = 8
 
-T = TypeVar("T")
-
 
 @dataclass(frozen=True, slots=True)
 class LocalFile:
@@ -62,8 +60,21 @@ class LocalFile:
 
 
 @dataclass(frozen=True, slots=True)
+class HubBranch:
+    """A branch of a data set repository as it is now, or a pull request.
+
+    ``held`` is what the commit holds that the branch points to, or that it will start at, the head of
+    ``main``; None where the repository does not exist. ``tags`` name commits.
+    """
+
+    held: HubSnapshot | None
+    tags: Mapping[str, str]
+    exists: bool
+
+
+@dataclass(frozen=True, slots=True)
 class UploadPlan:
-    """The difference between a folder and a repository.
+    """The difference between a folder and a branch.
 
     Of what is not in the folder, but for what the Hub writes itself, some is ``kept``, the rest ``removed``.
     """
@@ -74,28 +85,20 @@ class UploadPlan:
 
     @property
     def is_done(self) -> bool:
-        """Whether the repository holds the folder already, and nothing that is to go."""
+        """Whether the branch holds the folder already, and nothing that is to go."""
         return not (self.to_send or self.removed)
 
 
-def compare(files: Iterable[LocalFile], remote: Mapping[str, HubFile], *, delete: bool = False) -> UploadPlan:
-    """Compare all that is to be in a repository with its files by path, by checksums.
+def compare(files: Iterable[LocalFile], held: HubSnapshot | None, *, delete: bool = False) -> UploadPlan:
+    """Compare all that is to be in a repository with what a commit holds, by path and checksum.
 
     Of other files, those that former uploads made for the Hub's page go, and all others with ``delete``.
     """
-    local = {file.path: file for file in files}
+    local, remote = {file.path: file for file in files}, held.files if held else {}
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
-    kept, removed = _others(local, remote, delete=delete)
-    return UploadPlan(missing, kept, removed)
-
-
-def _others(
-    local: Iterable[str], remote: Iterable[str], *, delete: bool
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return the files of a repository that a folder does not have: those kept, and those removed."""
-    others = sorted(set(remote).difference(local, _WRITTEN_BY_HUB))
-    gone = tuple(path for path in others if delete or _is_for_page(path))
-    return tuple(path for path in others if not (delete or _is_for_page(path))), gone
+    others = sorted(remote.keys() - local.keys() - _WRITTEN_BY_HUB)
+    kept = tuple(path for path in others if not (delete or _is_for_page(path)))
+    return UploadPlan(missing, kept, tuple(path for path in others if path not in kept))
 
 
 def _is_for_page(path: str) -> bool:
@@ -116,20 +119,28 @@ def collect(root: Path, manifest: Manifest) -> list[str]:
 
 
 @dataclass(frozen=True)
-class UploadTarget:
-    """A branch of a data set repository as it is now, or a pull request.
+class PreparedUpload:
+    """An upload that has been planned but not begun.
 
-    ``held`` is what the commit holds that the branch points to, or that it will start at, the head of
-    ``main``; None where the repository does not exist. ``tags`` name commits. ``on_wait`` gets a sentence for
-    each wait.
+    ``branch`` is what is there now under the name of the branch, ``plan`` the difference. ``left_out`` lies
+    in the folder and does not belong to the data set. ``scratch`` holds what was made for the upload as long
+    as this is kept. ``ask`` calls a function that asks the Hub, again where that may help.
     """
 
     repo_id: str
-    branch: str = MAIN_BRANCH
-    on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
-    held: HubSnapshot | None = None
-    tags: Mapping[str, str] = field(default_factory=dict)
-    has_branch: bool = False
+    options: UploadOptions
+    branch: HubBranch
+    manifest: Manifest
+    files: tuple[LocalFile, ...]
+    plan: UploadPlan
+    left_out: tuple[str, ...]
+    scratch: Path
+    ask: Callable[..., Any] = field(repr=False)
+
+    @property
+    def branch_name(self) -> str:
+        """Name of the branch, or of the pull request that is written to."""
+        return self.options.revision or MAIN_BRANCH
 
     @property
     def page(self) -> str:
@@ -137,71 +148,10 @@ class UploadTarget:
         return page_of(self.repo_id)
 
     @property
-    def files(self) -> Mapping[str, HubFile]:
-        """What the branch holds, by path."""
-        return self.held.files if self.held else {}
-
-    def ask(self, action: Callable[[Any], T], **options: Any) -> T:
-        """Return what an action does with the Hub's client; one that may be called once more."""
-        from huggingface_hub import HfApi
-
-        call = call_with_retry
-        return call(lambda: action(HfApi()), self.repo_id, "uploading to", on_wait=self.on_wait, **options)
-
-    def do(self, what: str, **options: Any) -> None:
-        """Call a method of the client for this repository."""
-        self.ask(lambda api: getattr(api, what)(self.repo_id, repo_type="dataset", **options))
-
-    def now(self) -> UploadTarget:
-        """Look what the branch holds; a repository or branch that does not exist is not an error."""
-        from huggingface_hub import errors
-
-        def look(api: Any) -> UploadTarget:
-            try:
-                refs = api.list_repo_refs(self.repo_id, repo_type="dataset")
-            except errors.RepositoryNotFoundError as error:
-                # To the client it is a kind of that, but such a repository exists.
-                if isinstance(error, errors.GatedRepoError):
-                    raise
-                return replace(self, held=None)
-            tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
-            # A pull request that is written to is not listed.
-            is_there = self.branch.startswith("refs/") or self.branch in {ref.name for ref in refs.branches}
-            held = listing(self.repo_id, self.branch if is_there else MAIN_BRANCH)
-            return replace(self, held=held, tags=tags, has_branch=is_there)
-
-        return self.ask(look)
-
-
-@dataclass(frozen=True)
-class PreparedUpload:
-    """An upload that has been planned but not begun.
-
-    ``left_out`` lies in the folder and does not belong to the data set. ``scratch`` holds what was made for
-    the upload as long as this is kept.
-    """
-
-    target: UploadTarget
-    options: UploadOptions
-    manifest: Manifest
-    files: tuple[LocalFile, ...]
-    left_out: tuple[str, ...]
-    scratch: Path
-
-    @cached_property
-    def plan(self) -> UploadPlan:
-        """What is missing on the Hub, and what it has next to the folder's files."""
-        return self.compared(self.target.held)
-
-    def compared(self, held: HubSnapshot | None) -> UploadPlan:
-        """Compare the folder with what a commit holds."""
-        return compare(self.files, held.files if held else {}, delete=self.options.delete)
-
-    @property
     def tags(self) -> tuple[str, ...]:
         """Names that the commit gets: the schema version's on the main branch, and the user's."""
         # What is not merged yet may never be.
-        is_main = self.target.branch == MAIN_BRANCH and not self.options.create_pr
+        is_main = self.branch_name == MAIN_BRANCH and not self.options.create_pr
         schema = [f"schema-{self.manifest.schema_version}"] if is_main else []
         return tuple(dict.fromkeys([*schema, *([self.options.tag] if self.options.tag else [])]))
 
@@ -244,8 +194,10 @@ def prepare_upload(
     login where the repository can be seen without one. Raises InputError (not a finished data set, an option
     that cannot be used), IntegrityError (damage, a card that does not fit the data) or HubError.
     """
+    from huggingface_hub import HfApi
+
     chosen, place = options or UploadOptions(), DataFolder(folder)
-    manifest, target = read_manifest(place), UploadTarget(repo_id, chosen.revision or MAIN_BRANCH, on_wait)
+    manifest = read_manifest(place)
     if hub_name(repo_id) != HubName(repo_id, None, ""):
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
     if manifest is None:
@@ -254,20 +206,39 @@ def prepare_upload(
             "before they are sent",
             next="give the folder of one",
         )
+    ask = partial(call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
     with contextlib.ExitStack() as stack:
         scratch = stack.enter_context(scratch_folder())
         if not place.is_local:
             place = local_copy(place, scratch / "copy")
         _require_sound(check(place) if check else verify(place, check_card=check_card).findings)
         if not dry_run:
-            target.ask(lambda api: api.whoami())
-        target = target.now()
-        manifest, files = _files_to_send(place, manifest, target, chosen, scratch)
+            ask(HfApi().whoami)
+        branch = ask(partial(_branch, repo_id, chosen.revision or MAIN_BRANCH))
+        manifest, files = _files_to_send(place, manifest, repo_id, branch.held, chosen, scratch)
+        plan = compare(files, branch.held, delete=chosen.delete)
+        _refuse_conflicts(repo_id, chosen, branch, plan)
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
-        prepared = PreparedUpload(target, chosen, manifest, files, left_out, scratch)
-        _refuse_conflicts(prepared)
+        prepared = PreparedUpload(repo_id, chosen, branch, manifest, files, plan, left_out, scratch, ask)
         weakref.finalize(prepared, stack.pop_all().close)
     return prepared
+
+
+def _branch(repo_id: str, name: str) -> HubBranch:
+    """Look what a branch holds; a repository or branch that does not exist is not an error."""
+    from huggingface_hub import HfApi, errors
+
+    try:
+        refs = HfApi().list_repo_refs(repo_id, repo_type="dataset")
+    except errors.RepositoryNotFoundError as error:
+        # To the client it is a kind of that, but such a repository exists.
+        if isinstance(error, errors.GatedRepoError):
+            raise
+        return HubBranch(None, {}, exists=False)
+    tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
+    # A pull request that is written to is not listed.
+    exists = name.startswith("refs/") or name in {ref.name for ref in refs.branches}
+    return HubBranch(listing(repo_id, name if exists else MAIN_BRANCH), tags, exists)
 
 
 def local_copy(folder: DataFolder, root: Path) -> DataFolder:
@@ -293,25 +264,28 @@ def _require_sound(findings: Iterable[Finding]) -> None:
         )
 
 
-def _refuse_conflicts(prepared: PreparedUpload) -> None:
+def _refuse_conflicts(repo_id: str, options: UploadOptions, branch: HubBranch, plan: UploadPlan) -> None:
     """Refuse to show what is to be private, and to move a tag of the user's."""
-    options, target = prepared.options, prepared.target
-    held, tag = target.held, options.tag or ""
+    held, named = branch.held, branch.tags.get(options.tag or "")
     if options.private and held is not None and not held.is_private:
         raise InputError(
-            f"{target.repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent",
-            next=f"make it private at {target.page}/settings, or leave --private out",
+            f"{repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent",
+            next=f"make it private at {page_of(repo_id)}/settings, or leave --private out",
         )
-    if tag in target.tags and not (prepared.plan.is_done and held and held.commit == target.tags[tag]):
+    if named and not (plan.is_done and held and held.commit == named):
         raise InputError(
-            f"tag {tag!r} of {target.repo_id!r} names commit {target.tags[tag][:12]} already; nothing was "
-            "sent",
+            f"tag {options.tag!r} of {repo_id!r} names commit {named[:12]} already; nothing was sent",
             next="choose another --tag, or delete that one on the Hub",
         )
 
 
 def _files_to_send(
-    place: DataFolder, manifest: Manifest, target: UploadTarget, options: UploadOptions, scratch: Path
+    place: DataFolder,
+    manifest: Manifest,
+    repo_id: str,
+    held: HubSnapshot | None,
+    options: UploadOptions,
+    scratch: Path,
 ) -> tuple[Manifest, tuple[LocalFile, ...]]:
     """Collect the files, with the cards as they are to be on the Hub, checked as such."""
     root, described, made = Path(place.address()), place.read_bytes(MANIFEST_FILE), dict[str, str]()
@@ -320,16 +294,17 @@ def _files_to_send(
         manifest = replace(manifest, files={**(manifest.files or {}), **made})
         described = manifest.to_json().encode()
     paths, facts = collect(root, manifest), folder_facts(place, manifest)
-    others, _ = _others(paths, target.files, delete=options.delete)
+    kept = () if held is None or options.delete else held.files.keys() - set(paths) - _WRITTEN_BY_HUB
+    others = sorted(path for path in kept if not _is_for_page(path))
     # Where the pattern of a split would take one of the others for its own, its files are named one by one.
     wanted = configs(facts, others)
-    stored = with_repo_name(place.read_bytes(CARD_FILE).decode(), target.repo_id)
+    stored = with_repo_name(place.read_bytes(CARD_FILE).decode(), repo_id)
     text = with_head(stored, lambda head: head.update(configs=wanted))
     _require_sound(check_card(place, text, held={*paths, *others}, manifest=manifest))
     rendered = {CARD_FILE: text.encode(), MANIFEST_FILE: described}
     if CROISSANT_FILE in paths:
         stored = place.read_bytes(CROISSANT_FILE).decode()
-        described_again = croissant_again(stored, facts, target.page, others)
+        described_again = croissant_again(stored, facts, page_of(repo_id), others)
         rendered[CROISSANT_FILE] = described_again.encode()
     for path, content in rendered.items():
         (scratch / path).write_bytes(content)
@@ -348,69 +323,68 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     lost. Raises HubError (what was sent stays on the Hub, and the same call continues from it) or
     IntegrityError (what the Hub holds afterwards is not what the folder has).
     """
-    target, options = prepared.target, prepared.options
-    if target.held is None:
-        # exist_ok: another upload may have made it since it was looked for.
-        target.do("create_repo", private=options.private, exist_ok=True)
-    if not target.has_branch and target.branch != MAIN_BRANCH:
-        start = target.held.commit if target.held else None
-        target.do("create_branch", branch=target.branch, revision=start, exist_ok=True)
+    from huggingface_hub import HfApi
+
+    api, ask, options, branch = HfApi(), prepared.ask, prepared.options, prepared.branch
+    here: dict[str, Any] = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
+    # exist_ok: another upload may have made them since they were looked for.
+    if branch.held is None:
+        ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))
+    if not branch.exists and prepared.branch_name != MAIN_BRANCH:
+        start = branch.held.commit if branch.held else None
+        ask(partial(api.create_branch, **here, branch=prepared.branch_name, revision=start, exist_ok=True))
     # A second try would open a second pull request where only the answer to the first was lost.
-    commit, pull = target.ask(
-        lambda api: _send(api, prepared), **({"waits_s": ()} if options.create_pr else {})
-    )
-    _require_arrival(prepared, commit)
-    tags = tuple(tag for tag in prepared.tags if target.tags.get(tag) != commit)
+    commit, pull = ask(partial(_send, prepared), waits_s=() if options.create_pr else None)
+    # By the digests that are known: HfApi.verify_repo_checksums (from 1.1 on) reads all of one folder again.
+    wrong = compare(prepared.files, ask(partial(listing, prepared.repo_id, commit)), delete=options.delete)
+    if not wrong.is_done:
+        paths = [*(file.path for file in wrong.to_send), *wrong.removed]
+        raise IntegrityError(
+            f"{prepared.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
+            f"{paths[0]} differs ({len(paths)} such files)",
+            next="run the same upload again, it sends what is missing",
+        )
+    tags = tuple(tag for tag in prepared.tags if branch.tags.get(tag) != commit)
     for tag in tags:
-        if tag in target.tags:
-            target.ask(partial(_delete_tag, repo_id=target.repo_id, tag=tag))  # the client moves no tag
-        target.do("create_tag", tag=tag, revision=commit, exist_ok=True)
+        ask(partial(_set_tag, here, tag, commit))
     sent = tuple(file.path for file in prepared.plan.to_send)
     return UploadResult(commit, pull, sent, prepared.plan.removed, tags)
 
 
-def _send(api: Any, prepared: PreparedUpload) -> tuple[str, str | None]:
-    """Send what is missing by now as one commit; return that, and the pull request that it opened."""
-    from huggingface_hub import CommitOperationAdd, CommitOperationDelete
+def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
+    """Send what is missing by now as one commit; return that, and the pull request that it opened.
 
-    target, options, manifest = prepared.target.now(), prepared.options, prepared.manifest
-    plan = prepared.compared(target.held)
-    if plan.is_done and target.held is not None:
-        return target.held.commit, None
+    Not by ``upload_folder``: where it sends compressed pieces it makes several commits, between which readers
+    would find a part of the files; and it takes all from one folder, while the cards here are made anew.
+    """
+    from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
+
+    options, manifest = prepared.options, prepared.manifest
+    held = _branch(prepared.repo_id, prepared.branch_name).held
+    plan = compare(prepared.files, held, delete=options.delete)
+    if plan.is_done and held is not None:
+        return held.commit, None
     message = f"Upload {manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the client library's own, which no user can heed
-        made = api.create_commit(
-            repo_id=target.repo_id,
+        made = HfApi().create_commit(
+            repo_id=prepared.repo_id,
             operations=[
                 *(CommitOperationDelete(path) for path in plan.removed),
                 *(CommitOperationAdd(each.path, each.place) for each in plan.to_send),
             ],
             repo_type="dataset",
             commit_message=options.message or message,
-            revision=None if options.create_pr else target.branch,
+            revision=None if options.create_pr else prepared.branch_name,
             create_pr=options.create_pr,
         )
     return str(made.oid), made.pr_revision
 
 
-def _require_arrival(prepared: PreparedUpload, commit: str) -> None:
-    """Compare every file of a commit with the folder, by checksum; IntegrityError names what differs."""
-    target = prepared.target
-    arrived = prepared.compared(target.ask(lambda _: listing(target.repo_id, commit)))
-    wrong = [f"{each.path} differs or is missing" for each in arrived.to_send]
-    wrong += [f"{path} is still there" for path in arrived.removed]
-    if wrong:
-        raise IntegrityError(
-            f"{target.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
-            f"{'; '.join(wrong[:3])} ({len(wrong)} such files)",
-            next="run the same upload again, it sends what is missing",
-        )
+def _set_tag(repository: Mapping[str, Any], tag: str, commit: str) -> None:
+    """Let a tag name a commit: the client moves none."""
+    from huggingface_hub import HfApi, errors
 
-
-def _delete_tag(api: Any, repo_id: str, tag: str) -> None:
-    """Delete a tag; one that is gone, as where an answer was lost, is not a failure."""
-    from huggingface_hub.errors import RevisionNotFoundError
-
-    with contextlib.suppress(RevisionNotFoundError):
-        api.delete_tag(repo_id, repo_type="dataset", tag=tag)
+    with contextlib.suppress(errors.RevisionNotFoundError):  # it is new, or an answer was lost
+        HfApi().delete_tag(**repository, tag=tag)
+    HfApi().create_tag(**repository, tag=tag, revision=commit)

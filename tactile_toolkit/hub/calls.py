@@ -11,6 +11,7 @@ import contextlib
 import errno
 import re
 from collections.abc import Callable, Iterator
+from functools import partial
 from importlib import import_module
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
@@ -24,20 +25,20 @@ ANSWER_BYTES = 32 << 20
 WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0)
 """Waits between tries, seconds."""
 
-# Too slow, too early, too many, and a server in trouble; 501 stays, as what is not offered will not be.
-_TRANSIENT_STATUS = frozenset({408, 425, 429, 500, 502, 503, 504})
-# RequestError is of httpx; Timeout and ChunkedEncodingError are of requests, which clients before 1.0 have.
-_CONNECTION = frozenset({"ConnectionError", "TimeoutError", "RequestError", "Timeout"})
-_BROKEN = frozenset(
-    {
-        *("ConnectionResetError", "BrokenPipeError", "ConnectionAbortedError"),
-        *("RequestError", "Timeout", "ChunkedEncodingError"),
-    }
+# Errors are known by what `_traits` says of them, as each major release of the client has another HTTP
+# library: RequestError is of httpx; Timeout and ChunkedEncodingError are of requests (clients before 1.0).
+_TRANSIENT = ("408", "425", "429", "500", "502", "503", "504")  # not 501: what is not offered will not be
+_BROKEN = re.compile(
+    r"\b(?:ConnectionResetError|BrokenPipeError|ConnectionAbortedError|RequestError|Timeout"
+    r"|ChunkedEncodingError|CutShort)\b"
 )
-# What no wait would repair, and what the client has waited for in vain.
-_LASTING = frozenset(
-    {"ConnectError", "ConnectTimeout", "LocalProtocolError", "UnsupportedProtocol", "ProxyError"}
+# What no wait would repair.
+_LASTING = re.compile(
+    r"\b(?:ConnectError|ConnectTimeout|LocalProtocolError|UnsupportedProtocol|ProxyError)\b"
 )
+_CONNECTION = re.compile(r"\b(?:ConnectionError|TimeoutError|RequestError|Timeout)\b")
+# The client has waited in vain, and has nothing in its cache; what it was raised from is more telling.
+_GIVEN_UP = "LocalEntryNotFoundError"
 # Raised by what reads an answer that has another form than expected.
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
@@ -47,43 +48,40 @@ _MOST_S = 1e9  # for numbers of thousands of digits
 # A mirror may ask for a password, which its address holds then.
 _USER_OF_ADDRESS = re.compile(r"(https?://)[^\s'\"<>/@]+@")
 
-_LOGIN = "log in with `hf auth login` (or set HF_TOKEN)"
-# What failed and the next step, by the keys that `_keys` gives. In order: the first entry that fits any error
-# of the chain is the most telling.
+# The first sentence counts whose pattern fits any error of the chain: what failed, and the next step.
 _SENTENCES = {
-    "storage": (
+    "NoRoom": (
         "{task} failed, the disk takes nothing: {words}",
         "free some space, or choose another place with --out or HF_HOME, and run it again",
     ),
-    "GatedRepoError": ("{subject} is gated", f"accept its terms at {{page}}, and {_LOGIN}"),
+    "GatedRepoError": ("{subject} is gated", "accept its terms at {page}, and {login}"),
     "RepositoryNotFoundError": (
         "{subject} was not found, or is private and not for you",
-        f"check the name, or {_LOGIN} as someone who may see it",
+        "check the name, or {login} as someone who may see it",
     ),
     "HFValidationError": ("not a name of a repository: {words}", "give USER/NAME"),
-    "401": ("{task} needs a token that the Hub knows", f"{_LOGIN}, again where the token is old"),
-    "busy": ("the Hub answered {status} while {task}", "try again {wait}, what arrived is kept"),
-    "4xx": (
+    r"\b401\b|LocalTokenNotFoundError": (
+        "{task} needs a token that the Hub knows",
+        "{login}, again where the token is old",
+    ),
+    r"\b(?:429|5\d\d)\b": (
+        "the Hub answered {status} while {task}",
+        "try again {wait}, what arrived is kept",
+    ),
+    r"\b\d{3}\b": (
         "the Hub refused {task} ({status}): {words}",
         "correct what it names, or use a token of role `write` and a name of your own",
     ),
-    "TooLargeError": (
+    "TooLargeError|FileMetadataError|Unreadable": (
         "{endpoint} does not answer as a Hub does while {task} ({kind}: {words})",
         "check HF_ENDPOINT, and whether the network asks for a login",
     ),
-    "connection": (
+    "RequestError|OSError": (
         "no connection to the Hub at {endpoint} while {task} ({kind}: {words})",
         "check the network, HF_ENDPOINT and HF_HUB_OFFLINE, and run the same command again, it continues",
     ),
 }
-_CLASSES = {"storage": StorageError, "HFValidationError": InputError}
-# By name, as each major release of the client has another HTTP library.
-_SAME = {
-    "LocalTokenNotFoundError": "401",
-    "FileMetadataError": "TooLargeError",
-    "RequestError": "connection",
-    "OSError": "connection",
-}
+_CLASSES: dict[str, type[ToolkitError]] = {"NoRoom": StorageError, "HFValidationError": InputError}
 
 T = TypeVar("T")
 
@@ -104,23 +102,20 @@ def page_of(repo_id: str) -> str:
     return f"{public_endpoint()}/datasets/{repo_id}"
 
 
-def _class_names(error: BaseException) -> list[str]:
-    return [kind.__name__ for kind in type(error).__mro__]
+def _traits(error: BaseException) -> str:
+    """Return the status that an error carries, and the names of its types."""
+    names = [kind.__name__ for kind in type(error).__mro__]
+    if _GIVEN_UP in names:
+        return _GIVEN_UP
+    status = getattr(getattr(error, "response", None), "status_code", "")
+    no_room = "NoRoom" if getattr(error, "errno", None) in _NO_ROOM else ""
+    # The client has no type of its own for a file that is shorter than was announced.
+    cut_short = "CutShort" if "Consistency check" in str(error) else ""
+    return " ".join([str(status), no_room, cut_short, *names])
 
 
-def _status_of(error: BaseException) -> int | None:
-    """Return the HTTP status that an error carries."""
-    status = getattr(getattr(error, "response", None), "status_code", None)
-    return int(status) if status is not None else None
-
-
-def _requested_wait_s(chain: list[BaseException]) -> float:
-    """Return for how long the answer asks to wait that an error carries, seconds; 0 where it does not."""
-    responses = (getattr(link, "response", None) for link in chain)
-    return next((_requested_s(response.headers) for response in responses if response is not None), 0.0)
-
-
-def _requested_s(headers: Any) -> float:
+def _requested_wait_s(headers: Any) -> float:
+    """Return for how long an answer asks to wait, seconds; 0 where it does not."""
     # Such as "api";r=0;t=55: no requests are left for 55 seconds.
     spent = re.search(r"\br=0\s*;\s*t=(\d+)", str(headers.get("RateLimit", "")))
     text = spent[1] if spent else str(headers.get("Retry-After", "")).strip()
@@ -140,7 +135,7 @@ def named_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
         failure = failure_of(error, repo_id, doing)
         if failure is None:
             raise
-        raise failure from None  # what the client raised may quote a token
+        raise failure.error from None  # what the client raised may quote a token
 
 
 def not_cached(repo_id: str, what: str) -> HubError:
@@ -155,8 +150,8 @@ def not_cached(repo_id: str, what: str) -> HubError:
 
 def failure_of(
     error: Exception, repo_id: str, doing: str = "reading", *, is_answer: bool = False
-) -> ToolkitError | None:
-    """Return the error for a failure; None where it is not one of the Hub.
+) -> Failure | None:
+    """Return the failure for what the client raised; None for an error of another origin.
 
     Where nothing but an answer of the Hub was read (``is_answer``), what cannot be read is not one.
     """
@@ -165,40 +160,29 @@ def failure_of(
     chain = cause_chain(error)
     if any(isinstance(link, ToolkitError) for link in chain):
         return None
-    found = [(key, link) for link in chain for key in _keys(link)]
+    traits = [_traits(link) for link in chain]
     if is_answer and isinstance(error, _UNREADABLE):
-        found.append(("TooLargeError", error))
-    for key, sentence in _SENTENCES.items():
-        link = next((link for name, link in found if name == key), None)
+        traits[0] += " Unreadable"
+    responses = (getattr(link, "response", None) for link in chain)
+    wait_s = next((_requested_wait_s(each.headers) for each in responses if each is not None), 0.0)
+    for pattern, sentence in _SENTENCES.items():
+        link = next((link for link, its in zip(chain, traits, strict=True) if re.search(pattern, its)), None)
         if link is not None:
-            wait_s = _requested_wait_s(chain)
             values = {
                 "subject": f"Hub data set {repo_id!r}",
                 "task": f"{doing} Hub data set {repo_id!r}",
                 "kind": type(link).__name__,
                 "words": str(getattr(link, "server_message", None) or link).strip().partition("\n")[0][:300],
-                "status": _status_of(link),
+                "status": _traits(link).partition(" ")[0],
+                "login": "log in with `hf auth login` (or set HF_TOKEN)",
                 "page": page_of(repo_id),
                 "endpoint": public_endpoint(),
                 "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
             }
             what, then = (redact(part.format(**values), get_token()) for part in sentence)
-            return _CLASSES.get(key, HubError)(what, next=then)
+            raised = _CLASSES.get(pattern, HubError)(what, next=then)
+            return Failure(raised, is_transient(error), wait_s)
     return None
-
-
-def _keys(error: BaseException) -> Iterator[str]:
-    """Yield the keys of the sentences that fit an error."""
-    status, names = _status_of(error), _class_names(error)
-    if "LocalEntryNotFoundError" in names:  # what it was raised from is more telling
-        return
-    if status is not None:
-        yield str(status)
-        yield "busy" if status == 429 or status >= 500 else "4xx"
-    if getattr(error, "errno", None) in _NO_ROOM:
-        yield "storage"
-    for name in names:
-        yield _SAME.get(name, name)
 
 
 def is_transient(error: BaseException) -> bool:
@@ -207,21 +191,18 @@ def is_transient(error: BaseException) -> bool:
     So do overload, a server's trouble, and a connection that broke; not so a Hub that could not be reached in
     the first place (no network stays no network for longer than anyone wants to wait), nor any refusal.
     """
-    chain = cause_chain(error)
-    names = [set(_class_names(link)) for link in chain]
-    if any("LocalEntryNotFoundError" in each for each in names):  # the client has tried for long enough
+    traits = " ".join(map(_traits, cause_chain(error)))
+    status = re.search(r"\b\d{3}\b", traits)
+    if _GIVEN_UP in traits:
         return False
-    statuses = [status for status in map(_status_of, chain) if status is not None]
-    if statuses:
-        return statuses[0] in _TRANSIENT_STATUS
-    # The client has no type of its own for a file that is shorter than was announced.
-    is_cut_short = any("Consistency check" in str(link) for link in chain)
-    return is_cut_short or any(each & _BROKEN and not each & _LASTING for each in names)
+    if status is not None:
+        return status[0] in _TRANSIENT
+    return bool(_BROKEN.search(traits)) and not _LASTING.search(traits)
 
 
 def is_unanswered(error: BaseException) -> bool:
     """Return whether the Hub gave no answer of its own, so that its latest one still counts."""
-    return any(_CONNECTION & set(_class_names(link)) for link in cause_chain(error)) or is_transient(error)
+    return any(_CONNECTION.search(_traits(link)) for link in cause_chain(error)) or is_transient(error)
 
 
 def call_with_retry(
@@ -243,13 +224,7 @@ def call_with_retry(
     hooks = session.event_hooks if hasattr(session, "event_hooks") else session.hooks
     if _check_answer not in hooks["response"]:
         hooks["response"].append(_check_answer)
-
-    def failure(error: Exception) -> Failure | None:
-        found = failure_of(error, repo_id, doing, is_answer=True)
-        if found is None:
-            return None
-        return Failure(found, is_transient(error), _requested_wait_s(cause_chain(error)))
-
+    failure = partial(failure_of, repo_id=repo_id, doing=doing, is_answer=True)
     return with_retry(action, failure, WAITS_S if waits_s is None else waits_s, on_wait=on_wait)
 
 
@@ -263,7 +238,7 @@ def _check_answer(response: Any, **_: Any) -> None:
             raise HubError(
                 f"the Hub calls a file {value[:80]!r}, which is not a digest", next="check HF_ENDPOINT"
             )
-    if response.status_code in _TRANSIENT_STATUS and _requested_s(response.headers):
+    if str(response.status_code) in _TRANSIENT and _requested_wait_s(response.headers):
         # Raised at once: the caller waits, and can report why.
         import_module("huggingface_hub.utils").hf_raise_for_status(response)
     path = urlsplit(str(request.url)).path

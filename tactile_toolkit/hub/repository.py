@@ -138,15 +138,17 @@ def listing(repo_id: str, revision: str | None = None) -> HubSnapshot:
     return HubSnapshot(answer.sha, files, licence=licence, is_private=bool(answer.private))
 
 
-def cached_snapshot(repo_id: str, commit: str) -> HubSnapshot:
-    """Return what the cache has of a commit."""
-    files, root = {}, snapshot_folder(repo_id, commit)
+def cached_snapshot(repo_id: str, revision: str) -> HubSnapshot | None:
+    """Return what the cache has of the commit that a revision named last; None where it has nothing."""
+    commit = commit_of(repo_id, revision)
+    root = snapshot_folder(repo_id, str(commit))
+    files = {}
     for file in sorted(file for file in root.rglob("*") if file.is_file()):
         # A blob is named by the digest of its content; a cache without links has no blobs.
         path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
         is_named = file.is_symlink() and DIGEST.fullmatch(blob)
         files[path] = HubFile(path, file.stat().st_size, blob if is_named else None)
-    return HubSnapshot(commit, files, is_cache=True)
+    return HubSnapshot(commit, files, is_cache=True) if commit and files else None
 
 
 class _StoppedError(Exception):
@@ -230,8 +232,6 @@ class HubRepository:
         all files are of one commit.
     patient : bool
         Whether to wait for a Hub in trouble also where the cache could answer in its place.
-    known : HubSnapshot or None
-        What it holds, where that was looked up already.
     on_wait : callable
         Gets a sentence for each wait.
 
@@ -244,7 +244,6 @@ class HubRepository:
     repo_id: str
     revision: str | None = None
     patient: bool = False
-    known: HubSnapshot | None = field(default=None, repr=False, compare=False)
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
 
     @cached_property
@@ -253,18 +252,17 @@ class HubRepository:
 
         Raises HubError when the Hub refused, or cannot be reached and the revision is not in the cache.
         """
-        if self.known is not None:
-            return self.known
         named = self.revision or _MAIN
-        known = commit_of(self.repo_id, named)
-        cached = cached_snapshot(self.repo_id, known) if known is not None else None
-        waits = self.patient or not (cached and cached.files)
-        ask = functools.partial(listing, self.repo_id, self.revision)
+        cached = cached_snapshot(self.repo_id, named)
         try:
-            waits_s = None if waits else ()
-            found = call_with_retry(ask, self.repo_id, waits_s=waits_s, on_wait=self.on_wait)
+            found = call_with_retry(
+                functools.partial(listing, self.repo_id, self.revision),
+                self.repo_id,
+                waits_s=None if self.patient or cached is None else (),
+                on_wait=self.on_wait,
+            )
         except HubError as error:
-            if cached and cached.files and is_unanswered(error):
+            if cached is not None and is_unanswered(error):
                 return cached
             raise
         remember_commit(self.repo_id, named, found.commit)
@@ -275,7 +273,7 @@ class HubRepository:
         """The manifest of a data set made by the toolkit; None of any other, or IntegrityError."""
         if MANIFEST_FILE not in self.snapshot.files:
             return None
-        place = self.cached(MANIFEST_FILE) or self.download(MANIFEST_FILE, Transfers())
+        (place,) = self.fetch((MANIFEST_FILE,))
         text = place.read_text(encoding="utf-8", errors="replace")
         try:
             values = json.loads(text)
@@ -290,12 +288,12 @@ class HubRepository:
         """What the manifest states of its shards, and of other files of the commit, by path."""
         if self.manifest is None:
             return {}
-        remote, records = self.snapshot.files, self.manifest.shards
-        files = [HubFile(r.file, r.bytes, r.sha256) for r in records]
+        remote = self.snapshot.files
+        listed = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards}
         for path, sha256 in (self.manifest.files or {}).items():
             if path in remote:
-                files.append(HubFile(path, remote[path].size_bytes, sha256))
-        return {file.path: file for file in files}
+                listed[path] = HubFile(path, remote[path].size_bytes, sha256)
+        return listed
 
     def files(self) -> list[str]:
         """List the paths of all files; without the Hub, those in the cache and in a cached manifest."""

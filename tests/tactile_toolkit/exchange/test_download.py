@@ -322,9 +322,12 @@ def test_offline(server, tmp_path):
     out, nowhere = tmp_path / "out", "http://127.0.0.1:9"
     fetch(server, tmp_path, script(NAME, "test"))
     fetch(server, tmp_path, script(BIG, out=out))
+    before = folder_bytes(out)
     for more in ({}, {"HF_HUB_OFFLINE": "1"}):
         assert fetch(nowhere, tmp_path, script(NAME, "test"), **more)[3] is True
-        assert fetch(nowhere, tmp_path, script(BIG, out=out), **more)[3] is True
+        code, kind, words = fetch(nowhere, tmp_path, script(BIG, out=out), **more)
+        assert (code, kind) == (4, "HubError")
+        assert "the present list of files of Hub data set 'someone/big' is not in the cache" in words
         code, kind, words = fetch(nowhere, tmp_path, script(NAME, "train"), **more)
         assert (code, kind) == (4, "HubError")
         assert (
@@ -334,6 +337,7 @@ def test_offline(server, tmp_path):
         assert (code, kind) == (4, "HubError")
         assert "no connection to the Hub" in words
     assert "OfflineModeIsEnabled" in words
+    assert folder_bytes(out) == before
 
 
 def test_a_file_system_without_links(server, tmp_path):

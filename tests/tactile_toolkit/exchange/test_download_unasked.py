@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -45,23 +44,12 @@ def flip_a_byte(file: Path) -> None:
 
 @pytest.mark.parametrize("more", [{}, OFFLINE])
 @pytest.mark.parametrize("damage", ["README.md", TEST])
-def test_what_the_cache_has_is_mended_and_the_rest_stays(out, tmp_path, more, damage):
-    before = folder_bytes(out)
+def test_a_folder_stays_as_it_is_while_the_hub_gives_no_answer(out, tmp_path, more, damage):
     (out / damage).unlink()
-    place, missing, leftover, _ = fetch(NOWHERE, tmp_path, script(BARE, out=out), **more)
-    assert (place, leftover) == (str(out), [])
-    assert missing == ([TEST] if damage == TEST else [])
-    assert folder_bytes(out) == before
-
-
-@pytest.mark.parametrize("more", [{}, OFFLINE])
-def test_what_the_cache_lacks_is_named_before_anything_is_touched(out, tmp_path, more):
-    (out / "README.md").unlink()
-    flip_a_byte(out / TRAIN)
     before = folder_bytes(out)
     code, kind, words = fetch(NOWHERE, tmp_path, script(BARE, out=out), **more)
     assert (code, kind) == (4, "HubError")
-    assert f"{TRAIN!r} of Hub data set {BARE!r} is not in the cache" in words
+    assert f"the present list of files of Hub data set {BARE!r} is not in the cache" in words
     assert folder_bytes(out) == before
 
 
@@ -86,48 +74,6 @@ def test_a_hub_in_trouble_is_waited_for_where_the_cache_is_not_enough(server, ou
     server.faults.fail("/api/datasets/*", 503, times=1)
     _, missing, _, _ = fetch(server, tmp_path, script(BARE))
     assert missing == [TRAIN], "the splits of the cache were taken for all"
-
-
-def test_another_name_of_the_same_commit_is_no_other_data_set(server, out, tmp_path):
-    before = folder_bytes(out)
-    server.faults.fail("/api/datasets/*", 503, times=99)
-    assert fetch(server, tmp_path, script(BARE, out=out, revision=None))[3] is True
-    server.faults.clear()
-    fetch(server, tmp_path, script(BARE, "test", revision="main"))
-    _, missing, leftover, _ = fetch(server, tmp_path, script(BARE, out=out, revision="main"), **OFFLINE)
-    assert (missing, leftover) == ([], [])
-    assert {**folder_bytes(out), ".download.json": b""} == {**before, ".download.json": b""}
-
-
-def test_the_commit_of_the_folder_is_mended_by_what_the_cache_has_of_it(server, out, tmp_path):
-    """Not by what it has of the commit that the branch names now."""
-    repository = server.repository(BARE)
-    before, old = folder_bytes(out), repository.head.sha
-    files = {"README.md": b"# Newer", TEST: big_parquet(3)[:9_000]}
-    repository.commit({path: repository.blob(path, content) for path, content in files.items()}, "newer")
-    fetch(server, tmp_path, script(BARE, "test"))
-    (out / "README.md").unlink()
-    assert fetch(NOWHERE, tmp_path, script(BARE, out=out))[1:3] == [[], []]
-    assert folder_bytes(out) == before
-    (out / "README.md").unlink()
-    (cached,) = (tmp_path / "hf").glob(f"hub/*/snapshots/{old}")
-    shutil.rmtree(cached)
-    code, _, words = fetch(NOWHERE, tmp_path, script(BARE, out=out))
-    assert code == 4
-    assert f"'README.md' of Hub data set {BARE!r} is not in the cache" in words
-    assert folder_bytes(out) == {path: before[path] for path in before if path != "README.md"}
-
-
-def test_a_revision_that_may_be_another_commit_is_left_alone(server, out, tmp_path):
-    repository = server.repository(BARE)
-    repository.commit({TEST: repository.blob(TEST, big_parquet(3)[:9_000])}, "newer")
-    repository.branches["next"] = repository.head.sha
-    fetch(server, tmp_path, script(BARE, "test", revision="next"))
-    before = folder_bytes(out)
-    code, _, words = fetch(NOWHERE, tmp_path, script(BARE, out=out, revision="next"))
-    assert code == 4
-    assert "holds, of Hub data set" in words
-    assert folder_bytes(out) == before
 
 
 def test_a_download_whose_card_did_not_arrive_is_not_done(server, tmp_path):

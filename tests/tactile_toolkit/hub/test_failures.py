@@ -217,7 +217,9 @@ def test_scrubbing(text):
 
 @pytest.mark.parametrize("words", ["Authorization: Bearer AbCdEf123456", "https://host/a?sig=AbCdEf123456"])
 def test_what_is_hidden_ends_where_the_next_step_begins(words):
-    said = str(failure_of(OSError(words), "someone/set"))
+    failure = failure_of(OSError(words), "someone/set")
+    assert failure is not None
+    said = str(failure.error)
     assert "AbCdEf123456" not in said
     assert "; next: check the network" in said
 
@@ -227,7 +229,7 @@ def test_the_password_of_a_mirror_is_hidden(monkeypatch):
     assert hidden == "the Hub at https://...@mirror/hub cannot be reached; mail a@b.c"
     monkeypatch.setattr(constants, "ENDPOINT", "https://someone:secret@mirror/hub")
     assert page_of("a/b") == "https://mirror/hub/datasets/a/b"
-    for failure in (not_cached("a/b", "README.md"), failure_of(TimeoutError(), "a/b")):
+    for failure in (not_cached("a/b", "README.md"), failure_of(TimeoutError(), "a/b").error):
         assert "https://mirror/hub " in str(failure)
         assert "secret" not in str(failure)
 
