@@ -355,7 +355,7 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     """Send what is missing by now as one commit; return that, and the pull request that it opened.
 
     Not by ``upload_folder``: where it sends compressed pieces it makes several commits, between which readers
-    would find a part of the files; and it takes all from one folder, while the cards here are made anew.
+    would find a part of the files; and it takes all from one folder, while the cards lie in another.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
