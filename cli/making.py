@@ -233,7 +233,7 @@ def merge(
 
     Example: merge DIR OTHER --out both
     """
-    from tactile_toolkit.exchange.subsets import merge_sets
+    from tactile_toolkit.exchange.copies import merge_sets
 
     make = partial(merge_sets, kind, names, out)
     make_with_progress(sink, "copying", kind, make, work, out, print_converted)
@@ -262,7 +262,7 @@ def split(
 
     Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
     """
-    from tactile_toolkit.exchange.subsets import divide, write_part
+    from tactile_toolkit.exchange.copies import divide, write_part
 
     given = {each: value for each, value in chosen.given().items() if value is not None}
     if bool(given) == bool(fractions):

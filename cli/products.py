@@ -376,7 +376,7 @@ def _export_files(
 def _export_flat(
     sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], out: str, job: Job
 ) -> None:
-    from tactile_toolkit.exchange.tables import export_tables, forecast_tables, plan_tables
+    from tactile_toolkit.exchange.copies import export_tables, forecast_tables, plan_tables
 
     plan = plan_tables(kind, name, choices, some, out)
     if job.dry_run:

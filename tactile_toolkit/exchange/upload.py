@@ -21,8 +21,8 @@ from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
 from tactile_toolkit.cards.facts import configs, folder_facts, with_head
 from tactile_toolkit.catalog.kinds import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.exchange.copies import viewer_tables
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
-from tactile_toolkit.exchange.tables import viewer_tables
 from tactile_toolkit.hub.calls import call_with_retry, page_of
 from tactile_toolkit.hub.repository import HubName, HubSnapshot, hub_name, listing
 from tactile_toolkit.kind import DatasetKind

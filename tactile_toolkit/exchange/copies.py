@@ -1,31 +1,59 @@
-"""Data sets made of others of the same kind: several as one, or one as several."""
+"""Data sets made of others: several as one, one as several, or tables that other libraries and pages read."""
 
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import MERGE, SPLIT, DatasetKind, kinds
+from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
+from tactile_toolkit.mesh.columns import FACES, MESH, VERTICES, class_names, flat_table
+from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
 from tactile_toolkit.run.processes import runner_for
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.job import BuildPlan, ShardContent
+from tactile_toolkit.store.job import BuildPlan, ShardContent, inspect_job
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, named_damage, open_checked, open_parquet
-from tactile_toolkit.store.shards import ShardName
+from tactile_toolkit.store.parquet import (
+    ParquetStyle,
+    encode_parquet,
+    named_damage,
+    open_checked,
+    open_parquet,
+    sha256_hex,
+)
+from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+    from tactile_toolkit.mesh.records import SolidRecord
+    from tactile_toolkit.read.dataset import RecordDataset
+
+
+Choices: TypeAlias = "Iterable[tuple[str, RecordDataset[SolidRecord], NDArray[Any]]]"
+
+_ROWS_PER_FILE = 1000
+_SAMPLED = 32
+_STYLE = ParquetStyle(100, compression_level=3, encodings=((f"{MESH}.bytes", "PLAIN"),))
+"""100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long."""
+_VIEWER_STYLE = replace(_STYLE, compression_level=19)
+"""Made once and read by many; at level 9 the meshes of digits take a fifth more."""
+# Shards in memory at a time; packing them at level 19 takes some 100 MB more for each.
+_MOST_AT_ONCE = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +98,7 @@ class _Source:
 
     @property
     def table(self) -> ShardedTable:
-        return ShardedTable(tuple(shard for shards in self.shards.values() for shard in shards))
+        return ShardedTable(sum(self.shards.values(), ()))
 
 
 def _related_kinds(kind: DatasetKind) -> list[DatasetKind]:
@@ -167,12 +195,11 @@ def _build(
     out: str,
     run: dict[str, Any],
 ) -> Manifest:
-    folder, tasks, fingerprints = DataFolder(out), [], {}
+    folder, tasks, found = DataFolder(out), [], {}
     for source in sources:
         refuse_source(folder, source.name, source.table.shards)
     for split in dict.fromkeys(split for source in sources for split in source.shards):
-        shards = [shard for source in sources for shard in source.shards.get(split, ())]
-        fingerprints[split] = list(map(file_fingerprint, shards))
+        shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
         parts: list[tuple[Shard, Any]] = [(shard, None) for shard in shards]
         if rows is not None:
             starts = list(accumulate(map(len, shards), initial=0))
@@ -185,19 +212,32 @@ def _build(
     specs = [source.spec for source in sources]
     if any(source.is_imported for source in sources):
         options = {**options, "touches": "imported"}  # whose terms are those of their source
+    # Several that were made in different ways have no specification in common.
+    source_spec = specs[0] if all(spec == specs[0] for spec in specs) else None
+    made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
+    plan = _copy_plan(made, operation, options, found, source_spec, tasks, _style(shards[0]))
+    return build(folder, plan, runner_for(run.pop("workers", 1)), write_card=made.write_card, **run)
+
+
+def _copy_plan(
+    kind: DatasetKind,
+    operation: str,
+    options: Mapping[str, Any],
+    shards: Mapping[str, Sequence[Shard]],
+    source_spec: Mapping[str, Any] | None,
+    tasks: Sequence[Any],
+    style: ParquetStyle,
+    *libraries: str,
+) -> BuildPlan:
+    """Plan a copy; ``shards`` are those that it is made of, by split."""
     spec = {
         "operation": operation,
         "options": options,
-        "source": fingerprints,
-        # Several that were made in different ways have none in common.
-        "source_spec": specs[0] if all(spec == specs[0] for spec in specs) else None,
+        "source": {split: list(map(file_fingerprint, found)) for split, found in shards.items()},
+        "source_spec": source_spec,
     }
-    made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
-    libraries = ("numpy", "pyarrow")
-    plan = BuildPlan(
-        made.name, spec, tuple(fingerprints), tuple(tasks), _style(shards[0]), libraries=libraries
-    )
-    return build(folder, plan, runner_for(run.pop("workers", 1)), write_card=made.write_card, **run)
+    libraries = ("numpy", "pyarrow", *libraries)
+    return BuildPlan(kind.name, spec, tuple(shards), tuple(tasks), style, libraries=libraries)
 
 
 def _style(shard: Shard) -> ParquetStyle:
@@ -210,3 +250,91 @@ def _style(shard: Shard) -> ParquetStyle:
         if not each.has_dictionary_page
     ]
     return ParquetStyle(group.num_rows, encodings=tuple(encodings))
+
+
+@dataclass(frozen=True)
+class _WriteTable:
+    """Picklable: one table of chosen rows."""
+
+    shard: ShardName
+    rows: RecordDataset[SolidRecord] = field(repr=False)
+
+    @property
+    def size(self) -> int:
+        """How many rows it has."""
+        return len(self.rows)
+
+    def make(self) -> ShardContent:
+        """Make its rows."""
+        return ShardContent(flat_table(self.rows))
+
+
+def plan_tables(
+    kind: DatasetKind, name: str, choices: Choices, chosen: Mapping[str, Any], out: str
+) -> BuildPlan:
+    """Plan Parquet files of chosen rows of splits, which other libraries read.
+
+    ``chosen`` is what :func:`~tactile_toolkit.catalog.choose.choose_rows` chose them by. Raises as all makers
+    of folders do.
+    """
+    tasks, shards = [], {}
+    for split, rows, places in choices:
+        shards[split] = list(rows._table.shards)
+        starts = range(0, len(places), _ROWS_PER_FILE)
+        for index, start in enumerate(starts):
+            part = rows[places[start : start + _ROWS_PER_FILE]]
+            tasks.append(_WriteTable(ShardName(split, index, len(starts)), part))
+    ids = [each if isinstance(each, tuple) else (each,) for each in chosen["ids"] or ()]
+    options = {
+        "layout": "flat",
+        "ids": ",".join("-".join(map(str, each)) for each in ids) or None,
+        "labels": ",".join(chosen["labels"] or ()) or None,
+        "limit": chosen["limit"],
+        **({} if chosen["per_class"] is None else {"per_class": chosen["per_class"]}),
+    }
+    every = [shard for found in shards.values() for shard in found]
+    refuse_source(DataFolder(out), name, every)
+    made = manifest_beside(every[0])
+    source_spec = None if made is None else made.spec
+    return _copy_plan(kind, EXPORT, options, shards, source_spec, tasks, _STYLE, "trimesh")
+
+
+def forecast_tables(plan: BuildPlan, out: str, *, overwrite: bool = False) -> tuple[int, int]:
+    """Return rows and bytes of the planned tables, estimated from a few; raises what writing them would."""
+    if not overwrite:
+        inspect_job(DataFolder(out), plan)
+    tasks = [task for task in plan.tasks if isinstance(task, _WriteTable)]
+    sample, rows = tasks[0].rows[:_SAMPLED], sum(task.size for task in tasks)
+    return rows, round(rows * len(encode_parquet(flat_table(sample), _STYLE)) / len(sample))
+
+
+def export_tables(kind: DatasetKind, plan: BuildPlan, out: str, **run: Any) -> Manifest:
+    """Write planned tables; ``run`` are options of ``build``. Raises as all makers of folders do."""
+    runner = runner_for(run.pop("workers", 1))
+    return build(DataFolder(out), plan, runner, write_card=kind.write_card, **run)
+
+
+def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:
+    """Write a file for each shard that the Hub's page shows; return their digests by path in ``out``.
+
+    Each row with its mesh as a GLB file: a second configuration of a repository. It repeats what the shards
+    hold, so it is made when a folder is sent, and nothing here reads it: loaders take the shards, and a
+    download leaves it where it is. Raises InputError where the rows have no mesh.
+    """
+    (out / VIEWER_FOLDER).mkdir()
+
+    def make(record: ShardRecord) -> tuple[str, str]:
+        shard = Shard(folder.address(record.shard.data_path), record.rows)
+        if not {VERTICES, FACES} <= set(column_names(shard.schema)):
+            raise InputError(
+                f"--viewer shows meshes in 3D, and {folder.address()!r} holds none (the Hub shows images and "
+                "clips without it); nothing was sent",
+                next="leave --viewer out",
+            )
+        rows = SolidDataset(ShardedTable((shard,)), label_names=class_names(shard.schema, ()))
+        content = encode_parquet(flat_table(rows), _VIEWER_STYLE)
+        path = f"{VIEWER_FOLDER}/{record.shard}.parquet"
+        (out / path).write_bytes(content)
+        return path, sha256_hex(content)
+
+    return dict(in_threads(make, manifest.shards, min(os.cpu_count() or 1, _MOST_AT_ONCE)))
