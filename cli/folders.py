@@ -44,7 +44,7 @@ def info(*, kind: DatasetKind, print_made: PrintMade, folder: str = FOLDER, as_j
 
     Example: info FOLDER --json
     """
-    from tactile_toolkit.catalog.kinds import require_manifest
+    from tactile_toolkit.catalog.locate import require_manifest
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.job import manifest_so_far
 
@@ -198,7 +198,7 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
     from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER
     from tactile_toolkit.cards.checks import check_card
     from tactile_toolkit.cards.croissant import CROISSANT_FILE
-    from tactile_toolkit.catalog.kinds import finished_manifest, require_manifest, specification_read
+    from tactile_toolkit.catalog.locate import finished_manifest, require_manifest, specification_read
     from tactile_toolkit.store.folder import DataFolder
 
     place = DataFolder(folder)
@@ -280,7 +280,7 @@ def list_sets(
 
     Examples: list;  list .
     """
-    from tactile_toolkit.catalog.kinds import local_sets
+    from tactile_toolkit.catalog.locate import local_sets
 
     sink = Sink(as_json)
     if folder is None:
@@ -323,7 +323,7 @@ def cache(
 
 def print_sets(sink: Sink, kind: DatasetKind) -> None:
     """Print the published data sets: what they hold, their terms, what is here, and how large they are."""
-    from tactile_toolkit.catalog.kinds import states
+    from tactile_toolkit.catalog.locate import states
 
     documents, rows = [], []
     for state in states(kind.published):

@@ -43,7 +43,7 @@ def upload(
 
     After an interruption, the same command continues; after success, it sends nothing.
     """
-    from tactile_toolkit.catalog.kinds import require_manifest
+    from tactile_toolkit.catalog.locate import require_manifest
     from tactile_toolkit.exchange.upload import check_folder, prepare_upload, run_upload
     from tactile_toolkit.store.folder import DataFolder
 
@@ -88,7 +88,7 @@ def download(
 
     After an interruption, the same command continues. `list` names the published data sets.
     """
-    from tactile_toolkit.catalog.kinds import kind_that_published
+    from tactile_toolkit.catalog.locate import kind_that_published
     from tactile_toolkit.exchange.download import download as carry_out
     from tactile_toolkit.exchange.download import plan_download
 
@@ -227,7 +227,7 @@ def _where(prepared: PreparedUpload) -> str:
 
 def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     """Print what is fetched, how large it is, and under which terms it stands."""
-    from tactile_toolkit.catalog.kinds import published_set
+    from tactile_toolkit.catalog.locate import published_set
 
     known, files = published_set(name), plan.record.files.values()
     licence = (known.licence if known else None) or plan.repository.snapshot.licence

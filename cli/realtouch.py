@@ -372,7 +372,7 @@ def _arguments(options: Any) -> dict[str, Any]:
 
 def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
     """Print what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
-    from tactile_toolkit.catalog.kinds import place_of
+    from tactile_toolkit.catalog.locate import place_of
     from tactile_toolkit.hub.repository import hub_name
     from tactile_toolkit.store.files import expanded
 

@@ -22,8 +22,7 @@ from mnist3d.kind import KIND as DIGITS
 from mnist3d.loader import MeshDataset
 from starstruck_gen.kind import KIND as SCENES
 from starstruck_gen.loader import SceneMeshDataset
-from tactile_toolkit.catalog.kinds import kind_of_meshes
-from tactile_toolkit.catalog.locate import find_shards, splits_of
+from tactile_toolkit.catalog.locate import find_shards, kind_of_meshes, splits_of
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
@@ -221,7 +220,7 @@ class AssetProvider:
             As :meth:`meshes`.
         """
         from realtouch.opening import load
-        from tactile_toolkit.catalog.kinds import place_of
+        from tactile_toolkit.catalog.locate import place_of
 
         name = fspath(name)
         opened = self._opened.get(("touches", name, split))

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mnist3d.columns import REPORT_FILE, DigitRow, digit_schema
+from mnist3d.columns import REPORT_FILE, DigitRow
 from mnist3d.kind import KIND
 from mnist3d.sources.folder import FolderSource
 from tactile_toolkit.cards.card import (
@@ -22,7 +22,7 @@ from tactile_toolkit.cards.card import (
     tiles_png,
     write_table_card,
 )
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.catalog.choose import short_name
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh.columns import FACES, VERTICES
@@ -121,7 +121,6 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         title = "3D digits" if is_own else "MNIST 3D"
         write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
         return
-    facts = folder_facts(folder, manifest, digit_schema())
     summaries = summarise(folder, manifest)
     profile, solid = spec["print_profile"], spec["solid"]
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
@@ -129,13 +128,14 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         template=KIND.card_template,
         title=printable(short_name(folder.address())) if is_own else "MNIST 3D",
         columns=COLUMNS,
-        picture=("digits.png", _sheet(facts), "The first digit of each class that is there, seen from above"),
+        picture=("digits.png", _sheet, "The first digit of each class that is there, seen from above"),
         licence=words["licence"],
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
         figures={
             "per class": [between(min(s.per_class), max(s.per_class)) for s in summaries],
             "left out": [s.skipped for s in summaries],
         },
+        limits=_limits(manifest, summaries, words),
         values={
             "source_text": source_description(words, spec["source"]),
             "split_rule": _split_rule(spec),
@@ -147,10 +147,9 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
             "print_table": _print_table(summaries),
             "report_columns": ", ".join(f"`{name}`" for name in report_columns(folder, REPORT_FILE)),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
-            "limits": _limits(manifest, summaries, words),
             **_terms(words),
         },
-    ).write(folder, facts, manifest, KIND)
+    ).write(folder, manifest, KIND)
 
 
 def _sheet(facts: FolderFacts) -> bytes | None:
@@ -196,7 +195,7 @@ def _print_table(summaries: list[SplitSummary]) -> str:
     return markdown_table(header, rows)
 
 
-def _limits(manifest: Manifest, summaries: list[SplitSummary], words: Mapping[str, str]) -> str:
+def _limits(manifest: Manifest, summaries: list[SplitSummary], words: Mapping[str, str]) -> list[str]:
     rows = sum(s.rows for s in summaries)
     pieces = sum(count for s in summaries for bodies, count in s.bodies.items() if bodies > 1)
     warned = sum(count for s in summaries for count in s.warnings.values())
@@ -210,7 +209,7 @@ def _limits(manifest: Manifest, summaries: list[SplitSummary], words: Mapping[st
     ]
     if manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None:
         lines.append("This is a cut of the full splits; it is not meant for comparing results.")
-    return "\n".join(f"- {line}" for line in lines)
+    return lines
 
 
 def source_words(name: str) -> dict[str, str]:

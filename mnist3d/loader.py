@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from mnist3d.kind import KIND
 from mnist3d.sources import NO_WRITER
-from tactile_toolkit.catalog.kinds import place_of
-from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.catalog.locate import find_shards, place_of
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
 from tactile_toolkit.read.dataset import RecordDataset

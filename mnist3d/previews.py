@@ -19,7 +19,7 @@ from mnist3d.solid import binarise, solidify
 from mnist3d.spec import SolidSpec
 from mnist3d.surface import Surface, scale
 from tactile_toolkit.arithmetic import inverse_affine
-from tactile_toolkit.catalog.kinds import specification_read
+from tactile_toolkit.catalog.locate import specification_read
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh

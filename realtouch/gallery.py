@@ -19,7 +19,7 @@ from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.touch import Touch
 from tactile_toolkit.catalog.choose import Choice, open_splits
-from tactile_toolkit.catalog.kinds import place_of
+from tactile_toolkit.catalog.locate import place_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows, thumbnail
 from tactile_toolkit.mesh.mesh import MM_PER_M

@@ -10,8 +10,8 @@ from realtouch.damage import Damage
 from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
 from realtouch.integrity import agreeing_files, find_damage, modal_touch_count
 from realtouch.kind import KIND
-from tactile_toolkit.catalog.kinds import place_of as place_of_name
 from tactile_toolkit.catalog.locate import find_files, find_shards
+from tactile_toolkit.catalog.locate import place_of as place_of_name
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.files import expanded

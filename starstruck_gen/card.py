@@ -4,19 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
+from functools import partial
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from starstruck_gen.columns import SceneRow, scene_schema
+from starstruck_gen.columns import SceneRow
 from starstruck_gen.kind import KIND
 from starstruck_gen.make import Acceptance
 from starstruck_gen.placement import Placement
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.cards.card import Card, between, first_rows, markdown_table, tiles_png, write_table_card
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.pictures.sheets import Tile
 from tactile_toolkit.rows import meanings
@@ -84,23 +85,22 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, licence, **terms)
         return
     spec = SceneSpec.from_dict(manifest.spec["scene"])
-    facts = folder_facts(folder, manifest, scene_schema(spec.class_names))
     summaries = summarise(manifest)
     Card(
         template=KIND.card_template,
         title="Starstruck",
         columns=COLUMNS,
-        picture=("scenes.png", _sheet(facts, spec.cell_m), "The first scenes from above; stars are orange"),
+        picture=("scenes.png", partial(_sheet, spec.cell_m), "The first scenes from above; stars are orange"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "counting"],
         figures={"per class": [", ".join(f"{count:,}" for count in s.acceptance.classes) for s in summaries]},
+        limits=_limits(manifest, spec),
         values={
             **_placement_values(spec),
             "seed": str(manifest.spec["seed"]),
             "acceptance_table": _acceptance_table(summaries),
-            "limits": _limits(manifest, spec),
         },
-    ).write(folder, facts, manifest, KIND)
+    ).write(folder, manifest, KIND)
 
 
 def _placement_values(spec: SceneSpec) -> dict[str, str]:
@@ -126,7 +126,7 @@ def _placement_values(spec: SceneSpec) -> dict[str, str]:
     }
 
 
-def _sheet(facts: FolderFacts, cell_m: tuple[float, float]) -> bytes | None:
+def _sheet(cell_m: tuple[float, float], facts: FolderFacts) -> bytes | None:
     """Draw the first scenes as PNG, the longer side of each 140 pixels; None without rows."""
     px_per_mm = _TILE_PX / (1e3 * max(cell_m))
     tiles = []
@@ -152,7 +152,7 @@ def _acceptance_table(summaries: list[SplitSummary]) -> str:
     return markdown_table(header, rows)
 
 
-def _limits(manifest: Manifest, spec: SceneSpec) -> str:
+def _limits(manifest: Manifest, spec: SceneSpec) -> list[str]:
     lines = [
         "Objects lie flat and are of one height each; nothing is stacked.",
         "Scenes are drawn from the seed: they are not the published scenes, only made by the same rule.",
@@ -161,4 +161,4 @@ def _limits(manifest: Manifest, spec: SceneSpec) -> str:
         lines.append("The specification is not the published one; results do not compare with the paper's.")
     if manifest.spec["limit"] is not None:
         lines.append(f"Splits are cut to their first {manifest.spec['limit']:,} scenes.")
-    return "\n".join(f"- {line}" for line in lines)
+    return lines

@@ -18,8 +18,7 @@ from starstruck_gen.placement import Placement, SceneMeshes, build_meshes
 from starstruck_gen.sampling import MOST_SCENES, SPLITS, sample_scenes, scene_id, scene_seed
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.catalog.kinds import place_of
-from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.catalog.locate import find_shards, place_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids

@@ -13,7 +13,7 @@ from tactile_sim.columns import TouchRow
 from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
 from tactile_toolkit.cards.card import Card, first_rows
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.pictures.sheets import Sheet, Tile, in_rows, sheet
 from tactile_toolkit.pictures.writing import png_bytes
 from tactile_toolkit.rows import meanings
@@ -62,7 +62,6 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     if manifest.spec.get("operation") == "pairs":
         _write_pairs_card(folder, manifest)
         return
-    facts = folder_facts(folder, manifest)
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
     plan = spec["plan"]
@@ -77,7 +76,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         template=KIND.card_template,
         title="Synthetic touches",
         columns=meanings(TouchRow),
-        picture=("touches.png", _touches_sheet(facts), "The first touches of the first rounds"),
+        picture=("touches.png", _touches_sheet, "The first touches of the first rounds"),
         licence="mit",
         tags=["tactile", "active-perception", "gelsight", "touch", "synthetic"],
         tasks={
@@ -101,15 +100,15 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
                 f"{plan['rounds']}, {'at most ' if plan.get('given') else ''}{plan['touches']}",
             ),
         ],
+        limits=_limits(spec, touches, met),
         values={
             "size_text": f"{width} x {height} pixels",
             "window_mm": window,
             "touches": f"{touches:,}",
             "follows": "the seed, the split, the object and the number of the round"
             + (", and the given touches," if plan.get("given") else ""),
-            "limits": "\n".join(f"- {line}" for line in _limits(spec, touches, met)),
         },
-    ).write(folder, facts, manifest, KIND)
+    ).write(folder, manifest, KIND)
 
 
 def _limits(spec: Mapping[str, Any], touches: int, met: int) -> list[str]:
@@ -149,7 +148,6 @@ def _pairs_sheet(facts: FolderFacts) -> bytes | None:
 
 def _write_pairs_card(folder: DataFolder, manifest: Manifest) -> None:
     """Write ``README.md`` of a training set and the picture that it shows."""
-    facts = folder_facts(folder, manifest)
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
     counts = manifest.statistics()
@@ -159,16 +157,16 @@ def _write_pairs_card(folder: DataFolder, manifest: Manifest) -> None:
         columns=meanings(PairRow),
         picture=(
             "pairs.png",
-            _pairs_sheet(facts),
+            _pairs_sheet,
             "Depth images above, touches below; they do not belong together",
         ),
         licence="other",
         tags=["tactile", "gelsight", "touch", "cyclegan"],
         tasks={"task_categories": ["image-to-image", "robotics"]},
-        figures={"with contact": [f"{counts[split.split]['on_object']:,}" for split in facts.splits]},
+        figures={"with contact": [f"{counts[split]['on_object']:,}" for split in manifest.splits]},
         made=[
             ("without contact, asked for", f"{100 * spec['without_contact']:.4g} % of each split"),
             ("contact", height_text(spec["min_height_m"])),
         ],
         values={"size_text": f"{width} x {height} pixels"},
-    ).write(folder, facts, manifest, KIND)
+    ).write(folder, manifest, KIND)

@@ -24,8 +24,7 @@ from tactile_sim.sensor import Matrix, Sensor, center_view, full_view, pose
 from tactile_sim.spec import PictureOptions, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.choose import IdChoice, choose_rows
-from tactile_toolkit.catalog.kinds import place_of
-from tactile_toolkit.catalog.locate import splits_of
+from tactile_toolkit.catalog.locate import place_of, splits_of
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError

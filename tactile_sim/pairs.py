@@ -25,8 +25,7 @@ from tactile_sim.pressing import Pressable, render_touch
 from tactile_sim.sensor import Sensor, center_view, full_view
 from tactile_sim.spec import PairsSpec, TouchPlan
 from tactile_toolkit import making
-from tactile_toolkit.catalog.kinds import place_of, require_manifest
-from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.catalog.locate import find_shards, place_of, require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, file_fingerprint, refuse_source

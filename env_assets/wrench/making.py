@@ -148,7 +148,6 @@ def wrench_facts(spec: WrenchSpec, report: PrintReport) -> dict[str, Any]:
 def write_card(folder: DataFolder, manifest: Manifest) -> None:
     """Write ``README.md`` of the folder of a wrench and the picture that it shows."""
     from tactile_toolkit.cards.card import Card, write_table_card
-    from tactile_toolkit.cards.facts import folder_facts
     from tactile_toolkit.kind import is_copy
     from tactile_toolkit.mesh.printability import inspect
     from tactile_toolkit.pictures.render import relief
@@ -162,7 +161,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         }
         write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
         return
-    spec, facts = WrenchSpec(**manifest.spec), folder_facts(folder, manifest)
+    spec = WrenchSpec(**manifest.spec)
     mesh = wrench_mesh(spec)
     report = inspect(mesh)
     second = f" and {spec.second_opening_mm:g} mm" if spec.second_opening_mm else ", one end plain"
@@ -171,7 +170,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         template=KIND.card_template,
         title=title,
         columns=columns,
-        picture=("wrench.png", drawn, "The wrench from above, the first jaw on the right"),
+        picture=("wrench.png", lambda _: drawn, "The wrench from above, the first jaw on the right"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "pose-estimation", "3d-printing"],
         values={
@@ -185,4 +184,4 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
             "thinnest_wall_mm": f"{report.thinnest_wall_mm:.1f}",
             "warnings": ", ".join(report.warnings) or "none",
         },
-    ).write(folder, facts, manifest, KIND)
+    ).write(folder, manifest, KIND)

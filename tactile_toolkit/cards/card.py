@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import re
 import tomllib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from itertools import islice
@@ -21,6 +21,7 @@ from tactile_toolkit.mesh.columns import FACES, MESH, SIZES, VERTICES
 from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -63,7 +64,7 @@ class Card:
     columns : mapping
         Shape, unit and frame of each column, and its meaning.
     picture : tuple
-        File name, PNG (None where there are no rows to draw) and caption.
+        File name, what draws it from the facts as PNG (None where there are no rows to draw), and caption.
     licence : str
         The Hub's word for it.
     tags : sequence of str
@@ -76,6 +77,8 @@ class Card:
         Further columns of the table of splits: a value for each split.
     made : sequence of (str, str)
         Further lines on how it was made.
+    limits : sequence of str
+        What the data are not good for, or lack.
     spec : mapping or None
         What is shown of the specification; all of it by default.
     values : mapping
@@ -85,18 +88,21 @@ class Card:
     template: str
     title: str
     columns: Mapping[str, Column]
-    picture: tuple[str, bytes | None, str]
+    picture: tuple[str, Callable[[FolderFacts], bytes | None], str]
     licence: str
     tags: Sequence[str]
     nouns: str = ""
     tasks: Mapping[str, Any] = field(default_factory=lambda: MESH_TASKS)
     figures: Mapping[str, Sequence[object]] = field(default_factory=dict)
     made: Sequence[tuple[str, str]] = ()
+    limits: Sequence[str] = ()
     spec: Any = None
     values: Mapping[str, str] = field(default_factory=dict)
 
-    def write(self, folder: DataFolder, facts: FolderFacts, manifest: Manifest, kind: DatasetKind) -> None:
-        """Write ``README.md``, its picture and ``croissant.json``."""
+    def write(self, folder: DataFolder, manifest: Manifest, kind: DatasetKind) -> None:
+        """Write ``README.md``, its picture and ``croissant.json``; IntegrityError for a damaged shard."""
+        facts = folder_facts(folder, manifest)
+        name, draw, caption = self.picture
         spec = json_block(self.spec or manifest.spec)
         made = [made_by(manifest), *self.made, ("left out", skipped_text(manifest))]
         values = {
@@ -108,10 +114,11 @@ class Card:
             "skipped": skipped_text(manifest),
             "split_table": split_table(facts, self.nouns or kind.nouns, self.figures),
             "field_table": field_table(facts, self.columns),
+            "limits": "\n".join(f"- {line}" for line in self.limits),
             **self.values,
         }
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
-        write_card_files(folder, facts, manifest, self.template, values, self.picture, **head)
+        write_card_files(folder, facts, manifest, self.template, values, (name, draw(facts), caption), **head)
 
 
 def write_table_card(
@@ -129,7 +136,6 @@ def write_table_card(
     the data set that it was made of, ``title`` is its name. ``terms`` fill ``licence_text``,
     ``citation_text`` and ``bibtex`` of the template, the last that of the paper by default.
     """
-    facts, source = folder_facts(folder, manifest), manifest.spec["source"]
     command, template, name = manifest.spec["operation"], "mesh_copy.md", "objects.png"
     further: Mapping[str, Column] = {}
     if is_export(manifest):
@@ -139,12 +145,13 @@ def write_table_card(
             "tables.png",
             _TABLE_COLUMNS,
         )
-    rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in source.items())
+    sources = manifest.spec["source"].items()
+    rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
     Card(
         template=template,
         title=f"{title} as tables" if further else title,
         columns={**columns, **further},
-        picture=(name, _table_sheet(facts, is_glb=bool(further)), f"The first {kind.nouns}, seen from above"),
+        picture=(name, _table_sheet, f"The first {kind.nouns}, seen from above"),
         licence=licence,
         tags=["tactile", "active-perception", "3d", "mesh"],
         made=[
@@ -153,17 +160,18 @@ def write_table_card(
         ],
         spec=manifest.spec["options"],
         values={**terms, "package": kind.package},
-    ).write(folder, facts, manifest, kind)
+    ).write(folder, manifest, kind)
 
 
-def _table_sheet(facts: FolderFacts, *, is_glb: bool) -> bytes | None:
+def _table_sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first objects as PNG; None without rows."""
     import trimesh
 
-    tiles = []
-    for row in islice(first_rows(facts, [f"{MESH}.bytes"] if is_glb else [VERTICES, FACES]), _SHOWN):
+    tiles, file = [], f"{MESH}.bytes"  # of tables, whose meshes are GLB files
+    is_glb = VERTICES not in column_names(facts.schema)
+    for row in islice(first_rows(facts, [file] if is_glb else [VERTICES, FACES]), _SHOWN):
         if is_glb:
-            mesh: Any = trimesh.load_mesh(io.BytesIO(row.value(f"{MESH}.bytes")), file_type="glb")
+            mesh: Any = trimesh.load_mesh(io.BytesIO(row.value(file)), file_type="glb")
             vertices_m, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
         else:
             vertices_m, faces = row.array(VERTICES), row.array(FACES)

@@ -14,7 +14,6 @@ from functools import cached_property, partial
 from pathlib import PurePosixPath
 from typing import Any
 
-from tactile_toolkit import toolkit_version
 from tactile_toolkit.catalog.locate import available_splits, find_shards
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import dtype_name, stored_features
@@ -70,12 +69,12 @@ class FolderFacts:
         return yaml_features(self.schema, first)
 
 
-def folder_facts(folder: DataFolder, manifest: Manifest | None = None, schema: Any = None) -> FolderFacts:
+def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> FolderFacts:
     """Return the facts of a folder: of each file what the manifest states, or else what its footer says.
 
-    ``manifest`` is one that is to be written there, ``schema`` that of rows that this version of the toolkit
-    makes. The manifests of others, and of version 0.1.0, do not state sizes. Raises InputError when the
-    folder holds no Parquet files, and IntegrityError when one is missing or damaged.
+    ``manifest`` is one that is to be written there. The manifests of others, and of version 0.1.0, do not
+    state sizes. Raises InputError when the folder holds no Parquet files, and IntegrityError when one is
+    missing or damaged.
     """
     manifest = manifest or read_manifest(folder)
     start = len(f"{folder.address()}/")
@@ -98,10 +97,7 @@ def folder_facts(folder: DataFolder, manifest: Manifest | None = None, schema: A
         splits.append(SplitFacts(split, tuple(shards), paths, *map(sum, sizes)))
     if not splits:
         raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
-    # Another version of the toolkit may have written other columns.
-    if not recorded or schema is None or manifest is None or manifest.toolkit_version != toolkit_version():
-        schema = splits[0].shards[0].schema
-    return FolderFacts(tuple(splits), schema, recorded, viewer_files(manifest))
+    return FolderFacts(tuple(splits), splits[0].shards[0].schema, recorded, viewer_files(manifest))
 
 
 def _sizes(folder: DataFolder, file: tuple[Shard, str]) -> tuple[int, int, int]:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Generic, TypeAlias, TypeVar
 
@@ -185,13 +187,19 @@ def check_rows(
     only the first ``limit`` rows of each split, where given. ``on_progress`` is called with rows done and in
     all.
     """
-    parts = list(_parts(shards, limit))
+    parts: list[_Part] = []
+    left = dict.fromkeys((split for split, _ in shards), math.inf if limit is None else limit)
+    for split, shard in shards:
+        for group, (start, stop) in enumerate(pairwise(shard.group_starts)):
+            rows = int(min(stop - start, left[split]))
+            left[split] -= rows
+            if rows:
+                parts.append(_Part(len(parts), split, shard, group, rows))
     total, done = sum(part.rows for part in parts), 0
     results: dict[int, list[CheckedRow[T]]] = {}
-    check_part = partial(_check_part, check, tuple(columns))
-    for number, found in runner_for(workers).run(check_part, list(enumerate(parts))):
+    for number, found in runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
         results[number] = found
-        done += parts[number].rows
+        done += len(found)
         on_progress(done, total)
     return [row for number in sorted(results) for row in results[number]]
 
@@ -200,27 +208,16 @@ def check_rows(
 class _Part:
     """The first rows of one row group: small and picklable."""
 
+    number: int
     split: str
     shard: Shard
     group: int
     rows: int
 
 
-def _parts(shards: Sequence[tuple[str, Shard]], limit: int | None) -> Iterator[_Part]:
-    left: dict[str, int] = {}
-    for split, shard in shards:
-        for group, (start, stop) in enumerate(zip(shard.group_starts, shard.group_starts[1:], strict=False)):
-            rows = stop - start if limit is None else min(stop - start, left.get(split, limit))
-            if limit is not None:
-                left[split] = left.get(split, limit) - rows
-            if rows:
-                yield _Part(split, shard, group, rows)
-
-
 def _check_part(
-    check: Callable[[Row], T], columns: Sequence[str], numbered: tuple[int, _Part]
+    check: Callable[[Row], T], columns: Sequence[str], part: _Part
 ) -> tuple[int, list[CheckedRow[T]]]:
-    number, part = numbered
     file = Path(part.shard.path).name
     checked: list[CheckedRow[T]] = []
     for block in part.shard.blocks(part.group):
@@ -228,10 +225,9 @@ def _check_part(
         for index, row_id in enumerate(block.table["id"].to_pylist()[: part.rows - len(checked)]):
             # In data sets of others it may be null, or a text.
             known_id = row_id if isinstance(row_id, int) else None
-            null_field = nulls.get(index, "")
-            found = None if null_field else check(Row(block, index))
-            row = block.first_row + index
+            found = None if index in nulls else check(Row(block, index))
+            row, null_field = block.first_row + index, nulls.get(index, "")
             checked.append(CheckedRow(part.split, file, row, known_id, found, null_field))
         if len(checked) == part.rows:
             break
-    return number, checked
+    return part.number, checked

@@ -1,21 +1,30 @@
-"""Where the shards of a named data set lie: a local folder, a file, or a repository of the Hub."""
+"""Where a data set of a given name lies, a local folder, a file or a repository; and of what kind it is."""
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+import os
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.hub.calls import named_failures, not_cached
-from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name
-from tactile_toolkit.kind import kinds
+from tactile_toolkit.hub.repository import HubName, HubRepository, cached_snapshot, hub_name
+from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
+from tactile_toolkit.mesh.columns import class_names
+from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.derived import small_files
 from tactile_toolkit.store.files import expanded, path_exists, readable
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, without_collecting
 from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
+from tactile_toolkit.store.origin import read_record
 from tactile_toolkit.store.overwrite import resume_promotion
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
@@ -30,6 +39,7 @@ from tactile_toolkit.wording import did_you_mean
 _LONGEST_SHOWN = 200
 _USUAL_SPLIT = "train"
 _PARQUET = ".parquet"
+_THREADS = 8
 
 
 def find_shards(
@@ -44,7 +54,7 @@ def find_shards(
     have remote addresses that are read piece by piece. Raises InputError (no such folder or split),
     IntegrityError (a damaged manifest, an interrupted run) or HubError.
     """
-    place = _place_of(name, revision)
+    place = _found_here(name) or _named_on_hub(name, revision)
     if isinstance(place, DataFolder):
         with without_collecting():
             return _folder_shards(place, split)
@@ -90,11 +100,6 @@ def repository_named(name: str, revision: str | None = None) -> HubRepository:
             f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
         )
     return HubRepository(named.repo_id, named.revision)
-
-
-def _place_of(name: str, revision: str | None) -> str | DataFolder | HubName:
-    """Return what a name means: a Parquet file by its path, a folder, or what lies on the Hub."""
-    return _found_here(name) or _named_on_hub(name, revision)
 
 
 def _named_on_hub(name: str, revision: str | None) -> HubName:
@@ -204,7 +209,7 @@ def repository_shards(repository: HubRepository, folder: str = "") -> list[Shard
 
 def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
     """List the splits of a data set by its name; InputError where it holds no Parquet files."""
-    place = _place_of(name, revision)
+    place = _found_here(name) or _named_on_hub(name, revision)
     if isinstance(place, DataFolder):
         splits = available_splits(place)
     elif isinstance(place, str) or _is_file(place):
@@ -233,8 +238,16 @@ def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
         chosen = _split_of([file.split for file in found], split, root)
         return tuple(Shard(folder.address(file.path)) for file in files_of_split(found, chosen, root))
     chosen = _split_of(manifest.splits, split, root)
-    _refuse_unfinished(folder, manifest, chosen)
     records = manifest.shards_of(chosen)
+    if not records or len(records) != records[0].shard.count:
+        there = [file.path for file in _folder_files(folder) if file.split == chosen]
+        if not (records or there) and manifest.complete:
+            raise unknown_split(chosen, manifest.splits, root)
+        raise IntegrityError(
+            f"the run that makes {root!r} is not finished ({len(there)} shards of split {chosen!r} are "
+            f"there, {MANIFEST_FILE} lists {len(records)} of them)",
+            next="run the same command again, it continues, or download the data set again",
+        )
     small: list[tuple[Shard, str] | None] = [None] * len(records)
     for file in small_files(manifest, chosen):
         if file.path in (manifest.files or ()):
@@ -250,21 +263,6 @@ def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
     )
 
 
-def _refuse_unfinished(folder: DataFolder, manifest: Manifest, split: str) -> None:
-    """Refuse a split that is not there, and one of which a command has made only some shards."""
-    records = manifest.shards_of(split)
-    if records and len(records) == records[0].shard.count:
-        return
-    there = [file.path for file in _folder_files(folder) if file.split == split]
-    if not (records or there) and manifest.complete:
-        raise unknown_split(split, manifest.splits, folder.address())
-    raise IntegrityError(
-        f"the run that makes {folder.address()!r} is not finished ({len(there)} shards of split "
-        f"{split!r} are there, {MANIFEST_FILE} lists {len(records)} of them)",
-        next="run the same command again, it continues, or download the data set again",
-    )
-
-
 def _folder_files(folder: DataFolder) -> list[ShardFile]:
     nested = [f"{DATA_FOLDER}/{name}" for name in folder.names(DATA_FOLDER)]
     found = shard_files([*nested, *folder.names()])
@@ -274,3 +272,166 @@ def _folder_files(folder: DataFolder) -> list[ShardFile]:
     root = Path(folder.address())
     files = [file for pattern in ("[!.]*/*.parquet", "[!.]*/[!.]*/*.parquet") for file in root.glob(pattern)]
     return shard_files(file.relative_to(root).as_posix() for file in files if file.stem.isdigit())
+
+
+def kind_of_meshes(schema: Any) -> DatasetKind | None:
+    """Return the kind of meshes by a column that only it has, or else by the classes of its published set."""
+    for kind in kinds():
+        if any(column in schema.names for column in kind.columns):
+            return kind
+    names = class_names(schema, ())
+    return next((kind for kind in kinds() if names and kind.published and kind.class_names == names), None)
+
+
+def require_kind(kind: DatasetKind, command: str, name: str, datasets: Iterable[RecordDataset[Any]]) -> None:
+    """Refuse meshes of another kind than a command is for, as far as their columns say so; reads no row.
+
+    ``name`` is the data set in the user's words. Raises InputError.
+    """
+    for dataset in datasets:
+        other = kind_of_meshes(dataset._table.schema)
+        if other is not None and other is not kind:
+            raise InputError(
+                f"{name!r} holds {other.nouns}; `{kind.command} {command}` is for {kind.nouns}",
+                next=f"run `{other.command} {command} {name}`",
+            )
+
+
+def finished_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest | None:
+    """Read the manifest of a folder; None where there is no manifest.
+
+    Raises InputError for another kind or an unfinished run, IntegrityError for a damaged manifest.
+    """
+    manifest = read_manifest(folder)
+    kind.refuse_other(manifest, folder.address())
+    if manifest is not None and not manifest.complete:
+        record = read_record(folder)
+        again = "run the same command again" if record is None else f"download {record.repo_id} there again"
+        raise InputError(
+            f"the run that fills {folder.address()!r} is not finished",
+            next=f"{again}, it continues where it stopped",
+        )
+    return manifest
+
+
+def require_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest:
+    """Read the manifest of a finished folder, which has to be there; raises as :func:`finished_manifest`."""
+    manifest = finished_manifest(kind, folder)
+    if manifest is None:
+        raise InputError(
+            f"{folder.missing_message(MANIFEST_FILE)}",
+            next=f"give the folder of a data set, such as one made by `{kind.made_by}`",
+        )
+    return manifest
+
+
+@contextmanager
+def specification_read(where: str) -> Iterator[None]:
+    """Take a manifest whose specification is not as expected for damaged."""
+    try:
+        yield
+    except (KeyError, TypeError, AttributeError) as error:
+        raise IntegrityError(
+            f"the specification in {where!r} is not that of a data set of this kind ({type(error).__name__}: "
+            f"{error})",
+            next="download or generate the data set again",
+        ) from error
+
+
+@dataclass(frozen=True, slots=True)
+class LocalSet:
+    """A data set folder, as its manifest states it; ``state`` is finished, unfinished, or what is wrong."""
+
+    name: str
+    kind: str
+    splits: str
+    rows: int
+    bytes: int
+    state: str
+
+
+def local_sets(folder: Path) -> list[LocalSet]:
+    """Return the data sets in a folder, and itself where it is one, by name; InputError where there is none.
+
+    Reads manifests only.
+    """
+    if not folder.is_dir():
+        raise InputError(
+            f"{DataFolder(str(folder)).missing_message('data sets')}",
+            next="give a folder with data set folders",
+        )
+    found = []
+    for name in [".", *sorted(each.name for each in folder.iterdir() if each.is_dir())]:
+        try:
+            manifest = manifest_so_far(DataFolder(str(folder / name)))
+        except ToolkitError as error:
+            found.append(LocalSet(name, "", "", 0, 0, str(error)))
+            continue
+        if manifest is not None:
+            table = manifest.split_table()
+            rows, size = (sum(held[each] for held in table.values()) for each in ("rows", "bytes"))
+            state = "finished" if manifest.complete else "unfinished"
+            found.append(LocalSet(name, manifest.kind, ", ".join(table), rows, size, state))
+    return found
+
+
+def published_set(name: str) -> PublishedSet | None:
+    """Return a published set by its short name or its repository; None for any other name."""
+    entries = (entry for kind in kinds() for entry in kind.published)
+    return next((each for each in entries if name in (each.name, each.repo_id, *each.aliases)), None)
+
+
+def kind_that_published(name: str) -> DatasetKind | None:
+    """Return the kind of a published set, by its short name or its repository; None for any other name."""
+    entry = published_set(name)
+    return next((kind for kind in kinds() if entry in kind.published), None)
+
+
+def place_of(name: str | os.PathLike[str]) -> str:
+    """Return the repository of a short name, unless there is a file or a data set folder of that name.
+
+    Any other name is returned as it is.
+    """
+    name = os.fspath(name)
+    # What has a slash is not a short name: most names are paths, and need no list of kinds.
+    found = None if "/" in name else published_set(name)
+    if found is None:
+        return name
+    # Data, not any folder of that name: sources of the toolkit lie in one called ``mnist3d``.
+    place, patterns = Path(name), (MANIFEST_FILE, "*.parquet", f"{DATA_FOLDER}/*.parquet")
+    is_data = place.is_file() or any(next(place.glob(pattern), None) for pattern in patterns)
+    return name if is_data else found.repo_id
+
+
+@dataclass(frozen=True, slots=True)
+class SetState:
+    """A published set, what of it is in the Hub's cache, and how large it is on the Hub, if that says.
+
+    ``local_splits`` have files in the cache, at the commit last looked at; the licence is as its publishers
+    state it, or else as its card on the Hub does.
+    """
+
+    published: PublishedSet
+    local_bytes: int
+    local_splits: tuple[str, ...]
+    hub_bytes: int | None
+    licence: str | None
+
+
+def states(sets: Sequence[PublishedSet]) -> list[SetState]:
+    """Look up what is local and, for all sets at once, ask the Hub for sizes."""
+    return list(in_threads(_state, sets, _THREADS))
+
+
+def _state(entry: PublishedSet) -> SetState:
+    size_bytes, licence = None, entry.licence
+    with suppress(ToolkitError):
+        found = HubRepository(entry.repo_id).snapshot
+        if not found.is_cache:
+            size_bytes = sum(file.size_bytes for file in found.files.values())
+            licence = licence or found.licence
+    cached = cached_snapshot(entry.repo_id, "main")
+    here = cached.files if cached else {}
+    splits = tuple(dict.fromkeys(file.split for file in shard_files(here)))
+    local_bytes = sum(file.size_bytes for file in here.values())
+    return SetState(entry, local_bytes, splits, size_bytes, licence)

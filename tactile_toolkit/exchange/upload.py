@@ -19,7 +19,7 @@ from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, with_repo_name
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
 from tactile_toolkit.cards.facts import configs, folder_facts, with_head
-from tactile_toolkit.catalog.kinds import require_manifest
+from tactile_toolkit.catalog.locate import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.copies import viewer_tables
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions

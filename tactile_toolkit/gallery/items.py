@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.catalog.choose import Choice, choose_rows, open_splits, short_name
-from tactile_toolkit.catalog.kinds import require_kind
+from tactile_toolkit.catalog.locate import require_kind
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M

@@ -10,8 +10,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from tactile_toolkit.catalog.choose import IdChoice, choose_rows, open_splits
-from tactile_toolkit.catalog.kinds import require_kind
-from tactile_toolkit.catalog.locate import folder_named
+from tactile_toolkit.catalog.locate import folder_named, require_kind
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind

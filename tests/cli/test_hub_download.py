@@ -22,7 +22,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.opening import SHORT_NAMES
 from starstruck_gen.make import GenerateSpec as StarstruckSpec
-from tactile_toolkit.catalog.kinds import place_of, published_set
+from tactile_toolkit.catalog.locate import place_of, published_set
 from tactile_toolkit.kind import kinds
 from tests import command_line
 from tests.hub_server import HubServer, hub

@@ -12,7 +12,7 @@ import pytest
 import mnist3d
 import realtouch
 from realtouch.opening import SHORT_NAMES
-from tactile_toolkit.catalog.kinds import place_of
+from tactile_toolkit.catalog.locate import place_of
 from tactile_toolkit.errors import InputError
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings

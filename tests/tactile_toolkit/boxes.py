@@ -8,7 +8,6 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit.cards.card import Card
-from tactile_toolkit.cards.facts import folder_facts
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -93,11 +92,11 @@ def write_card(folder, manifest):
         template="mesh_tables.md",
         title="Boxes",
         columns=meanings(BoxRow),
-        picture=("boxes.png", None, ""),
+        picture=("boxes.png", lambda _: None, ""),
         licence="cc0-1.0",
         tags=["3d"],
         values={"licence_text": "Anybody may use them.", "citation_text": "Nobody need be cited."},
-    ).write(folder, folder_facts(folder, manifest), manifest, KIND)
+    ).write(folder, manifest, KIND)
 
 
 def load(name, split="train"):
