@@ -17,8 +17,8 @@ from tactile_toolkit.cards.card import (
     between,
     bibtex,
     card_words,
-    first_rows,
     markdown_table,
+    rows_to_draw,
     tiles_png,
     write_table_card,
 )
@@ -155,7 +155,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
 def _sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first digit of each class in the first rows, as PNG at 0.4 mm per pixel; None without rows."""
     first: dict[int, Row] = {}
-    for row in islice(first_rows(facts, ["label", VERTICES, FACES]), _ROWS_SEEN):
+    for row in islice(rows_to_draw(facts, ["label", VERTICES, FACES]), _ROWS_SEEN):
         first.setdefault(int(row.required("label")), row)
         if len(first) == len(KIND.class_names):
             break

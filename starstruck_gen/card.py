@@ -16,7 +16,14 @@ from starstruck_gen.make import Acceptance
 from starstruck_gen.placement import Placement
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.cards.card import Card, between, first_rows, markdown_table, tiles_png, write_table_card
+from tactile_toolkit.cards.card import (
+    Card,
+    between,
+    markdown_table,
+    rows_to_draw,
+    tiles_png,
+    write_table_card,
+)
 from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.pictures.sheets import Tile
@@ -130,7 +137,7 @@ def _sheet(cell_m: tuple[float, float], facts: FolderFacts) -> bytes | None:
     """Draw the first scenes as PNG, the longer side of each 140 pixels; None without rows."""
     px_per_mm = _TILE_PX / (1e3 * max(cell_m))
     tiles = []
-    for row in islice(first_rows(facts, ["placements"]), _SCENES_SHOWN):
+    for row in islice(rows_to_draw(facts, ["placements"]), _SCENES_SHOWN):
         # As Python objects: numpy's way of lists of structs imports pandas, which takes a second.
         (stored,) = row.group.table.slice(row.index, 1).to_pylist()
         placements = [Placement(**entry) for entry in stored["placements"]]

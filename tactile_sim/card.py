@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tactile_sim.columns import TouchRow
 from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
-from tactile_toolkit.cards.card import Card, first_rows
+from tactile_toolkit.cards.card import Card, rows_to_draw
 from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.pictures.sheets import Sheet, Tile, in_rows, sheet
 from tactile_toolkit.pictures.writing import png_bytes
@@ -129,7 +129,7 @@ def _limits(spec: Mapping[str, Any], touches: int, met: int) -> list[str]:
 
 def _touches_sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first touches of the first rounds, a round a row, as PNG."""
-    rounds = islice(first_rows(facts, ["sensor_image"]), _ROUNDS_SHOWN)
+    rounds = islice(rows_to_draw(facts, ["sensor_image"]), _ROUNDS_SHOWN)
     shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)
     rows = [("", [decode_image(each["bytes"]) for each in images]) for images in shown]
     return sheet_png(rows) if rows else None

@@ -169,7 +169,7 @@ def _table_sheet(facts: FolderFacts) -> bytes | None:
 
     tiles, file = [], f"{MESH}.bytes"  # of tables, whose meshes are GLB files
     is_glb = VERTICES not in column_names(facts.schema)
-    for row in islice(first_rows(facts, [file] if is_glb else [VERTICES, FACES]), _SHOWN):
+    for row in islice(rows_to_draw(facts, [file] if is_glb else [VERTICES, FACES]), _SHOWN):
         if is_glb:
             mesh: Any = trimesh.load_mesh(io.BytesIO(row.value(file)), file_type="glb")
             vertices_m, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
@@ -251,7 +251,7 @@ def with_repo_name(card: str, name: str) -> str:
     return card if found is None else card.replace(f'"{found["name"]}"', f'"{name}"')
 
 
-def first_rows(facts: FolderFacts, columns: Sequence[str]) -> Iterator[Row]:
+def rows_to_draw(facts: FolderFacts, columns: Sequence[str]) -> Iterator[Row]:
     """Yield the rows of the first split that has any, reading some columns block by block."""
     split = next((split for split in facts.splits if split.rows), None)
     for shard in split.shards if split is not None else ():

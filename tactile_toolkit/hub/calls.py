@@ -2,13 +2,14 @@
 
 The client raises a dozen kinds of errors, wraps some in others, and has one status for a private repository
 and for a missing one; :func:`failure_of` looks through all that. The client reads whatever is sent: a hook of
-its session limits the bytes.
+its session limits the bytes. What depends on the release of the client is in this file alone.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
+import inspect
 import re
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -256,3 +257,29 @@ def _check_answer(response: Any, **_: Any) -> None:
             yield piece
 
     setattr(response, name, limited)
+
+
+def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
+    """Return what lets the client report how many bytes of a file have arrived; early releases cannot."""
+    from huggingface_hub import hf_hub_download
+    from huggingface_hub.utils.tqdm import tqdm
+
+    class Bar(tqdm):
+        """Passes on what is written to the disk."""
+
+        monitor_interval = 0  # no thread that watches it
+
+        def __init__(self, *_: Any, **__: Any) -> None:
+            super().__init__(disable=True)  # type: ignore[no-untyped-call]
+            count(0)
+
+        def update(self, n: float | None = 1) -> None:
+            self.n += int(n or 0)
+            count(self.n)
+
+        def update_transfer(self, n: float | None = 1) -> None:
+            """Pass over what arrives in compressed pieces."""
+
+        set_transfer_postfix_str = tqdm.set_postfix_str
+
+    return {"tqdm_class": Bar} if "tqdm_class" in inspect.signature(hf_hub_download).parameters else {}

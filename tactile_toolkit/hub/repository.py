@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import inspect
 import json
 import os
 import re
@@ -20,7 +19,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
-from tactile_toolkit.hub.calls import TooLargeError, call_with_retry, is_unanswered, not_cached
+from tactile_toolkit.hub.calls import (
+    TooLargeError,
+    call_with_retry,
+    counting_options,
+    is_unanswered,
+    not_cached,
+)
 from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import names_inside, problem_of_name
@@ -162,11 +167,9 @@ class Transfers:
     """
 
     def __init__(self, on_bytes: Callable[[int], None] = lambda _: None) -> None:
-        self._on_bytes = on_bytes
+        self._on_bytes, self._lock = on_bytes, threading.Lock()
         self._arrived: dict[str, int] = {}
-        self._total = 0
-        self._is_stopped = False
-        self._lock = threading.Lock()
+        self._total, self._is_stopped = 0, False
 
     def each(self, action: Callable[[T], object], items: Sequence[T]) -> None:
         """Call a function for each item, several at once; the first failure is raised, Ctrl-C ends all."""
@@ -189,34 +192,6 @@ class Transfers:
             self._total += size_bytes - self._arrived.get(file.path, 0)
             self._arrived[file.path] = size_bytes
             self._on_bytes(self._total)
-
-    def client_options(self, file: HubFile) -> dict[str, Any]:
-        """Return what makes the client count bytes here; early releases draw bars of their own instead."""
-        from huggingface_hub import hf_hub_download
-        from huggingface_hub.utils.tqdm import tqdm
-
-        count = functools.partial(self.count, file)
-
-        class Bar(tqdm):
-            """Passes on what is written to the disk."""
-
-            monitor_interval = 0  # no thread that watches it
-
-            def __init__(self, *_: Any, **__: Any) -> None:
-                super().__init__(disable=True)  # type: ignore[no-untyped-call]
-                count(0)
-
-            def update(self, n: float | None = 1) -> None:
-                self.n += int(n or 0)
-                count(self.n)
-
-            def update_transfer(self, n: float | None = 1) -> None:
-                """Pass over what arrives in compressed pieces."""
-
-            set_transfer_postfix_str = tqdm.set_postfix_str
-
-        known = inspect.signature(hf_hub_download).parameters
-        return {"tqdm_class": Bar} if "tqdm_class" in known else {}
 
 
 @dataclass(frozen=True)
@@ -349,7 +324,6 @@ class HubRepository:
         IntegrityError for a file that arrived damaged twice or is not what the manifest lists (nothing of it
         is kept), HubError, StorageError.
         """
-        names_inside(paths, f"Hub data set {self.repo_id!r}")
         for path in paths:
             self.file(path)  # what cannot be had is reported before anything is fetched
         together = transfers or Transfers()
@@ -364,7 +338,7 @@ class HubRepository:
         if self.snapshot.is_cache or wanted.digest is None:
             raise not_cached(self.repo_id, repr(path))
         options = {"repo_type": "dataset", "revision": commit, "local_dir": folder}
-        options |= transfers.client_options(wanted)
+        options |= counting_options(functools.partial(transfers.count, wanted))
         for force in (folder is None and self._place(path).exists(), True):
             fetch = functools.partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
             doing = f"fetching {path!r} of"

@@ -73,16 +73,19 @@ def test_two_processes_fetch_a_file_once(server, tmp_path):
 
 
 OTHERS = """
-from huggingface_hub import constants, hf_hub_download, scan_cache_dir, snapshot_download
+from huggingface_hub import HfApi, constants, hf_hub_download, scan_cache_dir, snapshot_download
 found = scan_cache_dir(constants.HF_HUB_CACHE)
 repos = list(found.repos)
 print(len(found.warnings), [repo.repo_id for repo in repos], [repo.size_on_disk for repo in repos])
 print(hf_hub_download('someone/big', 'data/train-00000-of-00001.parquet', repo_type='dataset'))
 print(snapshot_download('someone/big', repo_type='dataset', local_files_only=True))
+if hasattr(HfApi, 'verify_repo_checksums'):  # from 1.1 on
+    proof = HfApi().verify_repo_checksums('someone/big', repo_type='dataset')
+    assert proof.checked_count == 2 and not (proof.mismatches or proof.missing_paths or proof.extra_paths)
 """
 
 
-def test_other_programs_find_the_files_in_the_cache(server, tmp_path):
+def test_other_programs_find_the_files_in_the_cache_and_hf_cache_counts_them(server, tmp_path):
     place = fetch(server, tmp_path, script(BIG))[0]
     before = len(server.fetched)
     done = run_here(OTHERS, settings(server, tmp_path), tmp_path)
