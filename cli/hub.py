@@ -100,7 +100,7 @@ def download(
             f"{name!r} is a data set of `{known.command}`", next=f"{known.command} download {name}"
         )
     plan = plan_download(name, split or (), revision=revision, out=out, on_wait=sink.info)
-    kind.refuse_other(plan.manifest, plan.repository.repo_id)
+    kind.refuse_other(plan.repository.manifest, plan.repository.repo_id)
     _introduce(sink, name, plan)
     place = ""
     if not dry_run:
@@ -275,5 +275,5 @@ def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> 
     name, revision = plan.repository.repo_id, plan.repository.revision
     if plan.folder is not None:
         name, revision = place, None
-    line = kind.loading_lines(plan.manifest, name, plan.splits[0], revision)[1]
+    line = kind.loading_lines(plan.repository.manifest, name, plan.splits[0], revision)[1]
     sink.line(f"next in Python: {line}")

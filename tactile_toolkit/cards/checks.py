@@ -6,7 +6,7 @@ import fnmatch
 import io
 import re
 import reprlib
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from posixpath import normpath
 from typing import Any
 
@@ -15,7 +15,6 @@ from tactile_toolkit.cards.croissant import check_croissant
 from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.shards import Finding
 
@@ -27,30 +26,17 @@ _UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
 
 
-def check_card(
-    folder: DataFolder,
-    text: str | None = None,
-    *,
-    held: Collection[str] | None = None,
-    manifest: Manifest | None = None,
-) -> list[Finding]:
-    """List all in the cards of a finished folder that manifest, Parquet files or pictures contradict.
-
-    ``text`` is a card to check instead of the stored ones; ``held`` are files that will lie next to it where
-    it is to stand elsewhere: its pictures must be among them. ``manifest`` is the one that it will have.
-    """
+def check_card(folder: DataFolder) -> list[Finding]:
+    """List all in the cards of a finished folder that manifest, Parquet files or pictures contradict."""
     import yaml
     from huggingface_hub import DatasetCard
 
-    is_stored = text is None
-    if text is None:
-        if not folder.exists(CARD_FILE):
-            return [Finding(CARD_FILE, "is missing; next: write it with the command `card`")]
-        text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
+    if not folder.exists(CARD_FILE):
+        return [Finding(CARD_FILE, "is missing; next: write it with the command `card`")]
+    text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
     try:
-        manifest = manifest or read_manifest(folder)
         head = DatasetCard(text).data.to_dict()  # type: ignore[no-untyped-call]
-        facts = folder_facts(folder, manifest)
+        facts = folder_facts(folder)
         problems = [f"its head has no {name!r}" for name in _REQUIRED if not head.get(name)]
         problems += _contradictions(head, facts)
         gaps = dict.fromkeys(match[0] for match in _GAPS.finditer(text))
@@ -60,8 +46,8 @@ def check_card(
     except (*_UNREADABLE, yaml.YAMLError) as error:
         first_line = next(iter(str(error).splitlines()), type(error).__name__)
         return [Finding(CARD_FILE, f"its YAML head cannot be read: {first_line}")]
-    found = [*(Finding(CARD_FILE, problem) for problem in problems), *_pictures(folder, text, held)]
-    return [*found, *(check_croissant(folder, facts) if is_stored else ())]
+    found = [*(Finding(CARD_FILE, problem) for problem in problems), *_check_pictures(folder, text)]
+    return [*found, *check_croissant(folder, facts)]
 
 
 def _contradictions(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
@@ -74,8 +60,8 @@ def _contradictions(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str
     stated, expected = _claims(head, held), _claims(card_head(facts), held)
     for claim in {**expected, **stated}:
         if stated.get(claim) != expected.get(claim):
-            found = _shown(stated[claim]) if claim in stated else "missing"
-            wanted = _shown(expected[claim]) if claim in expected else "none"
+            found = _abridged(stated[claim]) if claim in stated else "missing"
+            wanted = _abridged(expected[claim]) if claim in expected else "none"
             yield f"{' '.join(claim)} is {found}, expected {wanted}"
     for split in () if facts.recorded else facts.splits:
         for shard, path in zip(split.shards, split.paths, strict=True):
@@ -93,17 +79,17 @@ def _claims(head: Mapping[str, Any], held: Sequence[str]) -> dict[tuple[str, ...
         for entry in config["data_files"]:
             patterns = [entry["path"]] if isinstance(entry["path"], str) else list(entry["path"])
             files = sorted({path for pattern in patterns for path in fnmatch.filter(held, str(pattern))})
-            named = f"{_shown(entry['split'])} in configuration {_shown(config['config_name'])}"
+            named = f"{_abridged(entry['split'])} in configuration {_abridged(config['config_name'])}"
             claims["files of split", named] = {"count": len(files), "files": files}
     for split in info.get("splits") or ():
-        claims["num_examples of split", _shown(split["name"])] = split.get("num_examples")
+        claims["num_examples of split", _abridged(split["name"])] = split.get("num_examples")
     for column in info.get("features") or ():
         described = {key: value for key, value in column.items() if key != "name"}
-        claims["column", _shown(column["name"])] = described
+        claims["column", _abridged(column["name"])] = described
     return claims
 
 
-def _shown(value: Any) -> str:
+def _abridged(value: Any) -> str:
     """Return the beginning of a value's repr."""
     # A head of a few lines may name its own parts so often that all of it would fill any memory.
     short = reprlib.Repr()
@@ -111,20 +97,21 @@ def _shown(value: Any) -> str:
     return short.repr(value)[:_MOST_SHOWN]
 
 
-def _pictures(folder: DataFolder, text: str, held: Collection[str] | None) -> Iterator[Finding]:
-    """Yield pictures of the card that are missing, left out or damaged."""
-    for path in dict.fromkeys(match["path"] for match in _PICTURE.finditer(text)):
-        # Elsewhere, or in the card itself.
-        if "://" in path or path.startswith("data:"):
-            continue
+def pictures_in(text: str) -> list[str]:
+    """Return the paths of the pictures that a card shows, but for those elsewhere or in the card itself."""
+    paths = dict.fromkeys(match["path"] for match in _PICTURE.finditer(text))
+    return [path for path in paths if "://" not in path and not path.startswith("data:")]
+
+
+def _check_pictures(folder: DataFolder, text: str) -> Iterator[Finding]:
+    """Yield pictures of the card that are missing or damaged."""
+    for path in pictures_in(text):
         problem = problem_of_name(normpath(path))
         if problem:
             yield Finding(CARD_FILE, f"shows the picture {path!r}, which {problem}")
-        elif held is not None and normpath(path) not in held:
-            yield Finding(path, f"is shown by {CARD_FILE} and is not part of what is sent (previews/ is)")
-        elif not folder.exists(path) and held is None:
+        elif not folder.exists(path):
             yield Finding(path, f"is missing; {CARD_FILE} shows it")
-        elif folder.exists(path) and not _is_picture(folder.read_bytes(path)):
+        elif not _is_picture(folder.read_bytes(path)):
             yield Finding(path, "is not an intact picture; next: write it again with the command `card`")
 
 

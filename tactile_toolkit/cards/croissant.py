@@ -97,18 +97,17 @@ def _structure(facts: FolderFacts, page: str | None = None, others: Sequence[str
             "sha256": _GIT_HAS_NO_DIGEST,
         }
         files = [repository, *({**each, "containedIn": {"@id": _REPOSITORY}} for each in files)]
-    record_sets = [_record_set(split.split, facts.features) for split in facts.splits]
+    has_id = any(entry["name"] == "id" for entry in facts.features)
+    record_sets = [
+        {
+            "@type": "cr:RecordSet",
+            "@id": split.split,
+            **({"key": {"@id": f"{split.split}/id"}} if has_id else {}),
+            "field": [_field(split.split, entry) for entry in facts.features],
+        }
+        for split in facts.splits
+    ]
     return {"distribution": files, "recordSet": record_sets}
-
-
-def _record_set(split: str, features: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    has_id = any(entry["name"] == "id" for entry in features)
-    return {
-        "@type": "cr:RecordSet",
-        "@id": split,
-        **({"key": {"@id": f"{split}/id"}} if has_id else {}),
-        "field": [_field(split, entry) for entry in features],
-    }
 
 
 def _field(split: str, entry: Mapping[str, Any], column: str = "", path: str = "") -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.hub.calls import named_failures, not_cached
+from tactile_toolkit.hub.calls import hub_failures, not_cached
 from tactile_toolkit.hub.repository import HubName, HubRepository, cached_snapshot, hub_name
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
 from tactile_toolkit.mesh.columns import class_names
@@ -182,7 +182,7 @@ def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool
         return tuple(Shard(str(place)) for place in repository.fetch(paths))
     for path in paths:
         repository.file(path)  # a file that is not there is named now, not when it is read
-    failures = functools.partial(named_failures, repository.repo_id, "streaming")
+    failures = functools.partial(hub_failures, repository.repo_id, "streaming")
     return tuple(Shard(repository.address(path), failures=failures) for path in paths)
 
 

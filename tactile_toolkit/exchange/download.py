@@ -84,11 +84,6 @@ class DownloadPlan:
         """Size of the files to be fetched."""
         return sum(file.size_bytes for file in self.missing)
 
-    @property
-    def manifest(self) -> Manifest | None:
-        """Manifest of the data set; None where there is no manifest."""
-        return read_manifest(self.folder) if self.is_done and self.folder else self.repository.manifest
-
 
 def plan_download(
     name: str,
@@ -152,8 +147,8 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
         is_done = same and not missing and recorded.keys() <= files.keys() and _is_described(folder, metadata)
     elif missing and snapshot.is_cache:
         raise not_cached(repository.repo_id, repr(missing[0].path))
-    origin = (repository.repo_id, snapshot.commit, repository.revision)
-    record = DownloadRecord(*origin, files, all_splits, metadata)
+    commit, revision = snapshot.commit, repository.revision
+    record = DownloadRecord(repository.repo_id, commit, revision, files, all_splits, metadata)
     return DownloadPlan(repository, folder, chosen, missing, is_done, record, earlier)
 
 
@@ -246,7 +241,8 @@ def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambd
 
 def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
-    repository, manifest, record, leftover = plan.repository, plan.manifest, plan.record, plan.leftover
+    repository, record, leftover = plan.repository, plan.record, plan.leftover
+    manifest = repository.manifest
     if folder.is_local:  # refused before anything changes: a link leads to what is not of this folder
         for path in (_STAGE_FOLDER, MANIFEST_FILE, *leftover, *record.files):
             folder.place(path)

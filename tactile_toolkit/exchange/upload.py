@@ -13,10 +13,11 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from posixpath import normpath
 from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, with_repo_name
-from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.checks import check_card, pictures_in
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
 from tactile_toolkit.cards.facts import configs, folder_facts, with_head
 from tactile_toolkit.catalog.locate import require_manifest
@@ -217,7 +218,17 @@ def prepare_upload(
         branch = ask(partial(_branch, repo_id, chosen.revision or MAIN_BRANCH))
         manifest, files = _files_to_send(place, manifest, repo_id, branch.held, chosen, scratch)
         plan = compare(files, branch.held, delete=chosen.delete)
-        _refuse_conflicts(repo_id, chosen, branch, plan)
+        held, named = branch.held, branch.tags.get(chosen.tag or "")
+        if chosen.private and held is not None and not held.is_private:
+            raise InputError(
+                f"{repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent",
+                next=f"make it private at {page_of(repo_id)}/settings, or leave --private out",
+            )
+        if named and not (plan.is_done and held and held.commit == named):
+            raise InputError(
+                f"tag {chosen.tag!r} of {repo_id!r} names commit {named[:12]} already; nothing was sent",
+                next="choose another --tag, or delete that one on the Hub",
+            )
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
         prepared = PreparedUpload(repo_id, chosen, branch, manifest, files, plan, left_out, scratch, ask)
         weakref.finalize(prepared, stack.pop_all().close)
@@ -264,21 +275,6 @@ def _require_sound(findings: Iterable[Finding]) -> None:
         )
 
 
-def _refuse_conflicts(repo_id: str, options: UploadOptions, branch: HubBranch, plan: UploadPlan) -> None:
-    """Refuse to show what is to be private, and to move a tag of the user's."""
-    held, named = branch.held, branch.tags.get(options.tag or "")
-    if options.private and held is not None and not held.is_private:
-        raise InputError(
-            f"{repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent",
-            next=f"make it private at {page_of(repo_id)}/settings, or leave --private out",
-        )
-    if named and not (plan.is_done and held and held.commit == named):
-        raise InputError(
-            f"tag {options.tag!r} of {repo_id!r} names commit {named[:12]} already; nothing was sent",
-            next="choose another --tag, or delete that one on the Hub",
-        )
-
-
 def _files_to_send(
     place: DataFolder,
     manifest: Manifest,
@@ -300,7 +296,12 @@ def _files_to_send(
     wanted = configs(facts, others)
     stored = with_repo_name(place.read_bytes(CARD_FILE).decode(), repo_id)
     text = with_head(stored, lambda head: head.update(configs=wanted))
-    _require_sound(check_card(place, text, held={*paths, *others}, manifest=manifest))
+    there = {*paths, *others}
+    _require_sound(
+        Finding(path, f"is shown by {CARD_FILE} and is not part of what is sent (previews/ is)")
+        for path in pictures_in(text)
+        if normpath(path) not in there
+    )
     rendered = {CARD_FILE: text.encode(), MANIFEST_FILE: described}
     if CROISSANT_FILE in paths:
         stored = place.read_bytes(CROISSANT_FILE).decode()

@@ -124,7 +124,7 @@ def _requested_wait_s(headers: Any) -> float:
 
 
 @contextlib.contextmanager
-def named_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
+def hub_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
     """Turn every failure of the Hub, the network and its cache into an error of the toolkit.
 
     ``doing`` is what is done to the repository: ``"reading"``, ``"uploading to"``, ... Raises HubError (not
@@ -141,12 +141,11 @@ def named_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
 
 def not_cached(repo_id: str, what: str) -> HubError:
     """Return the error for what is missing in the cache while the Hub cannot be asked."""
-    from huggingface_hub import constants
-
-    is_offline = constants.HF_HUB_OFFLINE
-    why = "HF_HUB_OFFLINE is set" if is_offline else f"the Hub at {public_endpoint()} gives no answer now"
-    then = "unset HF_HUB_OFFLINE once" if is_offline else "check the network, and run the same command again"
-    return HubError(f"{what} of Hub data set {repo_id!r} is not in the cache, and {why}", next=then)
+    return HubError(
+        f"{what} of Hub data set {repo_id!r} is not in the cache, and the Hub at {public_endpoint()} cannot "
+        "be asked now",
+        next="check the network, unset HF_HUB_OFFLINE if it is set, and run the same command again",
+    )
 
 
 def failure_of(
@@ -218,7 +217,7 @@ def call_with_retry(
 
     The action may have had its effect though it failed, where the answer was lost. ``on_wait`` gets a
     sentence for each wait; all waits that the Hub asks for are limited together. Raises what
-    :func:`named_failures` does.
+    :func:`hub_failures` does.
     """
     # Before 1.0 it is a session of requests, and each thread has its own.
     session = import_module("huggingface_hub").get_session()

@@ -285,13 +285,6 @@ def test_a_gap_is_named(folder, gap):
     assert ["expected every gap filled" in problem for problem in problems(folder)] == [True]
 
 
-def test_pictures_must_be_among_what_lies_beside_the_card(folder):
-    place = DataFolder(str(folder))
-    assert check_card(place, held={"previews/digits.png"}) == []
-    (found,) = check_card(place, held={"README.md"})
-    assert (found.file, "is not part of what is sent" in found.problem) == ("previews/digits.png", True)
-
-
 def test_little_sizes_do_not_read_as_nothing():
     assert [megabytes(size) for size in (0, 960, 99_999, 100_000, 12_345_678)] == [
         "0.0 kB",
