@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from typing import cast
-
-import numpy as np
-from numpy.typing import NDArray
-
 from env_assets.wrench.kind import KIND
 from tactile_toolkit.catalog.locate import find_shards
-from tactile_toolkit.mesh.records import SolidRecord, open_solids
-from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.mesh.records import SolidDataset, SolidRecord, open_solids
 
 
 class WrenchRecord(SolidRecord):
@@ -48,18 +42,13 @@ class WrenchRecord(SolidRecord):
         return relief_tile_html(self.vertices_m, self.faces, f"{self.opening_mm:g} mm, id {self.id}")
 
 
-class WrenchDataset(RecordDataset[WrenchRecord]):
+class WrenchDataset(SolidDataset[WrenchRecord]):
     """A lazy sequence of :class:`WrenchRecord`."""
 
     record_class = WrenchRecord
     things = "wrenches"
 
-    @property
-    def volumes_m3(self) -> NDArray[np.float64]:
-        """Volume of each row, shape (len,), cubic metres; loads no mesh."""
-        return self.column("volume_m3")
-
 
 def load(name: str, split: str = "train") -> WrenchDataset:
     """Open a folder, a Parquet file or a repository of the Hub; raises as ``AssetProvider.meshes``."""
-    return cast(WrenchDataset, open_solids(find_shards(name, split), name, WrenchDataset, KIND))
+    return open_solids(find_shards(name, split), name, WrenchDataset, KIND)

@@ -11,8 +11,7 @@ from mnist3d.kind import KIND
 from mnist3d.sources import NO_WRITER
 from tactile_toolkit.catalog.locate import find_shards, place_of
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
-from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.mesh.records import RecordStream, SolidDataset, SolidRecord, open_solids
 
 
 class MeshRecord(SolidRecord):
@@ -58,16 +57,11 @@ class MeshRecord(SolidRecord):
         return relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
 
 
-class MeshDataset(RecordDataset[MeshRecord]):
+class MeshDataset(SolidDataset[MeshRecord]):
     """A lazy sequence of :class:`MeshRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
     record_class = MeshRecord
     things = "digits"
-
-    @property
-    def volumes_m3(self) -> NDArray[np.float64]:
-        """Volume of each row, shape (len,), cubic metres; loads no mesh."""
-        return self.column("volume_m3")
 
     @property
     def writers(self) -> NDArray[np.int64]:
@@ -75,8 +69,8 @@ class MeshDataset(RecordDataset[MeshRecord]):
         return self.column("writer")
 
 
-MeshStream = RecordStream[MeshRecord]
-"""Digits one after another, read as they are asked for."""
+class MeshStream(RecordStream[MeshRecord]):
+    """Digits one after another, read as they are asked for; see :class:`RecordStream`."""
 
 
 @overload
@@ -124,4 +118,4 @@ def load(
         The repository cannot be reached or does not exist.
     """
     shards = find_shards(place_of(name), split, revision=revision, streaming=streaming)
-    return open_solids(shards, name, MeshDataset, KIND, streaming=streaming)
+    return open_solids(shards, name, MeshDataset, KIND, MeshStream if streaming else None)

@@ -171,7 +171,7 @@ def load(
         The repository cannot be reached or does not exist.
     """
     shards = find_shards(place_of(name), split, revision=revision, streaming=streaming)
-    return open_solids(shards, name, SceneMeshDataset, KIND, streaming=streaming)
+    return open_solids(shards, name, SceneMeshDataset, KIND, RecordStream if streaming else None)
 
 
 DEFAULT_SIZE = 300_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,8 +17,9 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.touch.schema import class_names
+from tactile_toolkit.touch.schema import CLASS_NAMES
 
 REACH_M = (0.0385, 0.0405)
 """How far from the middle of the cell the gel is sent, x and y, metres: half the cell less ``CELL_PADDING``
@@ -41,13 +43,13 @@ class SolidSplit:
         shards = find_shards(place, split)
         schema = ShardedTable(shards).schema
         require_mesh_columns(schema, place, "mnist3d generate")
-        return cls(shards, class_names(schema, place))
+        return cls(shards, class_names(schema, CLASS_NAMES, place))
 
     def __len__(self) -> int:
         """Count its objects."""
         return sum(map(len, self.shards))
 
-    def solids(self) -> SolidDataset:
+    def solids(self) -> SolidDataset[Any]:
         """Open it."""
         return SolidDataset(ShardedTable(self.shards), label_names=self.names)
 

@@ -38,11 +38,11 @@ from realtouch.convert.steps import (
 from realtouch.dataset import dataset_of
 from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.columns import column_types
+from tactile_toolkit.read.columns import class_names, column_types
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import MIN_CONTACT_HEIGHT_M, ContactHeight, height_text
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
-from tactile_toolkit.touch.schema import class_names
+from tactile_toolkit.touch.schema import CLASS_NAMES
 
 _CONTACT_FRAME_ROWS = 16
 _INDEX_ROWS = 16
@@ -316,7 +316,7 @@ def frames(
             opened,
             "frames",
             {**options, **({} if difference is None else {"difference": difference})},
-            WritePictures(kind, method, difference, class_names(opened.schema)),
+            WritePictures(kind, method, difference, class_names(opened.schema, CLASS_NAMES)),
             marked_repetitions(opened, first_rows(opened, limit)),
             rows_per_shard=_INDEX_ROWS,
             rows_per_group=1 << 16,

@@ -25,6 +25,7 @@ from realtouch.dataset import dataset_of
 from realtouch.opening import open_shards, place_of
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
@@ -37,10 +38,10 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, is_unchanged, sha256_hex
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
 from tactile_toolkit.touch.schema import (
+    CLASS_NAMES,
     MEDIA_COLUMN,
     MEDIA_TYPE,
     Kind,
-    class_names,
     flat_schema,
     kind_of,
     require_types,
@@ -252,7 +253,7 @@ class _ConvertShard:
 def plan_conversion(conversion: Conversion) -> BuildPlan:
     """Decide which shards hold which rows; reads footers only. InputError when nothing is left to convert."""
     source, step = conversion.source, conversion.step
-    names = class_names(source.schema)
+    names = class_names(source.schema, CLASS_NAMES)
     schema = with_features(step.schema(flat_schema(source.schema)), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MOST_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))

@@ -32,11 +32,12 @@ from realtouch.exchange.flat import image_column, require_intact
 from realtouch.images import SensorImages
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.touch.jpeg import encode_image
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, class_names, column_type
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, column_type
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
@@ -103,7 +104,7 @@ class Episodes:
     def of(cls, source: Source, split: str) -> Episodes:
         """Look at the first image of a split: all are to be of its size."""
         size, fps = _first_image(source.shards[split])
-        return cls(fps, size, class_names(source.schema))
+        return cls(fps, size, class_names(source.schema, CLASS_NAMES))
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns that the source can fill, and what the index says of episodes."""

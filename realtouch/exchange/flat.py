@@ -27,11 +27,12 @@ from realtouch.damage import damaged, naming
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from realtouch.touch import touch_id
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, encode_image, image_size
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, class_names, column_type
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, column_type
 
 IMAGE = "image"
 
@@ -63,7 +64,7 @@ def plan_rows(
         source,
         "export",
         {**options, **({"frame": method} if is_seq else {})},
-        _FlatTouches(method, class_names(source.schema)),
+        _FlatTouches(method, class_names(source.schema, CLASS_NAMES)),
         marked_repetitions(source, choices),
         rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
         extra_dirs=() if folder is None else (folder,),

@@ -14,7 +14,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.hub.calls import hub_failures, not_cached
 from tactile_toolkit.hub.repository import HubName, HubRepository, cached_snapshot, hub_name
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
-from tactile_toolkit.mesh.columns import class_names
+from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads

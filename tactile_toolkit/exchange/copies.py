@@ -16,8 +16,9 @@ from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
-from tactile_toolkit.mesh.columns import FACES, MESH, VERTICES, class_names, flat_table
+from tactile_toolkit.mesh.columns import FACES, MESH, VERTICES, flat_table
 from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
@@ -331,7 +332,7 @@ def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str
                 "clips without it); nothing was sent",
                 next="leave --viewer out",
             )
-        rows = SolidDataset(ShardedTable((shard,)), label_names=class_names(shard.schema, ()))
+        rows = SolidDataset[Any](ShardedTable((shard,)), label_names=class_names(shard.schema, ()))
         content = encode_parquet(flat_table(rows), _VIEWER_STYLE)
         path = f"{VIEWER_FOLDER}/{record.shard}.parquet"
         (out / path).write_bytes(content)

@@ -19,7 +19,6 @@ from tactile_toolkit.read.columns import (
     dtype_name,
     feature_metadata,
     label_feature,
-    stored_class_names,
     vectors_type,
 )
 from tactile_toolkit.read.dataset import RecordDataset
@@ -30,15 +29,6 @@ VERTICES = "mesh.vertices"
 
 FACES = "mesh.faces"
 """Column of triangles: ``list<int32[3]>``, rows of the vertices."""
-
-
-def class_names(schema: Any, default: tuple[str, ...], where: str = "") -> tuple[str, ...]:
-    """Read the names of the classes from a schema; ``default`` where it names none.
-
-    Raises IntegrityError, naming the data set, ``where``, for what does not describe features.
-    """
-    found = stored_class_names(schema, where)
-    return default if found is None else found
 
 
 def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:

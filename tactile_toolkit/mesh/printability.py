@@ -322,23 +322,15 @@ def _largest_discs(
     bends = np.empty(len(points), dtype=np.float32)
     contacts = np.empty(len(points), dtype=np.float32)
     (x, y), (inward_x, inward_y) = np.ascontiguousarray(points.T), np.ascontiguousarray(inward.T)
-    block = np.empty((3, _BLOCK, len(points)), dtype=np.float32)
     for start in range(0, len(points), _BLOCK):
         rows = slice(start, start + _BLOCK)
-        depth, squared, spare = block[:, : len(points[rows])]
-        np.subtract(x, x[rows, None], out=squared)
-        np.multiply(inward_x[rows, None], squared, out=depth)
-        np.square(squared, out=squared)
-        np.subtract(y, y[rows, None], out=spare)
-        squared += spare * spare
-        spare *= inward_y[rows, None]
-        depth += spare
-        np.maximum(squared, _LEAST_SQUARED_MM2, out=squared)
+        away_x, away_y = x - x[rows, None], y - y[rows, None]
+        squared = np.maximum(away_x * away_x + away_y * away_y, _LEAST_SQUARED_MM2)
         # A disc that touches here and passes through a point at distance d and depth h has the curvature 2
         # h / d^2.
-        depth /= squared
-        sharpest = depth.argmax(axis=1)[:, None]
-        bends[rows] = np.take_along_axis(depth, sharpest, axis=1)[:, 0]
+        bend = (inward_x[rows, None] * away_x + inward_y[rows, None] * away_y) / squared
+        sharpest = bend.argmax(axis=1)[:, None]
+        bends[rows] = np.take_along_axis(bend, sharpest, axis=1)[:, 0]
         contacts[rows] = np.sqrt(np.take_along_axis(squared, sharpest, axis=1)[:, 0])
     radii = np.asarray(0.5 / np.maximum(bends, 1e-9), dtype=np.float32)
     return radii, contacts

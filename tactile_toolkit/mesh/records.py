@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.columns import FACES, VERTICES, class_names, require_mesh_columns
+from tactile_toolkit.mesh.columns import FACES, VERTICES, require_mesh_columns
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import Record, RecordDataset, Row, with_origins
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.wording import counted
@@ -20,7 +21,9 @@ if TYPE_CHECKING:
 
 
 R = TypeVar("R", bound=Record)
+S = TypeVar("S", bound="SolidRecord")
 D = TypeVar("D", bound=RecordDataset[Any])
+W = TypeVar("W", bound="RecordStream[Any]")
 
 
 class SolidRecord(Record):
@@ -65,11 +68,16 @@ class SolidRecord(Record):
         return f"{type(self).__name__}(id={self.id}, label={self.label}, {len(self.faces):,} faces)"
 
 
-class SolidDataset(RecordDataset[SolidRecord]):
+class SolidDataset(RecordDataset[S]):
     """A lazy sequence of meshes: any data set in the published layout of meshes."""
 
-    record_class = SolidRecord
+    record_class: ClassVar[Any] = SolidRecord
     things = "solids"
+
+    @property
+    def volumes_m3(self) -> NDArray[np.float64]:
+        """Volume of each row, shape (len,), cubic metres; loads no mesh."""
+        return self.column("volume_m3")
 
 
 class RecordStream(Generic[R]):
@@ -107,14 +115,18 @@ class RecordStream(Generic[R]):
 
 
 def open_solids(
-    shards: tuple[Shard, ...], name: str, dataset: type[D], kind: DatasetKind, *, streaming: bool = False
-) -> D | RecordStream[Any]:
-    """Open shards as a data set of one kind, or as a stream of its records.
+    shards: tuple[Shard, ...],
+    name: str,
+    dataset: type[D],
+    kind: DatasetKind,
+    stream: type[W] | None = None,
+) -> D | W:
+    """Open shards as a data set of one kind, or as a stream of its records, of a class that is given.
 
     ``name`` is the data set in the user's words. Raises InputError when a mesh column is missing.
     """
     table = ShardedTable(shards)
     require_mesh_columns(table.schema, name, kind.made_by)
-    if streaming:
-        return RecordStream(shards, dataset.record_class, kind.class_names)
+    if stream is not None:
+        return stream(shards, dataset.record_class, kind.class_names)
     return dataset(table, label_names=class_names(table.schema, kind.class_names, name))

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.errors import IntegrityError
 
 T = TypeVar("T")
+N = TypeVar("N", tuple[str, ...], None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -401,7 +402,10 @@ def stored_features(schema: Any, where: str) -> dict[str, Any]:
     return found
 
 
-def stored_class_names(schema: Any, where: str) -> tuple[str, ...] | None:
-    """Return the names of the classes that `datasets` stored in a schema; None where it stored none."""
+def class_names(schema: Any, default: N, where: str = "") -> tuple[str, ...] | N:
+    """Return the names of the classes that `datasets` stored in a schema; ``default`` where it stored none.
+
+    Raises IntegrityError, naming the data set, ``where``, for what does not describe features.
+    """
     names = (stored_features(schema, where).get("label") or {}).get("names")
-    return None if names is None else tuple(names)
+    return default if names is None else tuple(names)

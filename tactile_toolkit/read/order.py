@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import hashlib
 import warnings
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from threading import Event, Thread
 from typing import Any
@@ -53,39 +54,45 @@ class StoredParts:
 
 @dataclass(frozen=True, eq=False)
 class GlobalOrder:
-    """The order of every epoch; without a seed, that in which items are stored."""
+    """The order of one epoch: numbers of all items from 0, and which item has which.
+
+    Without a seed, it is that in which items are stored.
+    """
 
     parts: StoredParts
     seed: int | None
     window: int
+    number: int = 0
+
+    def epoch(self, number: int) -> GlobalOrder:
+        """Return the order of another epoch."""
+        return replace(self, number=number)
 
     def __len__(self) -> int:
         return int(self.parts.starts[-1])
 
     @cached_property
     def fingerprint(self) -> str:
-        """By what this order differs from others: a checksum of all that it follows from."""
+        """By what the orders of all epochs differ from others: a checksum of all that they follow from."""
         order = self.parts.order
         parts = [repr((self.seed, self.window)).encode(), self.parts.starts.astype("<i8").tobytes()]
         parts += [] if order is None else [order.astype("<i8").tobytes()]
         return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
-    def epoch(self, number: int) -> EpochOrder:
-        """Return the order of one epoch."""
-        return EpochOrder(self, number)
+    @cached_property
+    def _shards(self) -> NDArray[np.int64]:
+        return self._shuffled(np.arange(len(self.parts)), 0)
 
+    @cached_property
+    def _starts(self) -> NDArray[np.int64]:
+        sizes = np.diff(self.parts.starts)[self._shards]
+        first = np.arange(0, len(sizes) + 1, self.window)
+        ends = np.concatenate([[0], np.cumsum(sizes)])
+        return np.asarray(ends[np.append(first, len(sizes))])
 
-class EpochOrder:
-    """The order of one epoch: numbers of all items from 0, and which item has which."""
-
-    def __init__(self, order: GlobalOrder, number: int) -> None:
-        self._order = order
-        self._number = number
-        self._shards = self._shuffled(np.arange(len(order.parts)), 0)
-        sizes = np.diff(order.parts.starts)[self._shards]
-        first = np.arange(0, len(sizes) + 1, order.window)
-        self._starts = np.concatenate([[0], np.cumsum(sizes)])[np.append(first, len(sizes))]
-        self._window = lru_cache(_KEPT_WINDOWS)(self._shuffled_window)
+    @cached_property
+    def _window(self) -> Callable[[int], NDArray[np.int64]]:
+        return lru_cache(_KEPT_WINDOWS)(self._shuffled_window)
 
     def window_of(self, number: int) -> int:
         """Return the window in which an item lies."""
@@ -93,8 +100,8 @@ class EpochOrder:
 
     def stored(self, window: int) -> NDArray[np.int64]:
         """Return the positions of the items of a window, shard by shard as stored; none after the last."""
-        shards = self._shards[window * self._order.window : (window + 1) * self._order.window].tolist()
-        parts = [self._order.parts.positions(shard) for shard in shards]
+        shards = self._shards[window * self.window : (window + 1) * self.window].tolist()
+        parts = [self.parts.positions(shard) for shard in shards]
         return np.concatenate(parts or [np.zeros(0, np.int64)])
 
     def positions(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -111,10 +118,10 @@ class EpochOrder:
 
     def _shuffled(self, values: NDArray[np.int64], stream: int) -> NDArray[np.int64]:
         """Shuffle by the stream of PCG64, which numpy promises to keep, unlike its own shuffles."""
-        if self._order.seed is None:
+        if self.seed is None:
             return values
         # A stream for each window: it is shuffled without those before it, wherever a job begins.
-        bits = np.random.PCG64([self._order.seed, self._number, stream]).random_raw(len(values))
+        bits = np.random.PCG64([self.seed, self.number, stream]).random_raw(len(values))
         return values[np.argsort(bits, kind="stable")]
 
 
@@ -161,7 +168,7 @@ class Prefetcher:
     for the item.
     """
 
-    def __init__(self, data: Any, order: EpochOrder, turn: float) -> None:
+    def __init__(self, data: Any, order: GlobalOrder, turn: float) -> None:
         self._data = data
         self._order = order
         self._turn = turn
@@ -203,5 +210,5 @@ class Prefetcher:
             for shard, index in (*groups[first:], *groups[:first]):
                 if self._closed.is_set() or not shard.unpack(index):
                     return 0
-                size_bytes += shard.unpacked_bytes(index)
+                size_bytes += int(shard.metadata.row_group(index).total_byte_size)
         return size_bytes

@@ -30,11 +30,11 @@ from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import (
     RowGroup,
+    class_names,
     column_types,
     numpy_values,
     plain_schema,
     plain_table,
-    stored_class_names,
 )
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.derived import SOURCE_DIGEST
@@ -223,7 +223,7 @@ class Shard:
     @cached_property
     def class_names(self) -> tuple[str, ...] | None:
         """Names of the classes, where `datasets` stored them; IntegrityError where they cannot be read."""
-        return stored_class_names(self.schema, self.path)
+        return class_names(self.schema, None, self.path)
 
     @cached_property
     def group_starts(self) -> array[int]:
@@ -240,11 +240,6 @@ class Shard:
         fitting = [_BLOCK_BYTES * group.num_rows // max(group.total_byte_size, 1) for group in groups]
         rows = (max(1, min(group.num_rows, rows)) for group, rows in zip(groups, fitting, strict=True))
         return array("q", rows)
-
-    @cached_property
-    def layout(self) -> tuple[str, array[int], array[int]]:
-        """Name of the content, group starts and block rows: where a row is, in one quick look."""
-        return self.digest, self.group_starts, self.block_rows
 
     def __len__(self) -> int:
         return int(self.metadata.num_rows) if self.rows is None else self.rows
@@ -317,10 +312,6 @@ class Shard:
             if reached + 1 == number + _IN_MEMORY:
                 break
         return found
-
-    def unpacked_bytes(self, index: int) -> int:
-        """About how much a row group takes when it is unpacked, by the footer."""
-        return int(self.metadata.row_group(index).total_byte_size)
 
     @cached_property
     def digest(self) -> str:
@@ -549,10 +540,10 @@ class ShardedTable:
         shard_index = bisect_right(self._starts, row) - 1
         shard = self.shards[shard_index]
         inner = row - self._starts[shard_index]
-        digest, starts, block_rows = shard.layout
-        group_index = bisect_right(starts, inner) - 1
-        number, index = divmod(inner - starts[group_index], block_rows[group_index])
-        return BLOCKS.get((digest, group_index, number)) or shard.block(group_index, number), index
+        group_index = bisect_right(shard.group_starts, inner) - 1
+        within = inner - shard.group_starts[group_index]
+        number, index = divmod(within, shard.block_rows[group_index])
+        return BLOCKS.get((shard.digest, group_index, number)) or shard.block(group_index, number), index
 
     def row_groups(self, rows: NDArray[np.int64]) -> list[tuple[Shard, int]]:
         """Return the row groups that hold some rows, which rise; opens no other shard."""

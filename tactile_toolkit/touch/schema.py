@@ -17,7 +17,6 @@ from tactile_toolkit.read.columns import (
     feature_metadata,
     label_feature,
     list_depth,
-    stored_class_names,
 )
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
@@ -114,12 +113,6 @@ def require_types(shard: Shard) -> None:
 def column_type(schema: pa.Schema, name: str) -> Any:
     """Return the Arrow type of a column by dotted name, flat or inside structs; None when it is not there."""
     return column_types(schema).get(name)
-
-
-def class_names(schema: pa.Schema, where: str = "") -> tuple[str, ...]:
-    """Return the class names that `datasets` stored in the schema of a file, or the ten digits."""
-    found = stored_class_names(schema, where)
-    return CLASS_NAMES if found is None else found
 
 
 def flat_schema(schema: pa.Schema) -> pa.Schema:

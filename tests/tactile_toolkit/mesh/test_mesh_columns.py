@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import class_names, require_mesh_columns
+from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.read.columns import (
     RaggedColumn,
+    class_names,
     feature_metadata,
     label_feature,
     ragged_array,

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import plain_schema, plain_table, ragged_column, stored_class_names
+from tactile_toolkit.read.columns import class_names, plain_schema, plain_table, ragged_column
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tests.mesh_columns import list_array
@@ -149,18 +149,18 @@ def test_a_description_that_is_none_is_named(text):
     with pytest.raises(
         IntegrityError, match=r"'x\.parquet', field 'label': the metadata 'huggingface'"
     ) as caught:
-        stored_class_names(described(text), "x.parquet")
+        class_names(described(text), None, "x.parquet")
     assert len(str(caught.value)) < 500
 
 
 @pytest.mark.parametrize("values", [{}, {"a": 1}, {"info": None}, {"info": {"features": {"label": {}}}}])
 def test_a_description_may_say_nothing_of_classes(values):
-    assert stored_class_names(described(json.dumps(values).encode()), "x.parquet") is None
+    assert class_names(described(json.dumps(values).encode()), None, "x.parquet") is None
 
 
 def test_described_classes_are_read():
     text = json.dumps({"info": {"features": {"label": {"names": ["x", "y"]}}}})
-    assert stored_class_names(described(text.encode()), "x.parquet") == ("x", "y")
+    assert class_names(described(text.encode()), None, "x.parquet") == ("x", "y")
 
 
 def test_lists_are_seen_as_numpy_without_a_copy_at_any_offset() -> None:
