@@ -583,13 +583,13 @@ class Touches(LazySequence[Touch], Generic[R]):
     def _stored_parts(self) -> StoredParts:
         rounds = self.dataset._stored_parts()
         if rounds.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
-            return StoredParts.of(self._starts[rounds.starts])
+            return StoredParts(np.unique(self._starts[rounds.starts]))
         turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
         if rounds.order is not None:
             turn[rounds.order] = np.arange(len(turn))
         turns = turn[self.round_positions]
         order = np.lexsort((self.touch_indices, turns))
-        return StoredParts.of(np.searchsorted(turns[order], rounds.starts), order)
+        return StoredParts(np.unique(np.searchsorted(turns[order], rounds.starts)), order)
 
     def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
         return self.dataset._row_groups(np.unique(self.round_positions[chosen]))

@@ -194,9 +194,8 @@ class SceneShard(Shard):
     def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
         # There is no file: all that others ask of one is answered below.
         super().__init__("", size)
-        layout = {"group_starts": array("q", [0, size]), "block_rows": array("q", [1])}
-        self.__dict__.update(spec=spec, split=split, size=size, seed=seed, **layout)
-        self.__dict__["identity"] = (spec, split, size, seed)
+        self.__dict__.update(spec=spec, split=split, size=size, seed=seed)
+        self.__dict__.update(identity=(spec, split, size, seed), group_starts=array("q", [0, size]))
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.spec, self.split, self.size, self.seed)
@@ -216,13 +215,13 @@ class SceneShard(Shard):
         """The seed, in place of a name, and the split."""
         return f"seed {self.seed}", self.split
 
-    def block(self, _index: int, number: int) -> RowGroup:
-        """Return a row as a group of its own; nothing of it is made yet."""
-        return LazyRow(self, number)
-
     def unpack(self, _index: int) -> bool:
         """Return that nothing is unpacked."""
         return False
+
+    def locate(self, row: int) -> tuple[RowGroup, int]:
+        """Return a row as a group of its own; nothing of it is made yet."""
+        return LazyRow(self, row), 0
 
     def made(self, start: int, count: int) -> Any:
         """Make some rows at once, as an Arrow table."""
@@ -338,16 +337,6 @@ class SceneDataset(SceneMeshDataset):
             found = f"size is {size!r} and seed is {seed!r}"
             raise InputError(f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0")
         super().__init__(ShardedTable((SceneShard(spec, split, size, seed),)), label_names=spec.class_names)
-
-    def int_column(self, name: str) -> NDArray[np.int64]:
-        """Return one column of integers, shape (len,), int64; none is stored, so that none is damaged.
-
-        Raises
-        ------
-        InputError
-            When the records have no such field.
-        """
-        return self.column(name).astype(np.int64, copy=False)
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one plain column, shape (len,); all but id, label, star count and seed make the scenes.

@@ -21,7 +21,8 @@ from tactile_toolkit.catalog.choose import Choice, choose_rows, open_splits, sho
 from tactile_toolkit.catalog.locate import require_kind
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.solid_check import array_problem
 from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.read.dataset import RecordDataset
 
@@ -229,12 +230,10 @@ def size_text(vertices_m: NDArray[np.floating[Any]]) -> str:
 
 def require_mesh(record: SolidRecord, split: str) -> None:
     """Refuse a stored mesh that nothing can draw, with an IntegrityError."""
-    vertices, faces = record.vertices_m, record.faces
-    whole = len(vertices) and len(faces) and np.isfinite(vertices).all()
-    if not whole or faces.min() < 0 or faces.max() >= len(vertices):
+    problem = array_problem(Mesh(record.vertices_m, record.faces))
+    if problem is not None:
         raise IntegrityError(
-            f"the mesh of id {record.id} in split {split!r} ({len(vertices):,} vertices, {len(faces):,} "
-            "triangles) cannot be drawn: it is empty, or has corners that are missing or not finite",
+            f"the mesh of id {record.id} in split {split!r} cannot be drawn: {problem[1]}",
             next="run `verify` and `validate` on the data set, then generate or download it again",
         )
 

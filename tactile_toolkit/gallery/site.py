@@ -393,7 +393,6 @@ _TEMPLATE = "resources/templates/viewer.zip"
 _LIBRARY = re.compile(
     r"(?P<notice>/\*\*\n \* @license\n(?: \*[^\n]*\n)*? \*/)\n(?P<code>!function[^\n]*\.THREE=[^\n]*)\n"
 )
-_RELEASE = re.compile(r'const \w+="(\d{2,3})"')
 _LICENSE_FILE = re.compile(r"(?:^|/)LICEN[CS]E[^/]*$", re.IGNORECASE)
 
 
@@ -419,10 +418,8 @@ def viewer_library() -> tuple[str, str]:
             f"({_TEMPLATE})",
             next="pip install 'trimesh>=4.9,<=5.2.0'",
         )
-    release = _RELEASE.search(found["code"])
-    name = f"three.js r{release[1]}" if release else "three.js"
     text = (
-        f"{name}, in assets/three.js, was taken out of the Python package {origin} when this page was\n"
+        f"three.js, in assets/three.js, was taken out of the Python package {origin} when this page was\n"
         f"built. Its notice:\n\n{found['notice']}\n\n"
         f"The MIT licence, as the package {origin} states it:\n\n{terms.strip()}\n"
     )

@@ -53,7 +53,7 @@ class ManifoldCheck:
 
 def check_manifold(mesh: Mesh) -> ManifoldCheck:
     """Decide whether a mesh, in metres, bounds a solid."""
-    problem = _array_problem(mesh)
+    problem = array_problem(mesh)
     if problem is not None:
         return ManifoldCheck(None, "NotTried", *problem)
     manifold = mesh.to_manifold()
@@ -86,7 +86,8 @@ def require_solid(mesh: Mesh) -> ManifoldCheck:
     return verdict
 
 
-def _array_problem(mesh: Mesh) -> tuple[str, str] | None:
+def array_problem(mesh: Mesh) -> tuple[str, str] | None:
+    """Return what is wrong with the arrays of a mesh, if anything: a word of PROBLEMS, and its story."""
     vertices, faces = mesh.vertices_m, mesh.faces
     if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
         shapes = f"vertices {vertices.shape}, faces {faces.shape}"

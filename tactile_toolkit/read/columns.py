@@ -240,37 +240,6 @@ def _first_null(array: Any, name: str) -> str:
     return _first_null(array.flatten(), name) if list_depth(array.type)[0] else ""
 
 
-def plain_schema(schema: Any) -> Any:
-    """Return a schema whose extension types, at any depth, are those that they are stored as."""
-    import pyarrow as pa
-
-    return pa.schema(_plain_fields(schema), schema.metadata)
-
-
-def plain_table(table: Any) -> Any:
-    """Return a table whose columns have the types of :func:`plain_schema`; no value is copied."""
-    schema = plain_schema(table.schema)
-    return table if schema == table.schema else table.cast(schema)
-
-
-def _plain_fields(fields: Iterable[Any]) -> list[Any]:
-    return [each.with_type(_plain_type(each.type)) for each in fields]
-
-
-def _plain_type(data_type: Any) -> Any:
-    import pyarrow as pa
-
-    if isinstance(data_type, pa.BaseExtensionType):
-        return _plain_type(data_type.storage_type)
-    if pa.types.is_struct(data_type):
-        return pa.struct(_plain_fields(data_type))
-    if pa.types.is_fixed_size_list(data_type):
-        return pa.list_(*_plain_fields([data_type.value_field]), data_type.list_size)
-    if pa.types.is_large_list(data_type):
-        return pa.large_list(*_plain_fields([data_type.value_field]))
-    return pa.list_(*_plain_fields([data_type.value_field])) if pa.types.is_list(data_type) else data_type
-
-
 @dataclass(frozen=True, eq=False)
 class RowGroup:
     """One unpacked row group, or a block of a large one: columns as numpy views of mapped memory.

@@ -299,9 +299,9 @@ class RecordDataset(LazySequence[T]):
     def _stored_parts(self) -> StoredParts:
         rows, starts = self._rows, self._table.part_starts
         if isinstance(rows, range) and rows.step == 1:
-            return StoredParts.of(np.clip(starts, rows.start, rows.stop) - rows.start)
+            return StoredParts(np.unique(np.clip(starts, rows.start, rows.stop) - rows.start))
         order = np.argsort(self._row_numbers, kind="stable")
-        return StoredParts.of(np.searchsorted(self._row_numbers[order], starts), order)
+        return StoredParts(np.unique(np.searchsorted(self._row_numbers[order], starts)), order)
 
     def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
         rows = self._rows

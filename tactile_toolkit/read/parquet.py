@@ -33,8 +33,6 @@ from tactile_toolkit.read.columns import (
     class_names,
     column_types,
     numpy_values,
-    plain_schema,
-    plain_table,
 )
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.derived import SOURCE_DIGEST
@@ -212,7 +210,7 @@ class Shard:
 
     @property
     def schema(self) -> Any:
-        """The Arrow schema, extension types as what they are stored as."""
+        """The Arrow schema."""
         return self._footer[1]
 
     @property
@@ -252,12 +250,17 @@ class Shard:
             self._require_bounded(index)
         with self._named_damage():
             # Arrow's threads would be as many again: shards are read side by side already.
-            table = parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
-        return plain_table(table)
+            return parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
 
     def column(self, name: str) -> Any:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
         return RowGroup(self.read(columns=[name]), self.path).arrow(name)
+
+    def locate(self, row: int) -> tuple[RowGroup, int]:
+        """Return the row group (or block of one) that holds a row, and the row's index in it."""
+        group = bisect_right(self.group_starts, row) - 1
+        number, index = divmod(row - self.group_starts[group], self.block_rows[group])
+        return BLOCKS.get((self.digest, group, number)) or self.block(group, number), index
 
     def block(self, index: int, number: int) -> RowGroup:
         """Map one block of a row group into memory, unpacking the row group into the cache on its first use.
@@ -358,7 +361,7 @@ class Shard:
         with self._named_damage():
             for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may give less than asked for; blocks have to be complete to be found again.
-                table = plain_table(pa.Table.from_batches([batch]))
+                table = pa.Table.from_batches([batch])
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
                     yield waiting.slice(0, rows).combine_chunks()
@@ -442,7 +445,7 @@ class Shard:
             if stated not in (None, found[unit]):  # such as a shard of a set that is being replaced
                 problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
                 raise IntegrityError.in_file(self.path, problem)
-        return parquet, footer or _FOOTERS.put(key, (metadata, plain_schema(parquet.schema_arrow)))
+        return parquet, footer or _FOOTERS.put(key, (metadata, parquet.schema_arrow))
 
     @contextlib.contextmanager
     def _named_damage(self) -> Iterator[None]:
@@ -537,13 +540,8 @@ class ShardedTable:
 
     def locate(self, row: int) -> tuple[RowGroup, int]:
         """Return the row group (or block of one) that holds a row, and the row's index in it."""
-        shard_index = bisect_right(self._starts, row) - 1
-        shard = self.shards[shard_index]
-        inner = row - self._starts[shard_index]
-        group_index = bisect_right(shard.group_starts, inner) - 1
-        within = inner - shard.group_starts[group_index]
-        number, index = divmod(within, shard.block_rows[group_index])
-        return BLOCKS.get((shard.digest, group_index, number)) or shard.block(group_index, number), index
+        index = bisect_right(self._starts, row) - 1
+        return self.shards[index].locate(row - self._starts[index])
 
     def row_groups(self, rows: NDArray[np.int64]) -> list[tuple[Shard, int]]:
         """Return the row groups that hold some rows, which rise; opens no other shard."""

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import class_names, plain_schema, plain_table, ragged_column
+from tactile_toolkit.read.columns import class_names, ragged_column
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tests.mesh_columns import list_array
@@ -83,49 +83,6 @@ def test_a_shard_that_is_gone_is_missing(tmp_path):
     (tmp_path / "1.parquet").unlink()
     with pytest.raises(IntegrityError, match=r"1\.parquet' is missing; next: "):
         rows[2]._row.value("label")
-
-
-class Grid(pa.ExtensionType):
-    """As `datasets` stores arrays of two dimensions."""
-
-    def __init__(self) -> None:
-        super().__init__(pa.list_(pa.list_(pa.float64())), "tests.grid")
-
-    def __arrow_ext_serialize__(self) -> bytes:
-        return b""
-
-    @classmethod
-    def __arrow_ext_deserialize__(cls, storage: pa.DataType, serialized: bytes) -> Grid:
-        return cls()
-
-
-@pytest.fixture
-def known_grid():
-    pa.register_extension_type(Grid())
-    yield
-    pa.unregister_extension_type("tests.grid")
-
-
-GRIDS = [[[1.0, 2.0]], [[3.0, 4.0], [5.0, 6.0]]]
-
-
-def test_extension_types_are_read_as_lists(known_grid, tmp_path):
-    grids = pa.ExtensionArray.from_storage(Grid(), pa.array(GRIDS))
-    inside = pa.StructArray.from_arrays([grids, pa.array([1, 2])], ["grid", "n"])
-    stored = pa.table({"grid": grids, "info": inside, "label": [0, 1]}).replace_schema_metadata({"a": "b"})
-    pq.write_table(stored, tmp_path / "x.parquet")
-    shard = Shard(str(tmp_path / "x.parquet"))
-    assert isinstance(pq.read_schema(tmp_path / "x.parquet").field("grid").type, Grid)
-    plain = pa.list_(pa.list_(pa.float64()))
-    assert shard.schema.field("grid").type == shard.schema.field("info").type.field("grid").type == plain
-    assert shard.schema.metadata == {b"a": b"b"}
-    for table in (shard.read(), shard.block(0, 0).table, next(shard.blocks(0)).table):
-        assert table.schema.field("grid").type == plain
-        assert table.column("grid").to_pylist() == GRIDS
-        assert table.column("info").to_pylist() == [{"grid": GRIDS[0], "n": 1}, {"grid": GRIDS[1], "n": 2}]
-    lists = pa.table({"grids": pa.array([[1]], pa.list_(pa.int64()))})
-    assert plain_table(lists) is lists
-    assert plain_schema(lists.schema).equals(lists.schema, check_metadata=True)
 
 
 def described(text: bytes) -> pa.Schema:

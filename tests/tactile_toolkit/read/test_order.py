@@ -14,7 +14,7 @@ from tactile_toolkit.read.order import GlobalOrder, RankSampler, StoredParts
 
 def parts_of(sizes: list[int], order: list[int] | None = None) -> StoredParts:
     starts = np.cumsum([0, *sizes])
-    return StoredParts.of(starts, None if order is None else np.array(order, np.int64))
+    return StoredParts(np.unique(starts), None if order is None else np.array(order, np.int64))
 
 
 def plain_order(sizes: list[int], seed: int | None, window: int, epoch: int) -> list[int]:
