@@ -7,6 +7,7 @@ interpreter lock is released meanwhile.
 from __future__ import annotations
 
 import io
+from contextlib import suppress
 from typing import Any, Literal
 
 import numpy as np
@@ -88,20 +89,29 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
     Raises ValueError as :func:`image_size`, and when the data is cut short or corrupt, or has another size
     than ``out``. Nothing half-decoded is ever returned.
     """
+    if out is not None and data[:3] == _JPEG_START:
+        require_bounded_jpeg(data)
+        # What is wrong is named below: to look into the header of each image first takes a while.
+        with suppress(ValueError):
+            if simplejpeg.decode_jpeg(data, "RGB", buffer=out).shape == out.shape:
+                return out
     height, width = image_size(data)
     if out is not None and out.shape != (height, width, 3):
         raise ValueError(
             f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
         )
-    pixels: Pixels = np.empty((height, width, 3), np.uint8) if out is None else out
+    pixels: Pixels
     try:
         if data[:3] == _JPEG_START:
-            simplejpeg.decode_jpeg(data, "RGB", buffer=pixels)
+            pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
         else:
-            pixels[...] = np.asarray(_opened(data).convert("RGB"))
+            pixels = np.asarray(_opened(data).convert("RGB"))
     except Exception as error:
         raise _undecodable(data, error) from error
-    return pixels
+    if out is None or pixels is out:
+        return pixels
+    out[...] = pixels
+    return out
 
 
 def _opened(data: memoryview | bytes) -> Any:
