@@ -58,14 +58,6 @@ _IMAGE_BYTES = "sensor_image.list.element.bytes"
 _JPEG_BYTES_PER_PX = 0.25
 
 
-def require_pictures(optics: str) -> None:
-    """Raise InputError where noise is asked for and optics make no pictures that a camera could take."""
-    if optics == "depth":
-        raise InputError(
-            "the optics 'depth' have no noise: it is that of a camera's pictures", next="--optics taxim"
-        )
-
-
 @former_attributes(like="window")
 @dataclass(frozen=True)
 class GenerateSpec:
@@ -122,8 +114,10 @@ class GenerateSpec:
         noise: Any = self.noise
         if not (noise is None or isinstance(noise, SensorNoise)):
             raise InputError(f"noise is {noise!r}; expected a SensorNoise, or None")
-        if self.noise is not None:
-            require_pictures(self.optics)
+        if noise is not None and self.optics == "depth":
+            raise InputError(
+                "the optics 'depth' have no noise: it is that of a camera's pictures", next="--optics taxim"
+            )
 
     @classmethod
     def of(cls, picture: PictureOptions, plan: TouchPlan | None = None, **chosen: Any) -> GenerateSpec:
@@ -132,8 +126,6 @@ class GenerateSpec:
         usual = "taxim" if find_spec("taxim") is not None else "depth"
         if layer_mm is not None and picture.surface != "printed":
             raise InputError("--layer-mm is about printed solids", next="add --surface printed")
-        if picture.sensor_noise != "none":
-            require_pictures(picture.optics or usual)  # before a package is asked for that would not help
         return cls(
             picture.size,
             picture.optics or usual,

@@ -257,10 +257,12 @@ def render_touch(
     depth_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(count)
     affines = _to_pixels(inverse_times(targets, objects), sensor)
     plates = _to_pixels(inverse_times(targets, np.eye(4)[None]), sensor)
-    levels = _level_plates(plates, cell_m, sensor)
+    corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*cell_m, 0.0] / 2
+    ball_m = np.array([[0.0, 0.0, 0.0, max(cell_m)]])
     for touch in range(count):
-        out, plate = depth_m[touch], touch % len(plates)
-        _lay_plate(out, levels[plate], plates[plate], cell_m)
+        out = depth_m[touch]
+        out.fill(-2 * max(cell_m))  # where there is neither object nor plate: the far end of the camera
+        rasterise(out, corners_m, _PLATE_FACES, ball_m, plates[touch % len(plates)], None)
         here, affine = prepared[touch % len(prepared)], affines[touch % len(affines)]
         rasterise(out, here.vertices_m, here.faces, here.blocks_m, affine, here.layers(affine))
         highest_m[touch] = to_depth(out, image[touch], sensor.press_m, sensor.gel_m)
@@ -312,37 +314,3 @@ def _to_pixels(seen: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]
         # Pixel 0 looks at its sample point: half a pixel, and the sample's own place, from the edge.
         affine[:, axis, 3] += sensor.size_px[axis] / 2 - 0.5 - sensor.sample_px[axis]
     return affine
-
-
-def _plate_corners(cell_m: tuple[float, float]) -> NDArray[np.float64]:
-    return np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [cell_m[0] / 2, cell_m[1] / 2, 0.0]
-
-
-def _level_plates(
-    plates: NDArray[np.float64], cell_m: tuple[float, float], sensor: Sensor
-) -> list[float | None]:
-    """Return the height of each plate that is level and fills the window; None for others."""
-    x, y, _ = _plate_corners(cell_m).T
-    columns, rows = (plates[:, i, :1] * x + plates[:, i, 1:2] * y + plates[:, i, 3:] for i in range(2))
-    width, height = sensor.size_px
-    fills = (
-        (columns.min(1) < 0) & (columns.max(1) > width - 1) & (rows.min(1) < 0) & (rows.max(1) > height - 1)
-    )
-    straight = (plates[:, 0, 1] == 0) & (plates[:, 1, 0] == 0) & (plates[:, 2, :2] == 0).all(axis=1)
-    return [
-        float(level) if simple else None
-        for level, simple in zip(plates[:, 2, 3], fills & straight, strict=True)
-    ]
-
-
-def _lay_plate(
-    out: NDArray[np.float64], level: float | None, affine: NDArray[np.float64], cell_m: tuple[float, float]
-) -> None:
-    """Fill heights with those of the plate; nearly always it is level: one number, no triangle."""
-    from tactile_sim.kernels import rasterise
-
-    # Where there is neither object nor plate: the far end of the published camera.
-    out[...] = -2 * max(cell_m) if level is None else level
-    if level is None:
-        ball_m = np.array([[0.0, 0.0, 0.0, max(cell_m)]])
-        rasterise(out, _plate_corners(cell_m), _PLATE_FACES, ball_m, affine, None)

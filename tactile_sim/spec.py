@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch.contact import contact_height_option, size_option
 from tactile_toolkit.wording import plain
 
@@ -25,22 +26,10 @@ POSITIONS = ("cell", "grid", "object", "given")
 TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
 """Greatest turn of an object, radians: of the environments that classify, of all others, and none."""
 
+_NOISE: Any = lazy("tactile_sim.noise:SensorNoise.named")
+
 # A round is held in memory: at 320 x 240 these are 0.9 GB of pixels, and 2.5 of depth.
 _MOST_TOUCHES = 4096
-
-
-def _read_given(path: str) -> TouchTable:
-    from tactile_sim.touch_table import TouchTable
-
-    return TouchTable.read(path)
-
-
-def _is_table(given: Any) -> bool:
-    if given is None:
-        return False
-    from tactile_sim.touch_table import TouchTable
-
-    return isinstance(given, TouchTable)
 
 
 _WINDOWS = {"center": "environment", "full": "published"}
@@ -64,12 +53,6 @@ def _turn_rad(word: str) -> float:
     if word not in TURNS:
         raise InputError(f"--turn is {word!r}; expected one of {', '.join(TURNS)}")
     return TURNS[word]
-
-
-def _noise(words: str) -> SensorNoise | None:
-    from tactile_sim.noise import SensorNoise
-
-    return SensorNoise.named(words)
 
 
 @former_attributes(place="positions", lie="object_placement", shift="perturb")
@@ -112,7 +95,7 @@ class TouchPlan:
     given: TouchTable | None = text(
         name="--touches-from",
         metavar="FILE",
-        read=_read_given,
+        read=lazy("tactile_sim.touch_table:TouchTable.read"),
         help="Table of touches, CSV, Parquet or npz: x_m, y_m; object_id, round; object_x_m, object_y_m, "
         "object_turn_rad.",
     )
@@ -132,7 +115,7 @@ class TouchPlan:
 
     def __post_init__(self) -> None:
         given = self.given
-        if (self.positions == "given") != _is_table(given):
+        if (self.positions == "given") != hasattr(given, "longest"):
             held = "none" if given is None else type(given).__name__
             raise InputError(
                 f"the plan of touches has positions {self.positions!r}, and its given touches are {held}; "
@@ -169,11 +152,6 @@ _FORMER_SETTINGS = {
     "start_steps": "pretrain_steps",
     "level_weight": "background_weight",
 }
-
-
-def renamed_settings(config: Mapping[str, Any]) -> dict[str, Any]:
-    """Return settings of a training by the names of today, as earlier versions stored others."""
-    return {_FORMER_SETTINGS.get(name, name): value for name, value in config.items()}
 
 
 @former_attributes(**_FORMER_SETTINGS)
@@ -243,7 +221,7 @@ class TrainConfig:
     sensor_noise: SensorNoise | None = text(
         metavar="none|calibrated|FILE",
         shown="none",
-        read=_noise,
+        read=_NOISE,
         help="Sensor noise that is added to generated images during training: as for `generate "
         "--sensor-noise`.",
     )
@@ -287,7 +265,7 @@ class TrainConfig:
                 f"--config {str(path)!r} has {unknown[0]!r}; expected some of {', '.join(known)}"
             )
         if isinstance(held.get("sensor_noise"), str):
-            held["sensor_noise"] = _noise(held["sensor_noise"])
+            held["sensor_noise"] = _NOISE(held["sensor_noise"])
         return cls(**(held | dict(given)))
 
     def crop_px(self, size_px: tuple[int, int]) -> tuple[int, int]:
@@ -320,12 +298,6 @@ SENSOR_NOISE = "none|calibrated|FILE"
 """What an option of the noise of a sensor takes."""
 
 
-def _path(words: str) -> Path:
-    from tactile_toolkit.store.files import expanded
-
-    return expanded(words)
-
-
 @dataclass(frozen=True, slots=True)
 class PictureOptions:
     """What a touch looks like."""
@@ -348,7 +320,9 @@ class PictureOptions:
     )
     quality: int = integer(95, 1, 100, help="Quality of JPEGs, 1 to 100.")
     weights: Path | None = text(
-        metavar="FILE", read=_path, help="Weights for cyclegan; those of tactile-mnist by default."
+        metavar="FILE",
+        read=lazy("tactile_toolkit.store.files:expanded"),
+        help="Weights for cyclegan; those of tactile-mnist by default.",
     )
     surface: str = choice(
         "smooth",

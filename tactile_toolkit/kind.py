@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
+from operator import attrgetter
 from typing import Any
 
 from tactile_toolkit.errors import InputError
@@ -33,14 +34,14 @@ def is_copy(manifest: Any) -> bool:
 
 
 def lazy(path: str) -> Callable[..., Any]:
-    """Return a function that is imported when it is called; ``path`` is ``"package.module:name"``.
+    """Return a function that is imported when it is called, by ``"package.module:name"``, or a method.
 
     ``--help`` and looking up a name load no library of a kind.
     """
     module, _, name = path.partition(":")
 
     def call(*args: Any, **options: Any) -> Any:
-        return getattr(import_module(module), name)(*args, **options)
+        return attrgetter(name)(import_module(module))(*args, **options)
 
     return call
 

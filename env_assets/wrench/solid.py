@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from manifold3d import CrossSection, JoinType, triangulate
 from numpy.typing import NDArray
 
 from env_assets.wrench.spec import WrenchSpec
@@ -99,17 +100,14 @@ def _require_whole(spec: WrenchSpec, body: Any, tidy: Any) -> None:
 
 def _body(spec: WrenchSpec) -> Any:
     """Two discs and the handle between them, the joints filled."""
-    from manifold3d import CrossSection
-
-    (first_mm, second_mm) = _middles_mm(spec)
-    handle = CrossSection.square((first_mm - second_mm, spec.handle_mm)).translate(
+    first_mm, second_mm = _middles_mm(spec)
+    body = CrossSection.square((first_mm - second_mm, spec.handle_mm)).translate(
         (second_mm, -spec.handle_mm / 2)
     )
-    discs = [
-        CrossSection.circle(diameter_mm / 2, _SEGMENTS).translate((place_mm, 0.0))
-        for place_mm, diameter_mm in ((first_mm, spec.head_mm), (second_mm, spec.second_head_mm))
-    ]
-    return _closed(handle + discs[0] + discs[1], spec.fillet_mm)
+    for place_mm, diameter_mm in ((first_mm, spec.head_mm), (second_mm, spec.second_head_mm)):
+        body += CrossSection.circle(diameter_mm / 2, _SEGMENTS).translate((place_mm, 0.0))
+    # Grown and shrunk again: inner corners are filled with the radius.
+    return _grown(_grown(body, spec.fillet_mm), -spec.fillet_mm)
 
 
 def _middles_mm(spec: WrenchSpec) -> tuple[float, float]:
@@ -128,8 +126,6 @@ def _jaws(spec: WrenchSpec) -> list[tuple[float, float, float]]:
 
 def _jaw(spec: WrenchSpec, opening_mm: float) -> Any:
     """Return what a nut needs: its hexagon, and the way out along x."""
-    from manifold3d import CrossSection
-
     width_mm = opening_mm + spec.clearance_mm
     # Not by numpy's cosine, which processors round differently: the shard's bytes are the same on all.
     corners = width_mm / math.sqrt(3) * np.array([cosine_sine(math.tau * side / 6) for side in range(6)])
@@ -140,16 +136,9 @@ def _jaw(spec: WrenchSpec, opening_mm: float) -> Any:
 
 def _flats(spec: WrenchSpec, opening_mm: float) -> Any:
     """Return where the jaw bears on the outer half of two opposite sides of the nut."""
-    from manifold3d import CrossSection
-
     width_mm, deep_mm = opening_mm + spec.clearance_mm, 0.1
     size_mm = (width_mm / (2 * math.sqrt(3)), width_mm + 2 * deep_mm)
     return CrossSection.square(size_mm).translate((0.0, -size_mm[1] / 2))
-
-
-def _closed(shape: Any, radius_mm: float) -> Any:
-    """Fill inner corners with a radius."""
-    return _grown(_grown(shape, radius_mm), -radius_mm)
 
 
 def _opened(shape: Any, radius_mm: float) -> Any:
@@ -158,8 +147,6 @@ def _opened(shape: Any, radius_mm: float) -> Any:
 
 
 def _grown(shape: Any, by_mm: float) -> Any:
-    from manifold3d import JoinType
-
     return shape.offset(by_mm, JoinType.Round, 2.0, _SEGMENTS) if by_mm else shape
 
 
@@ -203,8 +190,6 @@ def _moved_in(line: Line, by_mm: float) -> Line:
 
 def _caps(lines: Sequence[Line], levels: int) -> list[NDArray[np.int64]]:
     """Return the triangles of bottom and top."""
-    from manifold3d import triangulate
-
     top = np.asarray(triangulate(list(lines)), np.int64)
     per_level = sum(len(line) for line in lines)
     return [top[:, ::-1], top + (levels - 1) * per_level]

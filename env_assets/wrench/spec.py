@@ -146,44 +146,32 @@ class WrenchSpec:
 
 
 def _require_proportions(spec: WrenchSpec) -> None:
-    ends = (
-        ("head_mm", spec.head_mm, spec.opening_mm),
-        ("second_head_mm", spec.second_head_mm, spec.second_opening_mm),
-    )
-    for name, head_mm, opening_mm in ends:
+    def require(name: str, fits: bool, expected: str) -> None:
+        if not fits:
+            raise InputError(f"{name} of the wrench is {getattr(spec, name):g}; expected {expected}")
+
+    heads = (("head_mm", spec.opening_mm), ("second_head_mm", spec.second_opening_mm))
+    for name, opening_mm in heads:
+        head_mm = getattr(spec, name)
         # The far corner of the nut needs the most room: its distance from the middle is the width / sqrt(3).
         least_mm = 2 * ((opening_mm + spec.clearance_mm) / math.sqrt(3) + _LEAST_WALL_MM + spec.chamfer_mm)
-        if opening_mm and head_mm < least_mm:
-            raise InputError(
-                f"{name} of the wrench is {head_mm:g}; its jaw of {opening_mm:g} needs {least_mm:.1f} or more"
-            )
+        fits = not opening_mm or head_mm >= least_mm
+        require(name, fits, f"{least_mm:.1f} or more for a jaw of {opening_mm:g}")
         # A wider handle would swallow the circle of the head, and the jaw would be cut into the handle.
-        if spec.handle_mm > head_mm:
-            raise InputError(
-                f"handle_mm of the wrench is {spec.handle_mm:g}, wider than {name} ({head_mm:g})"
-            )
+        require("handle_mm", spec.handle_mm <= head_mm, f"at most {name} ({head_mm:g})")
     if (spec.opening_mm, spec.head_mm) == (spec.second_opening_mm, spec.second_head_mm):
         raise InputError(
             f"both ends of the wrench are alike ({spec.opening_mm:g} mm): turned about it would look the "
             "same, so that its pose could not be found",
             next="choose another second size",
         )
-    if spec.length_mm < spec.head_mm + spec.second_head_mm:
-        needed_mm = spec.head_mm + spec.second_head_mm
-        raise InputError(f"length_mm of the wrench is {spec.length_mm:g}; its ends alone take {needed_mm:g}")
-    if spec.chamfer_mm > 0.4 * spec.thickness_mm:
-        raise InputError(
-            f"chamfer_mm of the wrench is {spec.chamfer_mm:g}; at most 0.4 of thickness_mm "
-            f"({spec.thickness_mm:g}) leaves a side to hold"
-        )
+    ends_mm = spec.head_mm + spec.second_head_mm
+    require("length_mm", spec.length_mm >= ends_mm, f"{ends_mm:g} or more, which its ends take")
+    most_mm = 0.4 * spec.thickness_mm
+    require("chamfer_mm", spec.chamfer_mm <= most_mm, f"at most {most_mm:g}, 0.4 of thickness_mm")
     # The rounding of the corners takes away what is narrower than twice its radius.
     least_mm = max(2.0, 4 * spec.chamfer_mm)
-    if spec.handle_mm <= least_mm:
-        raise InputError(
-            f"handle_mm of the wrench is {spec.handle_mm:g}; expected more than {least_mm:g} with a chamfer "
-            f"of {spec.chamfer_mm:g}",
-            next="choose a wider handle_mm or a smaller chamfer_mm",
-        )
+    require("handle_mm", spec.handle_mm > least_mm, f"more than {least_mm:g}, by chamfer_mm")
 
 
 def width_across_flats_mm(size: str | float) -> float:

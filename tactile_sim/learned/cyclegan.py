@@ -361,11 +361,10 @@ class CycleGan:
 
     def load_state(self, state: dict[str, Any], pools: dict[str, list[Any]]) -> None:
         """Take what :meth:`state` and :meth:`pool_state` returned."""
-        # Earlier versions called discriminators judges.
         for name, stored in state["networks"].items():
-            self.networks[name.replace("judge", "discriminator")].load_state_dict(stored)
+            self.networks[name].load_state_dict(stored)
         for name, stored in state["optimisers"].items():
-            self.optimisers[name.replace("judge", "discriminator")].load_state_dict(stored)
+            self.optimisers[name].load_state_dict(stored)
         for name, pool in self.pools.items():
             pool.held = [picture.to(self.device) for picture in pools[name]]
 

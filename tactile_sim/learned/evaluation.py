@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -33,6 +33,7 @@ from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.pairs import Domain, Pairs
 from tactile_sim.plan import generator
+from tactile_toolkit.cards.card import markdown_table
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 
@@ -107,27 +108,25 @@ class Evaluation:
 
     def to_markdown(self) -> str:
         """Return the table in Markdown."""
-        lines = [
-            "| pictures | depth error | two-sample test | contact accuracy | class accuracy |",
-            "| --- | --- | --- | --- | --- |",
-        ]
-        for each in self.measured:
-            cells = (
+        header = ("pictures", "depth error", "two-sample test", "contact accuracy", "class accuracy")
+        rows = [
+            (
                 each.name,
                 f"{each.depth_um:.0f} um",
                 f"{100 * each.two_sample:.1f} ± {100 * each.two_sample_error:.1f} %",
                 f"{100 * each.contact_accuracy:.1f} %",
                 f"{100 * each.class_accuracy:.1f} %",
             )
-            lines.append(f"| {' | '.join('-' if cell.startswith('nan') else cell for cell in cells)} |")
+            for each in self.measured
+        ]
+        table = markdown_table(header, [["-" if "nan" in cell else cell for cell in row] for row in rows])
         made = (
             "without noise: a sensor's noise alone separates real touches from them"
             if self.noise is None
             else "under a sensor's noise, as `generate --sensor-noise` adds it: "
             + ", ".join(f"{name} {value:g}" for name, value in self.noise.to_dict().items())
         )
-        lines += ["", f"Of {self.touches:,} real touches. Made pictures are {made}."]
-        return "\n".join(lines) + "\n"
+        return f"{table}\n\nOf {self.touches:,} real touches. Made pictures are {made}.\n"
 
     def write(self, out: str | os.PathLike[str]) -> None:
         """Write ``evaluation.md``, ``evaluation.json`` and ``evaluation.png`` into a folder."""
@@ -187,14 +186,16 @@ def evaluate(
     bench = _Bench(
         _Chosen.of(data.real, count, pairs), _Chosen.of(data.depth, count, pairs), inverse, noise, seed
     )
-    makers: dict[str, Callable[[Depths], Pictures]] = {"trained": partial(_by_network, generator_of(touch))}
-    if "untrained" in baselines:
-        untrained = Generator(touch.filters, touch.blocks)
-        initialise(untrained, seed)
-        makers["untrained"] = partial(_by_network, untrained)
-    if "taxim" in baselines:
-        makers["taxim"] = by_taxim(data)
-    made = {name: makers[name](bench.depth.images) for name in ("trained", *baselines)}
+
+    def made_by(name: str) -> Pictures:
+        if name == "taxim":
+            return by_taxim(data)(bench.depth.images)
+        network = generator_of(touch)
+        if name == "untrained":
+            initialise(network, seed)
+        return _by_network(network, bench.depth.images)
+
+    made = {name: made_by(name) for name in ("trained", *baselines)}
     measured = (bench.measure_real(), *(bench.measure(name, pictures) for name, pictures in made.items()))
     return Evaluation(measured, len(bench.real.images), bench.sheet(made), noise)
 

@@ -42,7 +42,7 @@ from tactile_sim.learned.networks import (
 )
 from tactile_sim.pairs import SPLITS, Pairs
 from tactile_sim.plan import generator
-from tactile_sim.spec import TrainConfig, renamed_settings
+from tactile_sim.spec import TrainConfig
 from tactile_toolkit.errors import (
     InputError,
     IntegrityError,
@@ -213,7 +213,7 @@ def _claim(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> 
         there = decode(folder.read_bytes(_SETTINGS), _Settings, folder.address(_SETTINGS))
         # As they would be read back: tuples become lists.
         wanted = json.loads(json.dumps(settings))
-        found = {**renamed_settings(there.config), "pairs": there.pairs}
+        found = {**there.config, "pairs": there.pairs}
         for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
             if found.get(name) != value:
                 raise SpecMismatchError(
