@@ -261,7 +261,7 @@ def _windows(point: Any) -> Any:
     """Yield decoder and contact frames of each clip of a published data point."""
     times, starts, ends = point.time_stamp_rel_seq, point.touch_start_time_rel, point.touch_end_time_rel
     for decoder, stamps, start, end in zip(point.sensor_video, times, starts, ends, strict=True):
-        yield decoder, [frame for frame, build_meshes in enumerate(stamps) if start <= build_meshes <= end]
+        yield decoder, [frame for frame, stamp in enumerate(stamps) if start <= stamp <= end]
 
 
 _MEMORY = """

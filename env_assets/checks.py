@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from env_assets.meshes import MeshView
 from env_assets.provider import KINDS
@@ -34,50 +33,38 @@ def require_fitting_meshes(
             f"{', '.join(kind.class_names)}",
             next="give a data set with those classes",
         )
-    _require(
-        meshes,
-        where,
-        (labels >= 0) & (labels < len(names)),
-        f"has label {{}}, expected 0 to {len(names) - 1}",
-        labels,
-        "give a data set whose labels are numbers of its classes",
-    )
     corners_mm, cell_mm = meshes.bounds_m * MM_PER_M, np.array(cell_m) * MM_PER_M
     size_mm = corners_mm[:, 1] - corners_mm[:, 0]
     if assets == "starstruck":  # scenes are not moved: what they need about their origin
         size_mm = 2 * np.maximum(np.abs(corners_mm).max(axis=1) - _SLACK_MM, 0)
     # Turned onto the broadest side, the shortest one stands upright, whichever of the others lies along x.
     size_mm = np.sort(size_mm, axis=1)[:, 1:] if meshes.flat else size_mm[:, :2]
-    _require(
-        meshes,
-        where,
-        np.all(size_mm <= cell_mm, axis=1),
-        f"needs {{0[0]:.1f}} x {{0[1]:.1f}} mm, the cell has {cell_mm[0]:.0f} x {cell_mm[1]:.0f} mm",
-        size_mm,
-        "see that vertices are metres and the origin of a scene is its middle, or choose a larger cell",
+    checks: tuple[tuple[Any, str, Any, str], ...] = (
+        (
+            (labels >= 0) & (labels < len(names)),
+            f"has label {{}}, expected 0 to {len(names) - 1}",
+            labels,
+            "give a data set whose labels are numbers of its classes",
+        ),
+        (
+            np.all(size_mm <= cell_mm, axis=1),
+            f"needs {{0[0]:.1f}} x {{0[1]:.1f}} mm, the cell has {cell_mm[0]:.0f} x {cell_mm[1]:.0f} mm",
+            size_mm,
+            "see that vertices are metres and the origin of a scene is its middle, or choose a larger cell",
+        ),
+        (
+            meshes.volumes_m3 > 0,
+            "has a volume of {:.3g} m³, expected more than 0: its triangles face inwards, or it is open",
+            meshes.volumes_m3,
+            "run `validate` on the data set and generate it again",
+        ),
     )
-    _require(
-        meshes,
-        where,
-        meshes.volumes_m3 > 0,
-        "has a volume of {:.3g} m³, expected more than 0: its triangles face inwards, or it is not closed",
-        meshes.volumes_m3,
-        "run `validate` on the data set and generate it again",
-    )
-
-
-def _require(meshes: MeshView, where: str, fits: Any, found: str, values: NDArray[Any], step: str) -> None:
-    """Refuse meshes of which some do not fit, naming the first; NaN does not fit, as it compares false.
-
-    ``found`` says of its value what it is.
-    """
-    wrong = np.flatnonzero(~fits)
-    if len(wrong):
-        row = int(wrong[0])
-        # A user knows the files of a folder by their names; the ids are ours.
-        name = getattr(meshes.records[row], "name", "")
-        named = f"mesh {meshes.column('id')[row]}" + (f" ({name!r})" if name else "")
-        raise InputError(
-            f"{named} of {where} {found.format(values[row])} ({len(wrong):,} of {len(meshes):,} do not fit)",
-            next=step,
-        )
+    for fits, found, values, step in checks:
+        wrong = np.flatnonzero(~fits)  # NaN does not fit, as it compares false
+        if len(wrong):
+            row = int(wrong[0])
+            # A user knows the files of a folder by their names; the ids are ours.
+            name = getattr(meshes.records[row], "name", "")
+            named = f"mesh {meshes.column('id')[row]}" + (f" ({name!r})" if name else "")
+            what = f"{named} of {where} {found.format(values[row])}"
+            raise InputError(f"{what} ({len(wrong):,} of {len(meshes):,} do not fit)", next=step)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -92,17 +91,14 @@ class MeshView(Sequence[Any]):
                 next="open one by `mnist3d.load`, or give a folder of meshes or a sequence of records with "
                 "id, label, vertices_m, faces and mesh",
             )
-        most = -1
-        for row, record in enumerate(meshes):
-            label: Any = getattr(record, "label", None)
-            try:
-                most = max(most, operator.index(label))
-            except TypeError:
+        labels: list[Any] = [getattr(record, "label", None) for record in meshes]
+        for row, label in enumerate(labels):
+            if not isinstance(label, (int, np.integer)):
                 raise InputError(
                     f"record {row} has label {label!r}; expected the number of its class, from 0 on"
-                ) from None
+                )
         names = tuple(getattr(meshes, "label_names", label_names))
-        return cls(meshes, names or tuple(map(str, range(most + 1))))
+        return cls(meshes, names or tuple(map(str, range(max(labels) + 1))))
 
     def __len__(self) -> int:
         return len(self.records)
@@ -112,11 +108,9 @@ class MeshView(Sequence[Any]):
         if isinstance(key, (int, np.integer)):
             record = self.records[int(key)]
             return LazyMesh(record.id, record.label, partial(_laid_flat, record)) if self.flat else record
-        chosen: Any = self.records
-        if not isinstance(chosen, RecordDataset):
-            chosen = [chosen[row] for row in positions(key, len(self)).tolist()]
-        else:
-            chosen = chosen[key]
+        if isinstance(self.records, RecordDataset):
+            return MeshView(self.records[key], self.label_names, self.flat)
+        chosen = [self.records[row] for row in positions(key, len(self)).tolist()]
         return MeshView(chosen, self.label_names, self.flat)
 
     def column(self, name: str) -> NDArray[Any]:

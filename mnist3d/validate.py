@@ -114,12 +114,9 @@ def validate_paths(
     Parameters
     ----------
     paths : sequence of str
-        Folders of data sets, and STL, 3MF, PLY, OBJ or GLB files. A file that cannot be read is reported as
-        one, and does not stop the others.
-    split : str, optional
-        Only this split of folders.
-    limit : int, optional
-        Only the first so many rows of each split.
+        Folders of data sets, and STL, 3MF, PLY, OBJ or GLB files; one that cannot be read is reported so.
+    split, limit : optional
+        Of folders only this split, and only the first so many rows of each.
     workers : int
         Processes that check rows of folders.
     profile : PrintProfile, optional

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import math
 import threading
-import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cache
@@ -19,6 +18,7 @@ import numpy as np
 from starstruck_gen.placement import COLLISION_TESTS, Clear, Placement, Rejected
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
@@ -323,6 +323,7 @@ def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
     return options[0] if len(options) == 1 else options[int(uniform() * len(options))]
 
 
+@former_attributes(hopeless="infeasible")
 @dataclass(eq=False)
 class SamplingExhausted(InputError):  # noqa: N818
     """No position was found for an object of a scene, in all restarts.
@@ -352,13 +353,6 @@ class SamplingExhausted(InputError):  # noqa: N818
     def __post_init__(self) -> None:
         # The fields are the arguments, so that the error crosses process borders.
         Exception.__init__(self, *(getattr(self, entry.name) for entry in fields(self)))
-
-    @property
-    def hopeless(self) -> bool:
-        """Former name of ``infeasible``."""
-        message = "SamplingExhausted.hopeless is deprecated; use SamplingExhausted.infeasible"
-        warnings.warn(message, DeprecationWarning, stacklevel=2)
-        return self.infeasible
 
     def __str__(self) -> str:
         near = patience = ""

@@ -101,8 +101,6 @@ class Scene:
         InputError
             When the picture would have no pixel, or more than 100 million.
         """
-        from starstruck_gen.scene import draw_scene
-
         return draw_scene(self.placements, cell_m, px_per_mm)
 
     def to_dict(self) -> dict[str, Any]:

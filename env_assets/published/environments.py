@@ -297,12 +297,10 @@ def noise_folder(rounds: Any, where: str) -> Path:
     what it has read of it (as ``datasets`` does) need not read it again.
     """
     what = "touches with one image each in files on this machine"
-    found = None if len(rounds) else "no round"
-    if len(rounds) and not hasattr(rounds.record_class, "sensor_image"):
-        found = "clips"
     files = [shard.path for shard in rounds._table.shards]
-    found = next((f"{file!r}" for file in files if "://" in file), found)
-    if found is not None:
+    remote = [file for file in files if "://" in file]
+    if remote or not len(rounds) or not hasattr(rounds.record_class, "sensor_image"):
+        found = repr(remote[0]) if remote else "clips" if len(rounds) else "no round"
         raise InputError(
             f"{where} holds {found}; the noise of a -DR environment needs {what}",
             next="download such a data set and give its folder",

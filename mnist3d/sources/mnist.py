@@ -50,8 +50,6 @@ class MnistSource:
     ----------
     root : str
         The folder.
-    part : str
-        ``"train"``, ``"test"``, or ``"auto"`` for what is there.
 
     Notes
     -----
@@ -64,7 +62,6 @@ class MnistSource:
     """Word that selects this source on the command line."""
 
     root: str
-    part: str = "auto"
 
     def catalog(self) -> DigitCatalog:
         """Read and check the files and return ids and labels.
@@ -79,9 +76,8 @@ class MnistSource:
 
         Raises ItemError ``"unknown-id"`` when no digit has the id.
         """
-        parts = self._parts()
+        parts, index = self._parts(), digit_id
         require_known(digit_id, sum(len(images) for images, _ in parts), self.root)
-        index = digit_id
         while index >= len(parts[0][0]):
             index -= len(parts.pop(0)[0])
         images, labels = parts[0]
@@ -105,21 +101,13 @@ class MnistSource:
 
     def _parts(self) -> list[Part]:
         parts = []
-        for prefix in self._prefixes():
+        # One file of a pair is enough to choose the part: the missing one is then reported by its name.
+        known = list(_PREFIXES.values())
+        there = [each for each in known if any(_find(self.root, each, kind) for kind in _KINDS)]
+        for prefix in there or known:
             images, labels = (self._file(prefix, kind) for kind in _KINDS)
             parts.append(_read_pair(images, labels, images.stat().st_mtime_ns, labels.stat().st_mtime_ns))
         return parts
-
-    def _prefixes(self) -> list[str]:
-        if self.part in _PREFIXES:
-            return [_PREFIXES[self.part]]
-        if self.part != "auto":
-            raise InputError(
-                f"part of MNIST: found {self.part!r}, expected 'train', 'test' or 'auto'", next="choose one"
-            )
-        # One file of a pair is enough to choose the part: the missing one is then reported by its name.
-        known = list(_PREFIXES.values())
-        return [each for each in known if any(_find(self.root, each, kind) for kind in _KINDS)] or known
 
     def _file(self, prefix: str, kind: str) -> Path:
         path, folder = _find(self.root, prefix, kind), Path(self.root)

@@ -146,18 +146,7 @@ _ASPECT, _SLANT, _TILT, _BOW = 0.10, 0.10, 0.04, 0.02
 """Spread of a writer's traits from digit to digit."""
 
 _BETWEEN_WRITERS = 0.68
-_STRIDES = (
-    0.41421356,
-    0.73205081,
-    0.23606798,
-    0.64575131,
-    0.31662479,
-    0.60555128,
-    0.12310563,
-    0.35889894,
-    0.79583152,
-    0.38516481,
-)
+_STRIDES = tuple(round(math.sqrt(prime) % 1.0, 8) for prime in (2, 3, 5, 7, 11, 13, 17, 19, 23, 29))
 """Fractions of the square roots of the first ten primes: no two digits repeat in step."""
 
 
