@@ -558,7 +558,7 @@ ALLOGRAPHS: tuple[tuple[tuple[Shape, float], ...], ...] = (
     ((eight_s_first, 0.40), (eight_two_rings, 0.10), (eight_open, 0.28), (eight_unclosed, 0.22)),
     ((nine_straight, 0.50), (nine_curved, 0.27), (nine_g_shaped, 0.08), (nine_open, 0.15)),
 )
-"""For each digit the shapes and the share of writers who prefer them; their order is part of what a seed gives.
+"""For each digit the shapes and the share of writers who prefer them; the order is part of what a seed gives.
 
 The shapes are those seen in MNIST and in collections of pen strokes. Means, spreads and shares were chosen so
 that digits drawn by them come near to real ones (half of the MNIST test images and a few hundred pen digits;
