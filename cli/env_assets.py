@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-from dataclasses import asdict
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -90,27 +89,27 @@ def info(
 
     summaries = inventory(root)
     sink = Sink(as_json)
-    sink.document([asdict(summary) for summary in summaries])
+    sink.document(summaries)
     if not summaries:
         sink.line(f"{root} holds no data sets")
     header = ("name", "split", "kind", "rows", "classes", "largest mm", "volume mm³")
     rows = [
         (
-            summary.name,
-            summary.split,
-            summary.kind or "-",
-            summary.rows,
-            " ".join(summary.classes) or "-",
-            " x ".join(f"{side:.1f}" for side in summary.largest_mm or ()) or "-",
-            " to ".join(f"{volume:,.0f}" for volume in summary.volume_mm3 or ()) or "-",
+            each["name"],
+            each["split"],
+            each["kind"] or "-",
+            each["rows"],
+            " ".join(each["classes"]) or "-",
+            " x ".join(f"{side:.1f}" for side in each["largest_mm"] or ()) or "-",
+            " to ".join(f"{volume:,.0f}" for volume in each["volume_mm3"] or ()) or "-",
         )
-        for summary in summaries
-        if summary.problem is None
+        for each in summaries
+        if each["problem"] is None
     ]
     sink.table(header, rows)
-    for summary in summaries:
-        if summary.problem is not None:
-            sink.line(f"{summary.name} {summary.split}: {summary.problem}")
+    for each in summaries:
+        if each["problem"] is not None:
+            sink.line(f"{each['name']} {each['split']}: {each['problem']}")
 
 
 @command(app, name="list")

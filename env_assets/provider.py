@@ -6,7 +6,6 @@ import logging
 import shlex
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from importlib import import_module
 from os import PathLike, fspath
 from pathlib import Path
@@ -429,26 +428,10 @@ def meshes_at(place: str | PathLike[str], split: str) -> MeshView | MeshSet:
     return mesh_files(named, split) or AssetProvider().meshes(named, split)
 
 
-@dataclass(frozen=True, slots=True)
-class AssetSummary:
-    """One split of one data set of a provider's folder.
-
-    ``kind`` is ``"mnist3d"``, ``"starstruck"``, ``"wrench"``, ``"meshes"``, ``"touches"``, or ``""`` where
-    unknown; ``rows`` are meshes, or rounds of touches; ``largest_mm`` the largest extents of a mesh along x,
-    y and z, ``volume_mm3`` the least and greatest volume; ``problem`` says why it cannot be used.
-    """
-
-    name: str
-    split: str
-    kind: str = ""
-    rows: int = 0
-    classes: tuple[str, ...] = ()
-    largest_mm: tuple[float, ...] | None = None
-    volume_mm3: tuple[float, ...] | None = None
-    problem: str | None = None
+_UNKNOWN = {"kind": "", "rows": 0, "classes": (), "largest_mm": None, "volume_mm3": None, "problem": None}
 
 
-def inventory(root: Path) -> list[AssetSummary]:
+def inventory(root: Path) -> list[dict[str, Any]]:
     """Look into every data set folder of a provider's folder, reading the vertices of all meshes.
 
     By name, splits in the order of the data set; one that cannot be used is named with the reason. InputError
@@ -466,27 +449,29 @@ def inventory(root: Path) -> list[AssetSummary]:
         except InputError:  # some other folder: there are no Parquet files in it
             continue
         except ToolkitError as error:
-            found.append(AssetSummary(place.name, "", problem=str(error)))
+            found.append({"name": place.name, "split": "", **_UNKNOWN, "problem": str(error)})
             continue
         for split in splits:
+            summary = {"name": place.name, "split": split, **_UNKNOWN}
             try:
-                found.append(_summary(place, split))
+                summary |= _measured(place, split)
             except ToolkitError as error:
-                found.append(AssetSummary(place.name, split, problem=str(error)))
+                summary["problem"] = str(error)
+            found.append(summary)
     return found
 
 
-def _summary(place: Path, split: str) -> AssetSummary:
+def _measured(place: Path, split: str) -> dict[str, Any]:
     shards = find_shards(str(place), split)
     schema = ShardedTable(shards).schema
     # Only touches have the column; they are not opened, as no mesh is to be measured.
     if "pos_in_cell" in schema.names:
-        return AssetSummary(place.name, split, "touches", sum(map(len, shards)))
+        return {"kind": "touches", "rows": sum(map(len, shards))}
     kind, view = kind_of_meshes(schema), MeshView.of(_open_meshes(shards, str(place)))
-    summary = AssetSummary(place.name, split, kind.name if kind else "meshes", len(view), view.label_names)
+    found = {"kind": kind.name if kind else "meshes", "rows": len(view), "classes": view.label_names}
     if not len(view):
-        return summary
+        return found
     largest_mm = np.max(view.bounds_m[:, 1] - view.bounds_m[:, 0], axis=0) * MM_PER_M
     volumes_mm3 = view.volumes_m3 * MM_PER_M**3
     volume_mm3 = (round(float(volumes_mm3.min()), 3), round(float(volumes_mm3.max()), 3))
-    return replace(summary, largest_mm=tuple(largest_mm.round(3).tolist()), volume_mm3=volume_mm3)
+    return {**found, "largest_mm": tuple(largest_mm.round(3).tolist()), "volume_mm3": volume_mm3}

@@ -63,8 +63,9 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
     InputError
         When a class has fewer digits than ``spec.sizes`` asks for, or writers are asked for and unknown.
     """
-    divide = {"writer": _by_writer, "none": _undivided}.get(spec.by or "", _by_digit)
-    split_of = divide(catalog, spec)
+    split_of = np.full(len(catalog), SPLITS.index("train"))
+    if spec.by != "none":
+        split_of = _by_writer(catalog, spec) if spec.by == "writer" else _by_digit(catalog, spec)
     plan = SplitPlan({}, {})
     for number, split in enumerate(SPLITS):
         chosen = np.flatnonzero(split_of == number)
@@ -72,10 +73,6 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
         order = chosen[np.argsort(_keys(catalog.ids[chosen], spec.seed, stream=1))]
         plan.ids[split], plan.labels[split] = catalog.ids[order], catalog.labels[order]
     return plan
-
-
-def _undivided(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
-    return np.full(len(catalog), SPLITS.index("train"))
 
 
 def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:

@@ -29,7 +29,7 @@ from starstruck_gen.shapes import (
     Shape as Shape,
     Star as Star,
 )
-from starstruck_gen.solid import register_shape as register_shape
+from starstruck_gen.placement import register_shape as register_shape
 from starstruck_gen.spec import SceneSpec as SceneSpec
 from starstruck_gen.sampling import SPLITS as SPLITS, scene_rng as scene_rng, scene_seed as scene_seed
 

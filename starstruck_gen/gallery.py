@@ -6,8 +6,8 @@ import numpy as np
 
 from starstruck_gen.kind import KIND
 from starstruck_gen.loader import SceneRecord
+from starstruck_gen.placement import prism
 from starstruck_gen.scene import draw_scene
-from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.choose import Choice
 from tactile_toolkit.gallery.items import (

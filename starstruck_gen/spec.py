@@ -109,7 +109,7 @@ class SceneSpec:
             "cell_m", min(self.half_area_m) >= 0, "room for the padding and one object side by side"
         )
         # The solids of the shapes need libraries that nothing else here does.
-        from starstruck_gen.solid import require_fine_steps
+        from starstruck_gen.placement import require_fine_steps
 
         require_fine_steps((self.star, *self.distractor_shapes), self.half_area_m, self.cell_m)
 

@@ -12,9 +12,8 @@ import numpy as np
 
 from starstruck_gen.kind import KIND
 from starstruck_gen.loader import SceneRecord
-from starstruck_gen.placement import build_meshes
+from starstruck_gen.placement import build_meshes, own_kinds
 from starstruck_gen.shapes import Proportions
-from starstruck_gen.solid import own_kinds
 from tactile_toolkit.catalog.choose import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES

@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from realtouch.poses import Poses
 from tactile_envs.config import Config, Registered
 from tactile_envs.drawing import Shown, draw
-from tactile_envs.episodes import EpisodeLog
 from tactile_envs.kernels import PADDING, aim, place, touch
 from tactile_envs.meshes import MeshPool
 from tactile_envs.sensors import make_camera
-from tactile_envs.tasks import Score, make_task
+from tactile_envs.tasks import EpisodeLog, Score, make_task
 from tactile_sim.sensor import center_view
 from tactile_toolkit.errors import InputError
 

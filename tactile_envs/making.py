@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from os import PathLike, fspath
 from typing import Any
 
-from env_assets.checks import require_fitting_meshes
-from env_assets.meshes import MeshView
+from env_assets.meshes import MeshView, require_fitting_meshes
 from env_assets.provider import KINDS, AssetProvider, meshes_at
 from tactile_envs.config import IDS, Registered, configured
 from tactile_toolkit.errors import InputError, MissingExtraError
@@ -65,7 +64,7 @@ def make_vector(
     settings = configured(registered.config, config or {})
     records = _records(registered, assets)
     where = f"{registered.assets!r}, split {registered.split!r},"
-    kind: Any = registered.assets if assets is None and registered.assets in KINDS else None
+    kind = KINDS.get(registered.assets) if assets is None else None
     require_fitting_meshes(MeshView.of(records), kind, where, settings.cell_size)
     return TactileVectorEnv(registered, settings, records, num_envs, render_mode=render_mode, threads=threads)
 

@@ -1,4 +1,4 @@
-"""What is to be predicted, one small class for each task: spaces, targets, loss and metrics.
+"""What is to be predicted, one small class for each task: spaces, targets, loss and metrics; and their log.
 
 Values and spaces are those of the environments of `tactile-mnist` 0.13.0, tried against them in lock-step.
 """
@@ -6,6 +6,7 @@ Values and spaces are those of the environments of `tactile-mnist` 0.13.0, tried
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -214,3 +215,50 @@ def placements_m(hull: NDArray[np.float32], turn_rad: float, config: Config) -> 
     if conflict.any():
         low[conflict] = high[conflict] = ((low + high) / 2)[conflict]
     return low, high
+
+
+class EpisodeLog:
+    """Metrics of the steps of environments whose episodes begin and end together.
+
+    Gives what the log wrappers of ap-gym 0.7.1 do: means, last values and curves.
+    """
+
+    def __init__(self, num_envs: int, step_limit: int) -> None:
+        self._num_envs = num_envs
+        self._step_limit = step_limit
+        self._values: dict[str, NDArray[np.float32]] = {}
+
+    def add(self, step: int, metrics: Mapping[str, NDArray[Any]]) -> None:
+        """Note the metrics of a step, counted from 0, of an array (n,) each."""
+        for name, values in metrics.items():
+            if name not in self._values:
+                self._values[name] = np.empty((self._step_limit, self._num_envs), np.float32)
+            self._values[name][step] = values
+
+    def stats(self) -> dict[str, Any]:
+        """Return ``info["stats"]`` of an episode that ended."""
+        done = np.ones(self._num_envs, np.bool_)
+        scalar: dict[str, Any] = {}
+        vector: dict[str, Any] = {}
+        for name, values in self._values.items():
+            for kind, reduced in (("avg", values.mean(axis=0)), ("final", values[-1].copy())):
+                scalar[f"{kind}_{name}"], scalar[f"_{kind}_{name}"] = reduced, done
+            # An array of lists: gymnasium does not stack those.
+            curves = np.empty(self._num_envs, object)
+            curves[:] = values.T.tolist()
+            vector[name], vector[f"_{name}"] = curves, done
+        if "accuracy" in self._values:
+            scalar.update(_turning_points(self._values["accuracy"] > 0))
+        return {"scalar": scalar, "_scalar": done, "vector": vector, "_vector": done}
+
+
+def _turning_points(is_right: NDArray[np.bool_]) -> dict[str, Any]:
+    """Return the first step that was right and the last that was wrong, and where there is one."""
+    ever, always = is_right.any(axis=0), is_right.all(axis=0)
+    last_wrong = len(is_right) - 1 - np.argmin(is_right[::-1], axis=0)
+    return {
+        "first_correct": np.where(ever, np.argmax(is_right, axis=0), -1).astype(np.int32),
+        "_first_correct": ever,
+        "last_incorrect": np.where(always, -1, last_wrong).astype(np.int32),
+        "_last_incorrect": ~always,
+    }

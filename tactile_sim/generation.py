@@ -18,7 +18,7 @@ from tactile_sim.columns import DRAWN, TouchRow, touch_schema
 from tactile_sim.kind import KIND
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
-from tactile_sim.plan import SolidSplit, generator, on_object, plan_round
+from tactile_sim.plan import generator, on_object, open_split, plan_round
 from tactile_sim.pressing import Pressable, checked_layer_m, render_touch
 from tactile_sim.sensor import Matrix, Sensor, center_view, full_view, pose
 from tactile_sim.spec import PictureOptions, TouchPlan
@@ -30,7 +30,7 @@ from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.mesh import MeshLike
-from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.source import content_fingerprint, refuse_source
 from tactile_toolkit.run.processes import Runner
 from tactile_toolkit.store.build import Progress
@@ -185,7 +185,7 @@ class TouchMaking(making.Making):
     """
 
     spec: GenerateSpec
-    source: Mapping[str, SolidSplit] = field(repr=False)
+    source: Mapping[str, SolidDataset] = field(repr=False)
     rows: Mapping[str, Any] = field(repr=False)
     kind = KIND
 
@@ -200,24 +200,24 @@ class TouchMaking(making.Making):
             )
         make_optics(spec.optics, spec.weights)  # what is missing is reported before anything is written
         place = place_of(name)
-        splits = {split: SolidSplit.find(place, split) for split in splits_of(place)}
+        splits = {split: open_split(place, split) for split in splits_of(place)}
         _require_known_objects(name, splits, spec)
         rows: dict[str, Any] = {split: range(len(each))[: spec.limit] for split, each in splits.items()}
         if any(value is not None for value in spec._chosen.values()):
-            solids = [(split, each.solids()) for split, each in splits.items()]
-            rows = {
-                split: places for split, _, places in choose_rows(solids, **spec._chosen, limit=spec.limit)
-            }
+            chosen = choose_rows(list(splits.items()), **spec._chosen, limit=spec.limit)
+            rows = {split: places for split, _, places in chosen}
         return cls(spec, splits, rows)
 
     def refuse_sources(self, source: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
         """Refuse to write into the source, as it is called (InputError)."""
-        shards = (shard for each in self.source.values() for shard in each.shards)
+        shards = (shard for each in self.source.values() for shard in each._table.shards)
         refuse_source(DataFolder(os.fspath(out)), os.fspath(source), shards)
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and source, each split for itself: a folder can be filled split by split."""
-        source = {split: list(map(content_fingerprint, each.shards)) for split, each in self.source.items()}
+        source = {
+            split: list(map(content_fingerprint, each._table.shards)) for split, each in self.source.items()
+        }
         return {"operation": "generate", "options": self.spec.to_dict(), "source": source}
 
     def items(self) -> Mapping[str, range]:
@@ -254,11 +254,11 @@ class TouchMaking(making.Making):
 
     def schema(self, split: str) -> Any:
         """Return the Arrow schema of a shard."""
-        return touch_schema(self.source[split].names)
+        return touch_schema(self.source[split].label_names)
 
     def make(self, split: str, items: Any) -> Iterator[TouchRow | Skipped]:
         """Render the rounds; of an object that bounds no solid yield once why."""
-        solids, plan = self.source[split].solids(), self.spec.plan
+        solids, plan = self.source[split], self.spec.plan
         for place in range(items.start // plan.rounds, (items.stop - 1) // plan.rounds + 1):
             record, start = solids[int(self.rows[split][place])], place * plan.rounds
             numbers = range(max(items.start - start, 0), min(items.stop - start, plan.rounds))
@@ -338,12 +338,12 @@ def noisy(
     return add_noise(pictures, spec.noise, draw(), draw)
 
 
-def _require_known_objects(name: str, splits: Mapping[str, SolidSplit], spec: GenerateSpec) -> None:
+def _require_known_objects(name: str, splits: Mapping[str, SolidDataset], spec: GenerateSpec) -> None:
     """Refuse given touches of objects that no split holds (InputError)."""
     given = spec.plan.given
     if given is None or given.object_id is None:
         return
-    held = [ShardedTable(each.shards).column("id") for each in splits.values()]
+    held = [each.column("id") for each in splits.values()]
     unknown = np.setdiff1d(given.object_id, np.concatenate(held))
     if len(unknown):
         shown = ", ".join(map(str, unknown[:5])) + (", ..." if len(unknown) > 5 else "")

@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
-from tactile_sim.plan import SolidSplit, key_of, plan_round
+from tactile_sim.plan import key_of, open_split, plan_round
 from tactile_sim.pressing import Pressable, render_touch
 from tactile_sim.sensor import Sensor, center_view, full_view
 from tactile_sim.spec import PairsSpec, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import find_shards, place_of, require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, file_fingerprint, refuse_source
 from tactile_toolkit.rows import column, plain_schema, row
@@ -208,7 +209,7 @@ class PairsMaking(making.Making):
     """
 
     spec: PairsSpec
-    objects: SolidSplit = field(repr=False)
+    objects: SolidDataset = field(repr=False)
     real: str
     split: str
     names: tuple[str, ...] = field(repr=False)
@@ -217,7 +218,7 @@ class PairsMaking(making.Making):
     @classmethod
     def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsMaking:
         """Look at both sources; InputError for what is not of the right kind, or holds no mesh."""
-        solids = SolidSplit.find(place_of(objects), split)
+        solids = open_split(place_of(objects), split)
         if not len(solids):
             raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
         touches = KIND.load(real, split)
@@ -228,7 +229,7 @@ class PairsMaking(making.Making):
     def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
         """Refuse to write into a source; ``objects`` is what that of the depth is called (InputError)."""
         folder = DataFolder(os.fspath(out))
-        refuse_source(folder, objects, self.objects.shards)
+        refuse_source(folder, objects, self.objects._table.shards)
         refuse_source(folder, self.real, find_shards(place_of(self.real), self.split))
 
     def manifest(self) -> Mapping[str, Any]:
@@ -238,7 +239,7 @@ class PairsMaking(making.Making):
             "options": self.spec.to_dict(),
             "split": self.split,
             "source": {
-                "depth": list(map(content_fingerprint, self.objects.shards)),
+                "depth": list(map(content_fingerprint, self.objects._table.shards)),
                 "real": list(map(file_fingerprint, find_shards(place_of(self.real), self.split))),
             },
         }
@@ -258,7 +259,7 @@ class PairsMaking(making.Making):
 
     def schema(self, split: str) -> Any:
         """Return the Arrow schema of a shard, with the classes of the source."""
-        return pair_schema(self.objects.names if split == "depth" else self.names)
+        return pair_schema(self.objects.label_names if split == "depth" else self.names)
 
     def make(self, split: str, items: Sequence[Any]) -> Iterator[PairRow | Skipped]:
         """Yield the rows of a split."""
@@ -266,7 +267,7 @@ class PairsMaking(making.Making):
 
     def _depth(self, items: Sequence[int]) -> Iterator[PairRow | Skipped]:
         """Press the gel onto one object after another; of one that bounds no solid yield once why."""
-        spec, solids = self.spec, self.objects.solids()
+        spec, solids = self.spec, self.objects
         last, solid = -1, None
         for number in items:
             place = number * len(self.objects) // spec.count  # neighbours share an object, checked once

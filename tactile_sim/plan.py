@@ -18,7 +18,7 @@ from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.touch.schema import CLASS_NAMES
 
 REACH_M = (0.0385, 0.0405)
@@ -30,28 +30,11 @@ _SHIFT_M = 1e-3  # tactile-mnist 0.13.0, translation_perturbation_scale
 _SHIFT_RAD = 5e-2  # tactile-mnist 0.13.0, rotation_perturbation_scale
 
 
-@dataclass(frozen=True)
-class SolidSplit:
-    """A split of a data set of solids: its files, and the names of its classes."""
-
-    shards: tuple[Shard, ...]
-    names: tuple[str, ...]
-
-    @classmethod
-    def find(cls, place: str, split: str) -> SolidSplit:
-        """Read the footers of a split; InputError for a source without meshes."""
-        shards = find_shards(place, split)
-        schema = ShardedTable(shards).schema
-        require_mesh_columns(schema, place, "mnist3d generate")
-        return cls(shards, class_names(schema, CLASS_NAMES, place))
-
-    def __len__(self) -> int:
-        """Count its objects."""
-        return sum(map(len, self.shards))
-
-    def solids(self) -> SolidDataset[Any]:
-        """Open it."""
-        return SolidDataset(ShardedTable(self.shards), label_names=self.names)
+def open_split(place: str, split: str) -> SolidDataset[Any]:
+    """Open a split of a data set of solids; InputError for a source without meshes."""
+    table = ShardedTable(find_shards(place, split))
+    require_mesh_columns(table.schema, place, "mnist3d generate")
+    return SolidDataset(table, label_names=class_names(table.schema, CLASS_NAMES, place))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -19,8 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from env_assets.checks import require_fitting_meshes
-from env_assets.meshes import LazyMesh, MeshView
+from env_assets.meshes import LazyMesh, MeshView, require_fitting_meshes
 from env_assets.provider import FOREIGN, KINDS, meshes_at
 from env_assets.published.packages import (
     CLASSES,
@@ -276,7 +275,7 @@ def _fitting(
 
     # The registration wants some objects turned: they arrive so, as its own turn fails.
     view = dataclasses.replace(view, flat=bool(settings.get("smallest_dimension_up", False)))
-    require_fitting_meshes(view, kind, where, settings.get("cell_size", CELL_SIZE_M))
+    require_fitting_meshes(view, KINDS.get(kind or ""), where, settings.get("cell_size", CELL_SIZE_M))
     # The package can scale no reward where all answers are the same.
     task, found = environment.family.task, ""
     if task == "classification" and len(view.label_names) < 2:

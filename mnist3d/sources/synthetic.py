@@ -8,7 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from mnist3d.sources import DigitCatalog, DigitImage
+from mnist3d.sources import DigitCatalog, DigitImage, require_known
 from mnist3d.sources.digits import ALLOGRAPHS
 from mnist3d.sources.pen import (
     DIGIT_STYLES,
@@ -22,7 +22,6 @@ from mnist3d.sources.pen import (
     variation,
 )
 from tactile_toolkit.checked_fields import check_fields, integer
-from tactile_toolkit.errors import InputError
 
 DRAWING_VERSION = 2
 """Raised whenever the same seed and id would give other pixels than before."""
@@ -108,11 +107,7 @@ class SyntheticSource:
             When `digit_id` is not an integer.
         """
         digit_id = index(digit_id)
-        if not 0 <= digit_id < self.count:
-            raise InputError(
-                f"the synthetic source has no digit {digit_id}; expected an id from 0 to {self.count - 1}",
-                next="choose such an id or raise the source's count",
-            )
+        require_known(digit_id, self.count, "the synthetic source")
         writer, label = digit_id // _PER_WRITER, digit_id % _PER_WRITER // _PER_CLASS
         style, rng = self.hand(writer), KeyedRng(_DIGIT, self.seed, digit_id)
         height_px = style.height_px * (1.0 + _SIZE_JITTER * style.jitter * rng.approx_normal())

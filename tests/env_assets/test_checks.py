@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 import env_assets
-from env_assets.checks import require_fitting_meshes
-from env_assets.meshes import MeshView
-from env_assets.provider import inventory
+from env_assets.meshes import MeshView, require_fitting_meshes
+from env_assets.provider import KINDS, inventory
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
@@ -56,11 +55,13 @@ def test_what_encloses_nothing_is_named(tmp_path, wrong):
 def test_classes_have_names_and_an_order(tmp_path):
     meshes = opened(tmp_path, SMALL)
     with pytest.raises(InputError, match="solids has classes a, b, c; expected 0, 1, 2"):
-        require_fitting_meshes(meshes, "mnist3d", "solids", (1.0, 1.0))
+        require_fitting_meshes(meshes, KINDS["mnist3d"], "solids", (1.0, 1.0))
     swapped = tuple("1023456789")
     with pytest.raises(InputError, match=r"solids has classes 1, 0, 2, .*; expected 0, 1, 2"):
-        require_fitting_meshes(MeshView(meshes.records, swapped), "mnist3d", "solids", (1.0, 1.0))
-    require_fitting_meshes(MeshView(meshes.records, tuple("0123456789")), "mnist3d", "solids", (1.0, 1.0))
+        require_fitting_meshes(MeshView(meshes.records, swapped), KINDS["mnist3d"], "solids", (1.0, 1.0))
+    require_fitting_meshes(
+        MeshView(meshes.records, tuple("0123456789")), KINDS["mnist3d"], "solids", (1.0, 1.0)
+    )
 
 
 def test_a_published_wrench_has_none_of_our_columns(tmp_path):
@@ -91,7 +92,7 @@ def test_unsound_meshes_are_named(tmp_path, wrong, words):
     with pytest.raises(InputError, match=f"mesh 1 .*{words}"):
         require_fitting_meshes(MeshView.of(meshes), None, "solids", (1.0, 1.0))
     (summary,) = inventory(tmp_path)
-    assert "mesh 1 " in summary.problem
+    assert "mesh 1 " in summary["problem"]
     with pytest.raises(InputError, match=r"nowhere' does not exist; next: give the folder of an AssetProv"):
         inventory(tmp_path / "nowhere")
 
@@ -106,6 +107,6 @@ def test_labels_are_classes(tmp_path):
 def test_scenes_lie_in_their_cell(tmp_path):
     moved = Mesh(SMALL.vertices_m + np.array([1.0, 0, 0]), SMALL.faces)
     meshes = MeshView(opened(tmp_path, SMALL, moved).records, SCENES.class_names)
-    require_fitting_meshes(meshes[:1], "starstruck", "scenes", (0.12, 0.12))
+    require_fitting_meshes(meshes[:1], KINDS["starstruck"], "scenes", (0.12, 0.12))
     with pytest.raises(InputError, match=r"mesh 1 of scenes needs 2018.0 x 38.0 mm"):
-        require_fitting_meshes(meshes, "starstruck", "scenes", (0.12, 0.12))
+        require_fitting_meshes(meshes, KINDS["starstruck"], "scenes", (0.12, 0.12))

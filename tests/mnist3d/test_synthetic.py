@@ -123,7 +123,7 @@ def test_fingerprint_is_json_and_tells_sources_apart() -> None:
 
 @pytest.mark.parametrize("digit_id", [-1, 20, 10**12])
 def test_unknown_ids_name_id_and_range(digit_id: int) -> None:
-    with pytest.raises(InputError, match=rf"no digit {digit_id}; expected an id from 0 to 19"):
+    with pytest.raises(InputError, match=rf"found id {digit_id}, expected 0 to 19"):
         SyntheticSource(0, 20).image(digit_id)
 
 

@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components
 
 from starstruck_gen.loader import SceneDataset
 from starstruck_gen.make import GenerateSpec, generate
-from starstruck_gen.solid import prism
+from starstruck_gen.placement import prism
 
 # The package's own imports warn; what they warn about is not ours.
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]

@@ -12,7 +12,7 @@ import pytest
 
 from starstruck_gen.loader import load
 from starstruck_gen.make import GenerateSpec, generate
-from starstruck_gen.placement import Placement, build_meshes
+from starstruck_gen.placement import Placement, build_meshes, prism, prisms, register_shape
 from starstruck_gen.shapes import (
     KINDS,
     OUTLINES,
@@ -21,7 +21,6 @@ from starstruck_gen.shapes import (
     Shape,
     outline,
 )
-from starstruck_gen.solid import prism, prisms, register_shape
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError

@@ -9,10 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from starstruck_gen.loader import SceneDataset
-from starstruck_gen.placement import build_meshes
+from starstruck_gen.placement import build_meshes, prism
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
-from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.solid_check import check_manifold

@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from starstruck_gen.columns import scene_schema
 from starstruck_gen.make import make_rows
+from starstruck_gen.placement import prism
 from starstruck_gen.scene import Scene
 from starstruck_gen.shapes import KINDS, OUTLINES, Crescent, Cross, Disc, Ring, Shape, Star, outline
-from starstruck_gen.solid import prism
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import check_scene
 from tactile_toolkit.errors import InputError
