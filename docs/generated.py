@@ -40,7 +40,7 @@ SHARED = (
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
     "starstruck_gen.spec.COLLISION_RULES",
-    "tactile_sim.sensor.MESA_SAMPLE_PX",
+    "tactile_sim.pressing.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.files.FORMATS",
     "tactile_toolkit.mesh.printability.REPORT_COLUMNS",
     "tactile_toolkit.mesh.printability.UNREADABLE",

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
@@ -26,6 +25,7 @@ from starstruck_gen.shapes import (
     read_only,
 )
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.deprecation import warn_former
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
@@ -243,11 +243,6 @@ def register_shape(kind: K) -> K:
     return kind
 
 
-def own_kinds() -> tuple[type[Proportions], ...]:
-    """Return the kinds that are not the toolkit's, for workers that must know them too."""
-    return tuple(kind for name, kind in KINDS.items() if name not in _TOOLKIT)
-
-
 def _require_described(kind: Any) -> None:
     is_kind = isinstance(kind, type) and issubclass(kind, Proportions) and is_dataclass(kind)
     if not (is_kind and isinstance(kind.name, str) and re.fullmatch(r"[A-Za-z_]\w*", kind.name)):
@@ -404,8 +399,7 @@ def stamp(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     .. deprecated:: 0.1
        Use :func:`build_meshes`.
     """
-    message = "starstruck_gen.stamp is deprecated; use starstruck_gen.build_meshes"
-    warnings.warn(message, DeprecationWarning, stacklevel=2)
+    warn_former("stamp", "build_meshes")
     return build_meshes(layouts)
 
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from starstruck_gen.kind import KIND
 from starstruck_gen.loader import SceneRecord
-from starstruck_gen.placement import build_meshes, own_kinds
-from starstruck_gen.shapes import Proportions
+from starstruck_gen.placement import build_meshes
+from starstruck_gen.shapes import KINDS, Proportions
 from tactile_toolkit.catalog.choose import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.columns import FACES, VERTICES
@@ -95,7 +95,7 @@ def validate_folder(
     names = {shard.path: class_names(shard.schema, KIND.class_names) for _, shard in shards}
     rows = check_rows(
         shards,
-        partial(_prove, names=names, shapes=[kind() for kind in own_kinds()]),
+        partial(_prove, names=names, shapes=[kind() for kind in KINDS.values()]),
         _COLUMNS,
         limit,
         workers,
@@ -118,7 +118,7 @@ def _prove(
 ) -> tuple[str | None, int, int]:
     """Return what is wrong with a scene, the number of bodies, and that of declared stars.
 
-    ``shapes`` are of the user's own kinds: a new process knows the kinds once it has unpickled these.
+    ``shapes`` are of all kinds: a new process knows those of the user once it has unpickled these.
     """
     record = SceneRecord(row)
     try:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from math import pi
 from typing import Any, Literal
 
-from tactile_sim.sensor import Sensor
+from tactile_sim.pressing import Sensor
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean

@@ -20,7 +20,7 @@ from tactile_envs.kernels import PADDING, aim, place, touch
 from tactile_envs.meshes import MeshPool
 from tactile_envs.sensors import make_camera
 from tactile_envs.tasks import EpisodeLog, Score, make_task
-from tactile_sim.sensor import center_view
+from tactile_sim.pressing import center_view
 from tactile_toolkit.errors import InputError
 
 _TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.optics import make_optics
-from tactile_sim.sensor import center_view
+from tactile_sim.pressing import center_view
 
 Size = tuple[int, int]
 _OPTICS = {"taxim": "taxim", "cycle_gan": "cyclegan"}

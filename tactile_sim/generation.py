@@ -19,8 +19,16 @@ from tactile_sim.kind import KIND
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
 from tactile_sim.plan import generator, on_object, open_split, plan_round
-from tactile_sim.pressing import Pressable, checked_layer_m, render_touch
-from tactile_sim.sensor import Matrix, Sensor, center_view, full_view, pose
+from tactile_sim.pressing import (
+    Matrix,
+    Pressable,
+    Sensor,
+    center_view,
+    checked_layer_m,
+    full_view,
+    pose,
+    render_touch,
+)
 from tactile_sim.spec import PictureOptions, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.choose import IdChoice, choose_rows

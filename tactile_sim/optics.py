@@ -21,8 +21,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.pressing import depth_image
-from tactile_sim.sensor import Sensor
+from tactile_sim.pressing import Sensor, depth_image
 from tactile_toolkit.arithmetic import cosine_sine, exp_neg
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.kind import lazy

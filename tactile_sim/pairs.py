@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
 from tactile_sim.plan import key_of, open_split, plan_round
-from tactile_sim.pressing import Pressable, render_touch
-from tactile_sim.sensor import Sensor, center_view, full_view
+from tactile_sim.pressing import Pressable, Sensor, center_view, full_view, render_touch
 from tactile_sim.spec import PairsSpec, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import find_shards, place_of, require_manifest

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim.pressing import Pressable
-from tactile_sim.sensor import CELL_M, pose, product, turn_quaternion
+from tactile_sim.pressing import CELL_M, Pressable, pose, product, turn_quaternion
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.catalog.locate import find_shards

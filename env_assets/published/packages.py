@@ -6,7 +6,6 @@ touches. Settings (step limit, cell, sensor) are read from the package's own reg
 
 from __future__ import annotations
 
-import difflib
 import os
 import sys
 from collections.abc import Sequence
@@ -204,10 +203,8 @@ def published_environment(env_id: str) -> PublishedEnvironment:
             f"{env_id!r} is not an environment of tactile-mnist (families {', '.join(FAMILIES)})",
             next="make it with `ap_gym.make`",
         )
-    close = difflib.get_close_matches(name, published, n=3) or ["TactileMNIST-Depth-train-v0"]
-    raise InputError(
-        f"no environment {env_id!r} is registered", next=f"choose one such as {', '.join(close)}"
-    )
+    near = did_you_mean(name, published)
+    raise InputError(f"no environment {env_id!r} is registered{near}", next="choose one of `env-assets list`")
 
 
 def published_environments() -> list[PublishedEnvironment]:

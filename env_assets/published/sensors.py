@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from env_assets.published.packages import PublishedEnvironment, published_package
-from tactile_sim.pressing import Pressable, render_touch
-from tactile_sim.sensor import center_view
+from tactile_sim.pressing import Pressable, center_view, render_touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.files import expanded
 

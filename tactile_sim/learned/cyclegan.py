@@ -5,7 +5,7 @@ Pictures and crops of a step follow from seed, step and process alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -76,24 +76,18 @@ class Batches:
         self._rank = rank
         self._crop = config.crop_px(pairs.size_px)
         self._taxim = by_taxim(pairs) if config.pretrain_steps else None
+
+    def since(self, first: int) -> Iterator[Batch]:
+        """Yield the batches of the steps from one on."""
         # One batch ahead is enough, as decoding is much faster than a step; a thread, as decoders and torch
         # leave the interpreter's lock.
-        self._pool = ThreadPoolExecutor(1)
-        self._ahead: tuple[int, Any] | None = None
-
-    def __enter__(self) -> Batches:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._pool.shutdown(cancel_futures=True)
-
-    def of(self, step: int) -> Batch:
-        """Return the batch of a step."""
-        ahead = self._ahead
-        found: Batch = ahead[1].result() if ahead is not None and ahead[0] == step else self._make(step)
-        if step + 1 < self._config.steps:
-            self._ahead = (step + 1, self._pool.submit(self._make, step + 1))
-        return found
+        with ThreadPoolExecutor(1) as pool:
+            made = (pool.submit(self._make, step) for step in range(first, self._config.steps))
+            ahead = next(made, None)
+            while ahead is not None:
+                batch = ahead.result()
+                ahead = next(made, None)
+                yield batch
 
     @cached_property
     def _level(self) -> Any:

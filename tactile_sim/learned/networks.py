@@ -32,8 +32,7 @@ from torch import nn
 
 from tactile_sim.noise import SensorNoise, draw_noise
 from tactile_sim.optics import Optics
-from tactile_sim.pressing import depth_image
-from tactile_sim.sensor import Sensor
+from tactile_sim.pressing import Sensor, depth_image
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.store.files import expanded, open_regular
@@ -254,14 +253,17 @@ def read_weights(file: str | Path) -> GeneratorWeights:
             with np.load(stream, allow_pickle=False) as stored:
                 arrays = dict(stored)
         _require_generator(arrays)
-        size_px = PUBLISHED_SIZE_PX if not comment else _noted_size(comment)
+        width, height = json.loads(comment)["size_px"] if comment else PUBLISHED_SIZE_PX
+        if not (width in _SIDES_PX and height in _SIDES_PX):
+            problem = f"of {width!r} x {height!r} pixels; expected multiples of 4, 16 to 2048"
+            raise ValueError(problem)
     except Exception as error:  # zipfile, zlib, json and numpy raise many kinds on damaged files
         raise InputError(
             f"{str(path)!r} cannot be read as weights of a generator ({error}); expected an .npz such as "
             "`tactile-sim train` writes",
             next="fetch or make it again",
         ) from error
-    return GeneratorWeights(arrays, size_px)
+    return GeneratorWeights(arrays, (width, height))
 
 
 def _require_generator(arrays: Mapping[str, NDArray[Any]]) -> None:
@@ -281,14 +283,6 @@ def _require_generator(arrays: Mapping[str, NDArray[Any]]) -> None:
         if array is not None and not (array.dtype == np.float32 and np.isfinite(array).all()):
             problem = f"{name} holds values that are not finite numbers in single precision"
             raise ValueError(problem)
-
-
-def _noted_size(comment: bytes) -> tuple[int, int]:
-    width, height = json.loads(comment)["size_px"]
-    if not (width in _SIDES_PX and height in _SIDES_PX):
-        problem = f"of {width!r} x {height!r} pixels; expected multiples of 4, 16 to 2048"
-        raise ValueError(problem)
-    return width, height
 
 
 def weights_bytes(weights: GeneratorWeights) -> bytes:

@@ -251,20 +251,20 @@ class _Run:
         self.on_progress(first, config.steps)
         sums, losses = np.zeros(len(LOSSES)), dict.fromkeys(LOSSES, math.nan)
         since = first
-        with Batches(self.data, config, self.place.rank) as batches:
-            for step in range(first, config.steps):
-                rng = generator(config.seed, step, self.place.rank, "pool")
-                losses = self.model.step(step, batches.of(step), rng)
-                sums += list(losses.values())
-                done = step + 1
-                self._require_finite(losses, done)
-                saving = done % config.checkpoint_every == 0 or done == config.steps
-                if saving or done % config.log_every == 0:
-                    log.append([done, *(sums / (done - since))])
-                    sums[:], since = 0, done
-                if saving:
-                    self._save(done, log)
-                self.on_progress(done, config.steps)
+        batches = Batches(self.data, config, self.place.rank)
+        for step, batch in enumerate(batches.since(first), first):
+            rng = generator(config.seed, step, self.place.rank, "pool")
+            losses = self.model.step(step, batch, rng)
+            sums += list(losses.values())
+            done = step + 1
+            self._require_finite(losses, done)
+            saving = done % config.checkpoint_every == 0 or done == config.steps
+            if saving or done % config.log_every == 0:
+                log.append([done, *(sums / (done - since))])
+                sums[:], since = 0, done
+            if saving:
+                self._save(done, log)
+            self.on_progress(done, config.steps)
         return Trained(self.folder.address(), config.steps, config.steps - first, losses)
 
     def restored(self) -> tuple[int, list[list[float]]]:

@@ -113,9 +113,9 @@ def test_unusable_radius_is_refused(radius_m):
     ],
 )
 def test_outline_that_bounds_no_area_is_refused(monkeypatch, ring, reason):
-    from starstruck_gen import solid
+    from starstruck_gen import placement
 
-    monkeypatch.setattr(solid, "outline", lambda _: (np.array(ring, dtype=float),))
+    monkeypatch.setattr(placement, "outline", lambda _: (np.array(ring, dtype=float),))
     with pytest.raises(InputError, match=reason):
         prism.__wrapped__("wrong")
 

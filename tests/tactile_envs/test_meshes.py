@@ -10,8 +10,7 @@ import env_assets
 import mnist3d
 from tactile_envs.kernels import LANES, PADDING, raise_object, raise_pixels
 from tactile_envs.meshes import MeshPool
-from tactile_sim.pressing import Pressable, render_touch
-from tactile_sim.sensor import center_view, pose
+from tactile_sim.pressing import Pressable, center_view, pose, render_touch
 
 
 @numba.njit(error_model="numpy")
