@@ -193,7 +193,7 @@ class TouchMaking(making.Making):
     """
 
     spec: GenerateSpec
-    source: Mapping[str, SolidDataset] = field(repr=False)
+    source: Mapping[str, SolidDataset[Any]] = field(repr=False)
     rows: Mapping[str, Any] = field(repr=False)
     kind = KIND
 
@@ -346,7 +346,7 @@ def noisy(
     return add_noise(pictures, spec.noise, draw(), draw)
 
 
-def _require_known_objects(name: str, splits: Mapping[str, SolidDataset], spec: GenerateSpec) -> None:
+def _require_known_objects(name: str, splits: Mapping[str, SolidDataset[Any]], spec: GenerateSpec) -> None:
     """Refuse given touches of objects that no split holds (InputError)."""
     given = spec.plan.given
     if given is None or given.object_id is None:

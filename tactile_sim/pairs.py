@@ -208,7 +208,7 @@ class PairsMaking(making.Making):
     """
 
     spec: PairsSpec
-    objects: SolidDataset = field(repr=False)
+    objects: SolidDataset[Any] = field(repr=False)
     real: str
     split: str
     names: tuple[str, ...] = field(repr=False)
