@@ -22,7 +22,6 @@ from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
 from tactile_toolkit.cards.facts import configs, folder_facts, with_head
 from tactile_toolkit.catalog.locate import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.exchange.copies import viewer_tables
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.hub.calls import call_with_retry, page_of
 from tactile_toolkit.hub.repository import HubName, HubSnapshot, hub_name, listing
@@ -286,6 +285,8 @@ def _files_to_send(
     """Collect the files, with the cards as they are to be on the Hub, checked as such."""
     root, described, made = Path(place.address()), place.read_bytes(MANIFEST_FILE), dict[str, str]()
     if options.viewer:
+        from tactile_toolkit.exchange.copies import viewer_tables
+
         made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**(manifest.files or {}), **made})
         described = manifest.to_json().encode()
