@@ -152,7 +152,7 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
         sink.line(f"branch to create at the head of main: {prepared.branch_name}")
     if plan.is_done:
         return
-    there = branch.held.files if branch.held else {}
+    there = branch.held.remote if branch.held else {}
     rows = [
         (file.path, bytes_text(file.size), "changed" if file.path in there else "new")
         for file in plan.to_send
@@ -230,7 +230,7 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     from tactile_toolkit.catalog.locate import published_set
 
     known, files = published_set(name), plan.record.files.values()
-    licence = (known.licence if known else None) or plan.repository.snapshot.licence
+    licence = (known.licence if known else None) or plan.repository.licence
     sink.info(
         f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
         f"{counted(len(files), 'files')}, {bytes_text(sum(file.size_bytes for file in files))}, of which "
@@ -238,7 +238,7 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
     )
     if plan.leftover:
         sink.info(f"to remove, the Hub has them no more: {_listed(plan.leftover)}")
-    if plan.repository.snapshot.is_cache:
+    if plan.repository.is_cache:
         sink.info("the Hub gives no answer: what is known here of the data set is taken for all of it")
     if known is not None and plan.missing:
         sink.info(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")

@@ -312,14 +312,14 @@ class AssetProvider:
         """Return the commit of a repository, looked up on first use and kept; None for a folder or a file."""
         if place.startswith("/") or path_exists(Path(place)):
             return None
-        from tactile_toolkit.hub.repository import HubRepository, hub_name
+        from tactile_toolkit.hub.repository import hub_name, open_repository
 
         named = hub_name(place)
         if named is None or named.revision is not None:
             return None
         commit = self._commits.get(named.repo_id)
         if commit is None:
-            commit = HubRepository(named.repo_id, self._revision).snapshot.commit
+            commit = open_repository(named.repo_id, self._revision).commit
             # The first answer stays, whichever thread it came from.
             commit = self._commits.setdefault(named.repo_id, commit)
         return commit

@@ -12,7 +12,7 @@ from typing import Any
 
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.hub.calls import hub_failures, not_cached
-from tactile_toolkit.hub.repository import HubName, HubRepository, cached_snapshot, hub_name
+from tactile_toolkit.hub.repository import HubName, HubRepository, find_cached, hub_name, open_repository
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import RecordDataset
@@ -64,7 +64,7 @@ def find_shards(
         if split not in (None, found or split, _USUAL_SPLIT):
             raise unknown_split(str(split), (str(found),), name)
         return find_files([name], revision=revision, streaming=streaming)
-    repository = HubRepository(place.repo_id, place.revision)
+    repository = open_repository(place.repo_id, place.revision)
     files = repository_shards(repository, place.path)
     chosen = _split_of([file.split for file in files], split, name)
     paths = [file.path for file in hub_split(repository, files, chosen)]
@@ -83,8 +83,8 @@ def find_files(
         place = _found_here(name) or hub_name(name, revision)
         if isinstance(place, HubName) and _is_file(place):
             key = place.repo_id, place.revision
-            repository = repositories.setdefault(key, HubRepository(*key))
-            shards += _hub_shards(repository, [place.path], streaming)
+            repositories[key] = repositories.get(key) or open_repository(*key)
+            shards += _hub_shards(repositories[key], [place.path], streaming)
         elif isinstance(place, str):
             shards.append(Shard(place))
         else:
@@ -92,14 +92,14 @@ def find_files(
     return tuple(shards)
 
 
-def repository_named(name: str, revision: str | None = None) -> HubRepository:
+def repository_named(name: str, revision: str | None = None) -> HubName:
     """Return the repository that a name means; InputError for other names, and for a part of one."""
     named = _named_on_hub(name, revision)
     if named.path:
         raise InputError(
             f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
         )
-    return HubRepository(named.repo_id, named.revision)
+    return named
 
 
 def _named_on_hub(name: str, revision: str | None) -> HubName:
@@ -191,7 +191,7 @@ def hub_split(repository: HubRepository, files: list[ShardFile], split: str) -> 
     try:
         return files_of_split(files, split, repository.repo_id)
     except (InputError, IntegrityError) as error:
-        if not repository.snapshot.is_cache or repository.manifest is not None:
+        if not repository.is_cache or repository.manifest is not None:
             raise
         raise not_cached(repository.repo_id, f"split {split!r}") from error
 
@@ -215,7 +215,7 @@ def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
     elif isinstance(place, str) or _is_file(place):
         splits = (_split_in_name(place) or _USUAL_SPLIT,)
     else:
-        files = repository_shards(HubRepository(place.repo_id, place.revision), place.path)
+        files = repository_shards(open_repository(place.repo_id, place.revision), place.path)
         splits = tuple(dict.fromkeys(file.split for file in files))
     if not splits:
         raise unknown_split("", (), name)
@@ -426,12 +426,12 @@ def states(sets: Sequence[PublishedSet]) -> list[SetState]:
 def _state(entry: PublishedSet) -> SetState:
     size_bytes, licence = None, entry.licence
     with suppress(ToolkitError):
-        found = HubRepository(entry.repo_id).snapshot
+        found = open_repository(entry.repo_id)
         if not found.is_cache:
-            size_bytes = sum(file.size_bytes for file in found.files.values())
+            size_bytes = sum(file.size_bytes for file in found.remote.values())
             licence = licence or found.licence
-    cached = cached_snapshot(entry.repo_id, "main")
-    here = cached.files if cached else {}
+    cached = find_cached(entry.repo_id)
+    here = cached.remote if cached else {}
     splits = tuple(dict.fromkeys(file.split for file in shard_files(here)))
     local_bytes = sum(file.size_bytes for file in here.values())
     return SetState(entry, local_bytes, splits, size_bytes, licence)

@@ -20,7 +20,7 @@ from tactile_toolkit.cards.facts import card_head, folder_facts, viewer_files, w
 from tactile_toolkit.catalog.locate import hub_split, published_set, repository_named, repository_shards
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.hub.calls import not_cached
-from tactile_toolkit.hub.repository import HubRepository, Transfers, snapshot_folder
+from tactile_toolkit.hub.repository import HubRepository, Transfers, open_repository, snapshot_folder
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.folder import DataFolder
@@ -102,15 +102,15 @@ def plan_download(
     SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
     """
     known = published_set(name)
-    repository = repository_named(known.repo_id if known else name, revision)
-    folder = DataFolder(out) if out is not None else None
-    return _plan(replace(repository, patient=True, on_wait=on_wait), splits, folder)
+    named = repository_named(known.repo_id if known else name, revision)
+    repository = open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
+    return _plan(repository, splits, None if out is None else DataFolder(out))
 
 
 def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder | None) -> DownloadPlan:
     earlier = _earlier_record(folder, repository) if folder is not None else None
-    snapshot, recorded = repository.snapshot, earlier.files if earlier else {}
-    if folder is not None and snapshot.is_cache:  # which may list a part of the files only
+    recorded = earlier.files if earlier else {}
+    if folder is not None and repository.is_cache:  # which may list a part of the files only
         raise not_cached(repository.repo_id, "the present list of files")
     manifest, shards = repository.manifest, repository_shards(repository)
     all_splits = manifest.splits if manifest else tuple(sorted({shard.split for shard in shards}))
@@ -132,7 +132,7 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
     missing = tuple(file for file, is_intact in zip(files.values(), here, strict=True) if not is_intact)
     # Other tools write files of that name, too, which are not manifests.
     metadata = tuple(
-        path for path in _METADATA_FILES if path in snapshot.files and (path != MANIFEST_FILE or manifest)
+        path for path in _METADATA_FILES if path in repository.remote and (path != MANIFEST_FILE or manifest)
     )
     is_done = not missing
     if folder is not None:
@@ -143,11 +143,11 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
                 "nothing was changed",
                 next="move it away, or choose another folder with --out",
             )
-        same = earlier is not None and earlier.finished and earlier.commit == snapshot.commit
+        same = earlier is not None and earlier.finished and earlier.commit == repository.commit
         is_done = same and not missing and recorded.keys() <= files.keys() and _is_described(folder, metadata)
-    elif missing and snapshot.is_cache:
+    elif missing and repository.is_cache:
         raise not_cached(repository.repo_id, repr(missing[0].path))
-    commit, revision = snapshot.commit, repository.revision
+    commit, revision = repository.commit, repository.revision
     record = DownloadRecord(repository.repo_id, commit, revision, files, all_splits, metadata)
     return DownloadPlan(repository, folder, chosen, missing, is_done, record, earlier)
 

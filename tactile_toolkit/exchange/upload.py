@@ -24,7 +24,7 @@ from tactile_toolkit.catalog.locate import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.hub.calls import call_with_retry, page_of
-from tactile_toolkit.hub.repository import HubName, HubSnapshot, hub_name, listing
+from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name, listing
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import scratch_folder
@@ -67,7 +67,7 @@ class HubBranch:
     ``main``; None where the repository does not exist. ``tags`` name commits.
     """
 
-    held: HubSnapshot | None
+    held: HubRepository | None
     tags: Mapping[str, str]
     exists: bool
 
@@ -89,12 +89,12 @@ class UploadPlan:
         return not (self.to_send or self.removed)
 
 
-def compare(files: Iterable[LocalFile], held: HubSnapshot | None, *, delete: bool = False) -> UploadPlan:
+def compare(files: Iterable[LocalFile], held: HubRepository | None, *, delete: bool = False) -> UploadPlan:
     """Compare all that is to be in a repository with what a commit holds, by path and checksum.
 
     Of other files, those that former uploads made for the Hub's page go, and all others with ``delete``.
     """
-    local, remote = {file.path: file for file in files}, held.files if held else {}
+    local, remote = {file.path: file for file in files}, held.remote if held else {}
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
     others = sorted(remote.keys() - local.keys() - _WRITTEN_BY_HUB)
     kept = tuple(path for path in others if not (delete or _is_for_page(path)))
@@ -278,7 +278,7 @@ def _files_to_send(
     place: DataFolder,
     manifest: Manifest,
     repo_id: str,
-    held: HubSnapshot | None,
+    held: HubRepository | None,
     options: UploadOptions,
     scratch: Path,
 ) -> tuple[Manifest, tuple[LocalFile, ...]]:
@@ -291,7 +291,7 @@ def _files_to_send(
         manifest = replace(manifest, files={**(manifest.files or {}), **made})
         described = manifest.to_json().encode()
     paths, facts = collect(root, manifest), folder_facts(place, manifest)
-    kept = () if held is None or options.delete else held.files.keys() - set(paths) - _WRITTEN_BY_HUB
+    kept = () if held is None or options.delete else held.remote.keys() - set(paths) - _WRITTEN_BY_HUB
     others = sorted(path for path in kept if not _is_for_page(path))
     # Where the pattern of a split would take one of the others for its own, its files are named one by one.
     wanted = configs(facts, others)

@@ -12,7 +12,7 @@ import os
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
@@ -100,62 +100,6 @@ def _folder(repo_id: str) -> Path:
     return Path(constants.HF_HUB_CACHE) / f"datasets--{repo_id.replace('/', '--')}"
 
 
-@dataclass(frozen=True, slots=True)
-class HubSnapshot:
-    """What a commit holds.
-
-    Attributes
-    ----------
-    commit : str
-        All 40 digits.
-    files : dict of str to HubFile
-        By path. Of a snapshot that was read from the cache, only those in the cache.
-    is_cache : bool
-        Whether the cache answered because the Hub could not be asked.
-    licence : str or None
-        What its card states.
-    is_private : bool
-        Whether the Hub says that only its owner sees the repository.
-    """
-
-    commit: str
-    files: Mapping[str, HubFile]
-    is_cache: bool = False
-    licence: str | None = None
-    is_private: bool = False
-
-
-def listing(repo_id: str, revision: str | None = None) -> HubSnapshot:
-    """Ask the Hub for all files of a revision; failures are the client's."""
-    from huggingface_hub import HfApi, constants
-
-    timeout_s = constants.HF_HUB_ETAG_TIMEOUT
-    answer: Any = HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
-    files = {}
-    for entry in answer.siblings or ():
-        # Files that git keeps itself are named by git's own digest.
-        digest = entry.lfs.sha256 if entry.lfs else str(entry.blob_id)
-        files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
-    if not _COMMIT.fullmatch(answer.sha):
-        raise ValueError(f"{answer.sha[:80]!r} is not a commit")
-    licence = getattr(answer.card_data, "license", None)
-    licence = licence if isinstance(licence, str) else None
-    return HubSnapshot(answer.sha, files, licence=licence, is_private=bool(answer.private))
-
-
-def cached_snapshot(repo_id: str, revision: str) -> HubSnapshot | None:
-    """Return what the cache has of the commit that a revision named last; None where it has nothing."""
-    commit = commit_of(repo_id, revision)
-    root = snapshot_folder(repo_id, str(commit))
-    files = {}
-    for file in sorted(file for file in root.rglob("*") if file.is_file()):
-        # A blob is named by the digest of its content; a cache without links has no blobs.
-        path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
-        is_named = file.is_symlink() and DIGEST.fullmatch(blob)
-        files[path] = HubFile(path, file.stat().st_size, blob if is_named else None)
-    return HubSnapshot(commit, files, is_cache=True) if commit and files else None
-
-
 class _StoppedError(Exception):
     """Another file failed, or the user does not want to wait."""
 
@@ -198,15 +142,22 @@ class Transfers:
 class HubRepository:
     """A data set repository of the Hub, at one commit.
 
-    Parameters
+    Attributes
     ----------
     repo_id : str
         ``USER/NAME``.
     revision : str or None
-        Branch, tag or commit. What it names is looked up on first use and stays so for this object, so that
-        all files are of one commit.
-    patient : bool
-        Whether to wait for a Hub in trouble also where the cache could answer in its place.
+        Branch, tag or commit that was asked for.
+    commit : str
+        What that named when this was opened, all 40 digits: all files are of one commit.
+    remote : dict of str to HubFile
+        What it holds, by path. Where the cache answered, only what is in the cache.
+    is_cache : bool
+        Whether the cache answered because the Hub could not be asked.
+    licence : str or None
+        What its card states.
+    is_private : bool
+        Whether the Hub says that only its owner sees the repository.
     on_wait : callable
         Gets a sentence for each wait.
 
@@ -217,36 +168,18 @@ class HubRepository:
     """
 
     repo_id: str
-    revision: str | None = None
-    patient: bool = False
+    revision: str | None
+    commit: str
+    remote: Mapping[str, HubFile] = field(repr=False)
+    is_cache: bool = False
+    licence: str | None = None
+    is_private: bool = False
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
-
-    @cached_property
-    def snapshot(self) -> HubSnapshot:
-        """What a revision holds (``main`` by default), as the Hub says; if it is silent, as the cache does.
-
-        Raises HubError when the Hub refused, or cannot be reached and the revision is not in the cache.
-        """
-        named = self.revision or _MAIN
-        cached = cached_snapshot(self.repo_id, named)
-        try:
-            found = call_with_retry(
-                functools.partial(listing, self.repo_id, self.revision),
-                self.repo_id,
-                waits_s=None if self.patient or cached is None else (),
-                on_wait=self.on_wait,
-            )
-        except HubError as error:
-            if cached is not None and is_unanswered(error):
-                return cached
-            raise
-        remember_commit(self.repo_id, named, found.commit)
-        return found
 
     @cached_property
     def manifest(self) -> Manifest | None:
         """The manifest of a data set made by the toolkit; None of any other, or IntegrityError."""
-        if MANIFEST_FILE not in self.snapshot.files:
+        if MANIFEST_FILE not in self.remote:
             return None
         (place,) = self.fetch((MANIFEST_FILE,))
         text = place.read_text(encoding="utf-8", errors="replace")
@@ -263,16 +196,15 @@ class HubRepository:
         """What the manifest states of its shards, and of other files of the commit, by path."""
         if self.manifest is None:
             return {}
-        remote = self.snapshot.files
         listed = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards}
         for path, sha256 in (self.manifest.files or {}).items():
-            if path in remote:
-                listed[path] = HubFile(path, remote[path].size_bytes, sha256)
+            if path in self.remote:
+                listed[path] = HubFile(path, self.remote[path].size_bytes, sha256)
         return listed
 
     def files(self) -> list[str]:
         """List the paths of all files; without the Hub, those in the cache and in a cached manifest."""
-        return sorted({*self.snapshot.files, *(self._listed if self.snapshot.is_cache else ())})
+        return sorted({*self.remote, *(self._listed if self.is_cache else ())})
 
     def file(self, path: str) -> HubFile:
         """Return what a file must be: as the manifest states, or else the Hub, as far as either is known.
@@ -281,9 +213,9 @@ class HubRepository:
         that of a file in a folder, HubError for no such file.
         """
         names_inside((path,), f"Hub data set {self.repo_id!r}")
-        remote = self.snapshot.files.get(path)
+        remote = self.remote.get(path)
         wanted = remote if path == MANIFEST_FILE else self._listed.get(path, remote)
-        if wanted is None and self.snapshot.is_cache:
+        if wanted is None and self.is_cache:
             raise not_cached(self.repo_id, repr(path))
         if wanted is None:
             raise HubError(
@@ -301,7 +233,7 @@ class HubRepository:
     def address(self, path: str) -> str:
         """Return the fsspec address of a file at the commit, for reading it piece by piece."""
         # The commit, not what it is called: a branch may move on while its files are read in turn.
-        return f"{_PREFIX}{self.repo_id}@{self.snapshot.commit}/{path}"
+        return f"{_PREFIX}{self.repo_id}@{self.commit}/{path}"
 
     def cached(self, path: str, *, check: bool = False) -> Path | None:
         """Return a file that is intact in the Hub's cache; None otherwise. Asks no server, fetches nothing.
@@ -315,7 +247,7 @@ class HubRepository:
         return file if is_here else None
 
     def _place(self, path: str) -> Path:
-        return snapshot_folder(self.repo_id, self.snapshot.commit) / path
+        return snapshot_folder(self.repo_id, self.commit) / path
 
     def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[Path]:
         """Bring files into the Hub's cache, unless it has them, and return their local paths.
@@ -334,8 +266,8 @@ class HubRepository:
         """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
         from huggingface_hub import hf_hub_download
 
-        wanted, commit = self.file(path), self.snapshot.commit
-        if self.snapshot.is_cache or wanted.digest is None:
+        wanted, commit = self.file(path), self.commit
+        if self.is_cache or wanted.digest is None:
             raise not_cached(self.repo_id, repr(path))
         options = {"repo_type": "dataset", "revision": commit, "local_dir": folder}
         options |= counting_options(functools.partial(transfers.count, wanted))
@@ -356,3 +288,60 @@ class HubRepository:
             "nothing of it was kept",
             next="try again later or through another network",
         )
+
+
+def open_repository(
+    repo_id: str,
+    revision: str | None = None,
+    *,
+    patient: bool = False,
+    on_wait: Callable[[str], None] = lambda _: None,
+) -> HubRepository:
+    """Look up what a revision holds (``main`` by default): as the Hub says, or if it is silent, the cache.
+
+    A Hub in trouble is waited for where the cache has nothing, or with ``patient``. Raises HubError when the
+    Hub refused, or cannot be reached and the revision is not in the cache.
+    """
+    cached = find_cached(repo_id, revision)
+    waits_s = None if patient or cached is None else ()
+    ask = functools.partial(listing, repo_id, revision)
+    try:
+        found = call_with_retry(ask, repo_id, waits_s=waits_s, on_wait=on_wait)
+    except HubError as error:
+        if cached is None or not is_unanswered(error):
+            raise
+        found = cached
+    remember_commit(repo_id, revision or _MAIN, found.commit)
+    return replace(found, on_wait=on_wait)
+
+
+def listing(repo_id: str, revision: str | None = None) -> HubRepository:
+    """Ask the Hub for all files of a revision; failures are the client's."""
+    from huggingface_hub import HfApi, constants
+
+    timeout_s = constants.HF_HUB_ETAG_TIMEOUT
+    answer: Any = HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
+    files = {}
+    for entry in answer.siblings or ():
+        # Files that git keeps itself are named by git's own digest.
+        digest = entry.lfs.sha256 if entry.lfs else str(entry.blob_id)
+        files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
+    if not _COMMIT.fullmatch(answer.sha):
+        raise ValueError(f"{answer.sha[:80]!r} is not a commit")
+    licence = getattr(answer.card_data, "license", None)
+    licence = licence if isinstance(licence, str) else None
+    is_private = bool(answer.private)
+    return HubRepository(repo_id, revision, answer.sha, files, licence=licence, is_private=is_private)
+
+
+def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | None:
+    """Return what the cache has of the commit that a revision named last; None where it has nothing."""
+    commit = commit_of(repo_id, revision or _MAIN)
+    root = snapshot_folder(repo_id, str(commit))
+    files = {}
+    for file in sorted(file for file in root.rglob("*") if file.is_file()):
+        # A blob is named by the digest of its content; a cache without links has no blobs.
+        path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
+        is_named = file.is_symlink() and DIGEST.fullmatch(blob)
+        files[path] = HubFile(path, file.stat().st_size, blob if is_named else None)
+    return HubRepository(repo_id, revision, commit, files, is_cache=True) if commit and files else None

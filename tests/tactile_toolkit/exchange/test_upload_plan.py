@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from starstruck_gen.make import GenerateSpec, generate
 from tactile_toolkit.cards.facts import configs, folder_facts
 from tactile_toolkit.exchange.upload import LocalFile, collect, compare
-from tactile_toolkit.hub.repository import HubSnapshot
+from tactile_toolkit.hub.repository import HubRepository
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.origin import HubFile
@@ -53,7 +53,7 @@ def test_a_plan_brings_exactly_the_folder(here, there):
             path: HubFile(path, len(content), digest(content, large=large))
             for path, (content, large) in there.items()
         }
-        plan = compare(files, HubSnapshot("0" * 40, held))
+        plan = compare(files, HubRepository("a/b", None, "0" * 40, held))
     after = {path: content for path, (content, _) in there.items()}
     after |= {file.path: here[file.path][0] for file in plan.to_send}
     assert {path: after[path] for path in here} == {path: content for path, (content, _) in here.items()}

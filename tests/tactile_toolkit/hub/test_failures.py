@@ -271,8 +271,8 @@ def test_as_long_as_the_hub_asks_for_is_waited(monkeypatch, asked, waited_s):
 
 OFFLINE = """
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.hub.repository import HubRepository
-repository = HubRepository('someone/set')
+from tactile_toolkit.hub.repository import open_repository
+repository = open_repository('someone/set')
 try:
     print(repository.fetch({paths!r}))
 except ToolkitError as error:

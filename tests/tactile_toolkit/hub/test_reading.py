@@ -21,9 +21,9 @@ def server(tmp_path) -> Iterator[HubServer]:
 
 LOAD = """
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.hub.repository import HubRepository
+from tactile_toolkit.hub.repository import open_repository
 try:
-    print('path', HubRepository({name!r}).fetch([{path!r}])[0])
+    print('path', open_repository({name!r}).fetch([{path!r}])[0])
 except ToolkitError as error:
     print(error.exit_code, type(error).__name__, error)
 """
@@ -95,8 +95,8 @@ def test_other_programs_find_the_files_in_the_cache_and_hf_cache_counts_them(ser
 
 
 ADDRESS = """
-from tactile_toolkit.hub.repository import HubRepository
-print(HubRepository({name!r}).address({path!r}))
+from tactile_toolkit.hub.repository import open_repository
+print(open_repository({name!r}).address({path!r}))
 """
 
 

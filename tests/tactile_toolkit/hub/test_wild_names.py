@@ -131,9 +131,9 @@ def test_digests_of_the_hub_are_digests(server, tmp_path, home, monkeypatch, par
 
 HEAD = """
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.hub.repository import HubRepository
+from tactile_toolkit.hub.repository import open_repository
 from tests.hub_server import Blob
-repository = HubRepository({name!r})
+repository = open_repository({name!r})
 repository.files()
 Blob.{part} = property(lambda _: "../../../../../../evil")
 try:
