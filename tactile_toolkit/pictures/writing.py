@@ -53,30 +53,23 @@ class WrittenPicture:
     bytes: int
 
 
-def chosen_kinds(asked: Sequence[str], known: Sequence[str], usual: Sequence[str]) -> tuple[str, ...]:
-    """Return the kinds to draw, each once, in the order of ``known``.
-
-    ``"all"`` among those asked for stands for all, none asked for the usual ones. InputError: unknown kind.
-    """
-    unknown = [kind for kind in asked if kind not in (*known, "all")]
-    if unknown:
-        raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(known)} or all")
-    wanted = known if "all" in asked else asked or usual
-    return tuple(kind for kind in known if kind in wanted)
-
-
 def plan_kinds(
     asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]], usual: Sequence[str]
 ) -> PicturePlan:
     """Plan the pictures of each kind that was asked for, or of the usual ones.
 
-    What cannot be drawn and was not named one by one is left out, with the reason; an InputError of a kind
-    that was named, or of all where nothing can be drawn, is raised.
+    ``"all"`` among those asked for stands for all. What cannot be drawn and was not named one by one is left
+    out, with the reason; an InputError of a kind that was named or is unknown, or of all where nothing can be
+    drawn, is raised.
     """
+    unknown = [kind for kind in asked if kind not in (*plans, "all")]
+    if unknown:
+        raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(plans)} or all")
     named = bool(asked) and "all" not in asked
+    wanted = plans if "all" in asked else asked or usual
     pictures: list[PlannedPicture] = []
     reasons: list[InputError] = []
-    for kind in chosen_kinds(asked, tuple(plans), usual):
+    for kind in filter(wanted.__contains__, plans):
         try:
             pictures += plans[kind]()
         except InputError as error:

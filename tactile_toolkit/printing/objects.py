@@ -215,9 +215,8 @@ def export(
     finished files stay.
     """
     write = _Export(local_folder(out), only_look=False)
-    folder = DataFolder(out)
-    folder.require_folder()
-    remove_abandoned(Path(folder.address()))  # of killed exports
+    DataFolder(out).require_folder()
+    remove_abandoned(write.folder)  # of killed exports
     # What was looked at is not made a second time: the convex parts of a body take longer than its file.
     found: dict[str, Any] = {} if overwrite else {**require_free(products, out, workers)}
     left = [product for product in products if product.name not in found]

@@ -25,7 +25,6 @@ from tactile_toolkit.pictures.sheets import (
 )
 from tactile_toolkit.pictures.writing import (
     PlannedPicture,
-    chosen_kinds,
     file_stem,
     plan_kinds,
     png_bytes,
@@ -115,12 +114,17 @@ def test_pictures_before_a_failing_one_stay_and_nothing_half_written_is_left(tmp
 
 
 def test_kinds_are_settled_once():
-    known, usual = ("a", "b", "c"), ("a", "c")
-    assert chosen_kinds((), known, usual) == usual
-    assert chosen_kinds(("c", "b", "c"), known, usual) == ("b", "c")
-    assert chosen_kinds(("a", "all"), known, usual) == known
+    drawn = {name: PlannedPicture(f"{name}.png", "", lambda: np.zeros((1, 1), np.uint8)) for name in "abc"}
+    plans = {name: lambda name=name: [drawn[name]] for name in drawn}
+
+    def planned(*asked: str) -> list[str]:
+        return [picture.name[0] for picture in plan_kinds(asked, plans, ("a", "c")).pictures]
+
+    assert planned() == ["a", "c"]
+    assert planned("c", "b", "c") == ["b", "c"]
+    assert planned("a", "all") == ["a", "b", "c"]
     with pytest.raises(InputError, match="'d'; expected a, b, c or all"):
-        chosen_kinds(("d",), known, usual)
+        planned("d")
 
 
 def test_what_was_not_named_may_be_left_out_what_was_named_may_not():
