@@ -83,7 +83,7 @@ BENCHMARKS = {
     "height_maps": Benchmark(("tactile_toolkit/mesh/height_map.py", "tactile_toolkit/mesh/raster.py")),
     "env_adapter": Benchmark(("env_assets/published", "env_assets/provider.py", *_READ)),
     "native_environments": Benchmark(("tactile_envs",)),
-    "touches": Benchmark(("tactile_sim", "env_assets/published/sensors.py")),
+    "touches": Benchmark(("tactile_sim", "env_assets/published/environments.py")),
     "training_order": Benchmark(("realtouch/torch.py", "tactile_toolkit/touch", *_READ)),
     "scale": Benchmark((*_STORE, "mnist3d/make.py")),
 }

@@ -355,11 +355,8 @@ class SamplingExhausted(InputError):  # noqa: N818
         Exception.__init__(self, *(getattr(self, entry.name) for entry in fields(self)))
 
     def __str__(self) -> str:
-        near = patience = ""
-        if self.infeasible:
-            near = "; no layout came near"
-        else:
-            patience = ", or in Python raise attempts or restarts of SceneSpec"
+        near = "; no layout came near" if self.infeasible else ""
+        patience = "" if self.infeasible else ", or in Python raise attempts or restarts of SceneSpec"
         what = (
             f"no place for object {self.number} of {self.objects} (a {self.shape}): {self.attempts} attempts "
             f"failed, and the scene was started over {self.restarts} times (restarts){near}; centres may lie "

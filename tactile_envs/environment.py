@@ -18,7 +18,7 @@ from tactile_envs.config import Config, Registered
 from tactile_envs.drawing import Shown, draw
 from tactile_envs.kernels import PADDING, aim, place, touch
 from tactile_envs.meshes import MeshPool
-from tactile_envs.sensors import make_camera
+from tactile_envs.sensors import Camera
 from tactile_envs.tasks import EpisodeLog, Score, make_task
 from tactile_sim.pressing import center_view
 from tactile_toolkit.errors import InputError
@@ -88,7 +88,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._pool = MeshPool.of(records)
         self._task = make_task(registered, config, self._pool, len(records.label_names))  # type: ignore[attr-defined]
         self._sparse = registered.sparse
-        self._camera = make_camera(config.sensor_type, config.sensor_output_size)
+        self._camera = Camera(config.sensor_type, config.sensor_output_size)
         self._spec: Any = None
         self._make_spaces()
         # Touches on objects take ten times as long as others: threads take small parts in turns.

@@ -9,13 +9,13 @@ What the package does to depth maps before they are rendered (``real_base_depth_
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -73,19 +73,14 @@ class SensorNoise:
     @classmethod
     def read(cls, path: str | Path) -> SensorNoise:
         """Read a JSON file with a value for each attribute; InputError for any other file."""
-        names = [each.name for each in fields(cls)]
         try:
-            found = json.loads(Path(path).read_text(encoding="utf-8"))
-        except (OSError, ValueError, RecursionError) as error:
+            found = msgspec.json.decode(Path(path).read_bytes(), type=dict[str, float])
+            return cls(**found)
+        except (OSError, msgspec.DecodeError, TypeError) as error:
+            names = ", ".join(each.name for each in fields(cls))
             raise InputError(
-                f"the noise cannot be read from {str(path)!r} ({error}); expected a JSON file"
+                f"the noise cannot be read from {str(path)!r} ({error}); expected a JSON object with {names}"
             ) from error
-        if not (isinstance(found, dict) and sorted(found) == sorted(names)):
-            held = ", ".join(map(repr, found)) if isinstance(found, dict) else type(found).__name__
-            raise InputError(
-                f"the noise in {str(path)!r} holds {held}; expected an object with {', '.join(names)}"
-            )
-        return cls(**found)
 
     @classmethod
     def named(cls, text: str) -> SensorNoise | None:

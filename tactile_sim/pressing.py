@@ -420,8 +420,7 @@ def render_touch(
     solid : Mesh, record, trimesh.Trimesh, Pressable, or a sequence of them
         A closed mesh in metres; a sequence has one for each touch.
     object_pose, sensor_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with ``matrix``
-        From the solid's frame to the cell frame, metres, see :func:`tactile_sim.pose`. And where the sensor
-        is sent: its z axis points away from the plate, and its height does not matter.
+        To the cell frame, metres, see :func:`tactile_sim.pose`. The sensor's height does not matter.
     sensor : Sensor, optional
         What it sees; 320 x 240 pixels of its whole surface by default.
     cell_m : tuple of float
@@ -430,7 +429,7 @@ def render_touch(
     Returns
     -------
     Pressed
-        Of one touch where both poses are single, else of n.
+        Of one touch, or of n.
 
     Raises
     ------

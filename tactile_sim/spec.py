@@ -41,12 +41,9 @@ def _window(word: str) -> str:
     return _WINDOWS.get(word, word)
 
 
-def _window_option(default: str, help: str) -> Any:
-    shown = next(word for word, like in _WINDOWS.items() if like == default)
-    known = tuple(_WINDOWS.values())
-    return choice(
-        default, known, name="--window", metavar="|".join(_WINDOWS), shown=shown, read=_window, help=help
-    )
+def _window_option(word: str, help: str) -> Any:
+    known, words = tuple(_WINDOWS.values()), "|".join(_WINDOWS)
+    return choice(_WINDOWS[word], known, name="--window", metavar=words, shown=word, read=_window, help=help)
 
 
 def _turn_rad(word: str) -> float:
@@ -311,7 +308,7 @@ class PictureOptions:
         help="How an image is made from depth.",
     )
     window: str = _window_option(
-        "environment",
+        "center",
         "center: what the environments show in this size; full: the full view of the sensor, as in published "
         "sets.",
     )
@@ -386,7 +383,7 @@ class PairsSpec:
         above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
     )
     window: Literal["published", "environment"] = _window_option(
-        "published",
+        "full",
         "full: depth of the full view of the sensor, as real touches show it; center: as environments do.",
     )
     image_format: Literal["png", "jpeg"] = choice(

@@ -161,13 +161,15 @@ def mesh_keywords(record: Any) -> dict[str, Any]:
     return {"vertices": vertices_m, "faces": record.faces, "process": has_equal_rows(vertices_m)}
 
 
-def _read(*names: str) -> dict[str, Callable[[Any], Any]]:
-    return {name: attrgetter(name) for name in names}
-
-
-_OF_MESHES = {**_read("id", "label"), "mesh": mesh_keywords, "record": _as_it_is}
+_OF_MESHES: Mapping[str, Callable[[Any], Any]] = {
+    "id": attrgetter("id"),
+    "label": attrgetter("label"),
+    "mesh": mesh_keywords,
+    "record": _as_it_is,
+}
+_TOUCH_COLUMNS = ("id", "label", "object_id", "info", "gel_pose_cell_frame", "sensor_image")
 _OF_TOUCHES: Mapping[str, Callable[[Any], Any]] = {
-    **_read("id", "label", "object_id", "info", "gel_pose_cell_frame", "sensor_image"),
+    **{name: attrgetter(name) for name in _TOUCH_COLUMNS},
     "pos_in_cell": attrgetter("pos_in_cell_m"),
 }
 

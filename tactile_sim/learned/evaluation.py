@@ -159,10 +159,9 @@ def evaluate(
     baselines : tuple of str
         What to compare with; of :data:`BASELINES`.
     count : int
-        At most so many pictures of each kind.
+        Most pictures of each kind.
     noise : SensorNoise, optional
-        What the sensor of the real touches adds: it is added to all that is made, one round for each object,
-        before it is looked at. The depth error is of pictures without it.
+        What the sensor of the real touches adds to all that is made, a round for each object; not for depth.
     seed : int
         Seed of noise and classifiers.
 
