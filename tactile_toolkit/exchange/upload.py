@@ -218,11 +218,7 @@ def prepare_upload(
         manifest, files = _files_to_send(place, manifest, repo_id, branch.held, chosen, scratch)
         plan = compare(files, branch.held, delete=chosen.delete)
         held, named = branch.held, branch.tags.get(chosen.tag or "")
-        if chosen.private and held is not None and not held.is_private:
-            raise InputError(
-                f"{repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent",
-                next=f"make it private at {page_of(repo_id)}/settings, or leave --private out",
-            )
+        _refuse_public(repo_id, chosen, held)
         if named and not (plan.is_done and held and held.commit == named):
             raise InputError(
                 f"tag {chosen.tag!r} of {repo_id!r} names commit {named[:12]} already; nothing was sent",
@@ -232,6 +228,15 @@ def prepare_upload(
         prepared = PreparedUpload(repo_id, chosen, branch, manifest, files, plan, left_out, scratch, ask)
         weakref.finalize(prepared, stack.pop_all().close)
     return prepared
+
+
+def _refuse_public(repo_id: str, options: UploadOptions, held: HubRepository | None) -> None:
+    """Refuse to show what is to be private."""
+    if options.private and held is not None and not held.is_private:
+        raise InputError(
+            f"{repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent",
+            next=f"make it private at {page_of(repo_id)}/settings, or leave --private out",
+        )
 
 
 def _branch(repo_id: str, name: str) -> HubBranch:
@@ -363,6 +368,7 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
 
     options, manifest = prepared.options, prepared.manifest
     held = _branch(prepared.repo_id, prepared.branch_name).held
+    _refuse_public(prepared.repo_id, options, held)  # another upload may have made it meanwhile
     plan = compare(prepared.files, held, delete=options.delete)
     if plan.is_done and held is not None:
         return held.commit, None
@@ -389,4 +395,5 @@ def _set_tag(repository: Mapping[str, Any], tag: str, commit: str) -> None:
 
     with contextlib.suppress(errors.RevisionNotFoundError):  # it is new, or an answer was lost
         HfApi().delete_tag(**repository, tag=tag)
-    HfApi().create_tag(**repository, tag=tag, revision=commit)
+    # exist_ok: another upload may set it at this moment.
+    HfApi().create_tag(**repository, tag=tag, revision=commit, exist_ok=True)

@@ -345,6 +345,11 @@ def test_private_is_private(server, folder):
     server.create("someone/open")
     with pytest.raises(InputError, match="everyone can see it, --private was asked for; nothing was sent"):
         upload(folder, "someone/open", private=True)
+    prepared = prepare_upload(str(folder), "someone/late", UploadOptions(private=True))
+    server.create("someone/late")
+    with pytest.raises(InputError, match="everyone can see it"):
+        run_upload(prepared)
+    assert server.repository("someone/late").head.title == "initial commit"
 
 
 def test_nothing_unsound_leaves_the_house(server, folder):
