@@ -132,7 +132,7 @@ def _source(make: Callable[[Path], Any]) -> Callable[[Path], Any]:
 def _mnist(folder: Path) -> Any:
     from mnist3d.sources.mnist import MnistSource
 
-    return MnistSource(str(folder), "test")
+    return MnistSource(str(folder))
 
 
 def _hwdplus(folder: Path) -> Any:
