@@ -18,7 +18,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 import typer
 from typer.core import TyperCommand
 
-from tactile_toolkit.checked_fields import OptionText, Rule, check_value, metavar_of, rule_of
+from tactile_toolkit.checked_fields import OptionText, Rule, check_value, metavar_of, rule_of, text
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.wording import printable
 
@@ -36,6 +36,7 @@ _FORMER = {
     "--bed": "--plate",
     "--density": "--density-kg-m3",
     "--gap": "--gap-mm",
+    "--ink": "--foreground",
     "--jpeg": "--format=jpeg",
     "--layout": "--format",
     "--like": "--window",
@@ -77,33 +78,27 @@ def _print_version(wanted: bool) -> None:
         raise typer.Exit
 
 
-def _set_variable(option: typer.CallbackParam, value: Any) -> None:
-    """Hand an option to libraries and worker processes, by a variable of the environment."""
-    if value:
-        os.environ[{"debug": _DEBUG_VARIABLE, "token": "HF_TOKEN"}[str(option.name)]] = str(value)
+def _show_tracebacks(wanted: bool) -> None:
+    if wanted:
+        os.environ[_DEBUG_VARIABLE] = "1"
 
 
+def _use_token(token: str) -> str:
+    """Hand a token to libraries and worker processes."""
+    os.environ["HF_TOKEN"] = token
+    return token
+
+
+# Eager ones count whatever is wrong with others.
 Debug = Annotated[
     bool,
-    typer.Option("--debug", callback=_set_variable, is_eager=True, help="Show the traceback of an error."),
-]
-Token = Annotated[
-    str | None,
-    typer.Option(
-        "--token",
-        metavar="TOKEN",
-        callback=_set_variable,
-        help="Token of the Hugging Face Hub, in place of HF_TOKEN.",
-    ),
+    typer.Option("--debug", callback=_show_tracebacks, is_eager=True, help="Show the traceback of an error."),
 ]
 Version = Annotated[
     bool,
     typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
 ]
-
-
-def _everywhere(token: Token = None, debug: Debug = False, version: Version = False) -> None:
-    """Take the options of every command; their callbacks do what they ask for."""
+_TOKEN = text(metavar="TOKEN", read=_use_token, help="Token of the Hugging Face Hub, in place of HF_TOKEN.")
 
 
 def new_app(name: str, purpose: str) -> typer.Typer:
@@ -264,11 +259,12 @@ def _with_options(function: Callable[..., None], known: Mapping[str, Any]) -> Ca
     # Typer asks both; two options of one name are refused by `Signature`.
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
     options = [each for group in groups.values() for each in group]
+    eager = {"debug": Debug, "version": Version}
     everywhere = [
-        each.replace(kind=inspect.Parameter.KEYWORD_ONLY)
-        for each in inspect.signature(_everywhere, eval_str=True).parameters.values()
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=hint)
+        for name, hint in eager.items()
     ]
-    parameters = [context, *options, *everywhere]
+    parameters = [context, *options, _parameter("token", _TOKEN), *everywhere]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {
         name: each.annotation for name, each in inspect.signature(call).parameters.items()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -12,7 +11,7 @@ from cli.application import OptionsOf, command, new_app, run
 from cli.folders import Objects, cache, show, verify
 from cli.making import merge, split
 from cli.options import DRY_RUN, OVERWRITE, argument, local_out_folder, local_place
-from cli.output import JSON, Sink
+from cli.output import Sink
 from cli.products import export
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
@@ -51,12 +50,10 @@ def wrench(
     from env_assets.wrench.solid import wrench_mesh
     from tactile_toolkit.mesh.files import file_ending
     from tactile_toolkit.mesh.printability import inspect
-    from tactile_toolkit.store.files import named_failures
 
     if stl is not None:
         file_ending(stl)
-        with named_failures(str(stl)), contextlib.suppress(FileNotFoundError):
-            stl.stat()  # a name that the system refuses is named before anything is made
+        stl.is_file()  # a name that the system refuses is named before anything is made
     spec = WrenchSpec.for_size(size, second_size, single=single, **lengths)
     report = inspect(wrench_mesh(spec))
     if not dry_run:
@@ -79,7 +76,7 @@ def wrench(
 def info(
     *,
     root: Path = argument("DIR", "Folder of an AssetProvider.", read=Path, default=Path("tactile-assets")),
-    as_json: bool = JSON,
+    sink: Sink,
 ) -> None:
     """Show which data sets a folder of assets holds, and how large their meshes are.
 
@@ -88,7 +85,6 @@ def info(
     from env_assets.provider import inventory
 
     summaries = inventory(root)
-    sink = Sink(as_json)
     sink.document(summaries)
     if not summaries:
         sink.line(f"{root} holds no data sets")
@@ -118,7 +114,7 @@ def list_environments(
     words: list[str] | None = argument(
         "WORD...", "Only ids with all of these words, such as ABCVolume DR.", several=True, default=None
     ),
-    as_json: bool = JSON,
+    sink: Sink,
 ) -> None:
     """List the published environments, and what each needs to run here.
 
@@ -128,11 +124,9 @@ def list_environments(
     from tactile_envs.config import IDS
 
     found = [{**each, "native": each["id"] in IDS} for each in overview(words or ())]
-    sink = Sink(as_json)
     sink.document(found)
-    shown = ("id", "task", "split", "sensor", "assets", "state")
-    rows = [(*(each[name] for name in shown), "yes" if each["native"] else "-") for each in found]
-    sink.table(("environment", *shown[1:], "native"), rows)
+    columns = ("task", "split", "sensor", "assets", "state", "native")
+    sink.table(("environment", *columns), [[each[name] for name in ("id", *columns)] for each in found])
     sink.line(f"{counted(len(found), 'environments')} of tactile-mnist {version('tactile-mnist')}")
     for note in dict.fromkeys(each["note"] for each in found if each["note"]):
         sink.line(note)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from cli.application import EXIT_FAILED
-from cli.making import PrintMade, print_converted
-from cli.options import ANY_SET, FOLDER, LIMIT, SPLIT, WORKERS, argument, local_place, process_count
-from cli.output import JSON, Sink, bytes_text, flat_lines
+from cli.making import PrintMade, print_set
+from cli.options import ANY_SET, FOLDER, WORKERS, argument, local_place, process_count
+from cli.output import Sink, bytes_text, flat_lines
+from tactile_toolkit.catalog.spec import LIMIT, SPLIT
 from tactile_toolkit.checked_fields import choice, integer, real, switch
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.kind import DatasetKind, is_copy, kinds
+from tactile_toolkit.kind import DatasetKind, is_copy
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -31,15 +31,14 @@ class Geometry:
     """How the objects of a kind are checked.
 
     ``check`` takes places, a split or None, a limit or None, a number of processes, and ``on_progress``; it
-    returns results with ``failed`` and ``to_dict()``, and ``print_results`` prints them.
+    returns results with ``checked``, ``failed``, ``unreadable``, ``to_dict()`` and ``table()``.
     """
 
     nouns: str
     check: Callable[..., Sequence[Any]]
-    print_results: Callable[[Sink, Sequence[Any]], None]
 
 
-def info(*, kind: DatasetKind, print_made: PrintMade, folder: str = FOLDER, as_json: bool = JSON) -> None:
+def info(*, kind: DatasetKind, print_made: PrintMade, folder: str = FOLDER, sink: Sink) -> None:
     """Show what a data set folder holds and how it was made.
 
     Example: info FOLDER --json
@@ -48,7 +47,7 @@ def info(*, kind: DatasetKind, print_made: PrintMade, folder: str = FOLDER, as_j
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.job import manifest_so_far
 
-    sink, place = Sink(as_json), DataFolder(folder)
+    place = DataFolder(folder)
     manifest = manifest_so_far(place)
     if manifest is None and kind.published:
         _print_copy(sink, place, folder, kind)
@@ -56,7 +55,7 @@ def info(*, kind: DatasetKind, print_made: PrintMade, folder: str = FOLDER, as_j
     manifest = manifest or require_manifest(kind, place)
     kind.refuse_other(manifest, folder)
     if is_copy(manifest):
-        print_converted(sink, kind, manifest, folder)
+        print_set(sink, kind, manifest, folder)
         return
     print_made(sink, kind, manifest, folder, None)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
@@ -71,11 +70,6 @@ def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -
     from tactile_toolkit.store.folder import split_uri
     from tactile_toolkit.store.origin import read_record
 
-    if not place.exists() or (place.is_local and not Path(place.address()).is_dir()):
-        raise InputError(
-            place.missing_message("data set"),
-            next="give the folder of a generated or downloaded data set",
-        )
     record = read_record(place)
     entries, rows = [], []
     for split, dataset in open_splits(folder, None, kind.load, kind.nouns).items():
@@ -84,8 +78,8 @@ def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -
         # Not by `bincount`, which fails on labels below 0 as other people's data have them.
         labels = enumerate(dataset.label_names)
         per_class = {name: int((dataset.labels == index).sum()) for index, name in labels}
-        counts = {"rows": len(dataset), "shards": len(paths), "bytes": size}
-        entries.append({"split": split, **counts, "per_class": per_class})
+        counts = {"split": split, "rows": len(dataset), "shards": len(paths), "bytes": size}
+        entries.append({**counts, "per_class": per_class})
         classes = ", ".join(f"{name}: {count:,}" for name, count in per_class.items())
         rows.append((split, len(dataset), len(paths), bytes_text(size), classes))
     source = {"repository": record and record.repo_id, "commit": record and record.commit}
@@ -152,10 +146,7 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
     record = read_record(place)
-    made_by = kind.made_by
-    if manifest is not None and is_copy(manifest):
-        made_by = f"{kind.command} {manifest.spec['operation']}"
-    again = f"remove those files, then run the same `{made_by}` again"
+    again = f"remove those files, then run the same `{kind.command_of(manifest)}` again"
     if record is not None:
         again = f"download {record.repo_id} there again, only what is damaged is fetched"
     # Unknown files, links and cards: what no run would repair states itself what to do.
@@ -182,8 +173,14 @@ def check_objects(
         results = geometry.check(paths, chosen, limit, process_count(workers), on_progress=update)
     documents = [result.to_dict() for result in results]
     sink.document(documents if verified is None else {**verified, "geometry": documents})
-    geometry.print_results(sink, results)
-    if any(result.failed for result in results):
+    for result in results:
+        for problem in result.unreadable:
+            sink.warn(f"unreadable: {problem}")  # with --quiet, too: such an object has no row in the table
+        sink.table(*result.table())
+    checked = sum(result.checked for result in results)
+    failed = sum(result.failed for result in results)
+    sink.line(f"{checked - failed:,} of {checked:,} {geometry.nouns} are valid")
+    if failed:
         raise typer.Exit(EXIT_FAILED)
 
 
@@ -274,7 +271,7 @@ def list_sets(
     *,
     kind: DatasetKind,
     folder: str | None = argument("DIR", "Folder of data sets; the published ones by default.", default=None),
-    as_json: bool = JSON,
+    sink: Sink,
 ) -> None:
     """List the published data sets and which of them are on this machine, or the data sets in a folder.
 
@@ -282,7 +279,6 @@ def list_sets(
     """
     from tactile_toolkit.catalog.locate import local_sets
 
-    sink = Sink(as_json)
     if folder is None:
         print_sets(sink, kind)
         return
@@ -339,10 +335,8 @@ def print_sets(sink: Sink, kind: DatasetKind) -> None:
         rows.append((known.name, known.content, state.licence or "see its card", size, here))
     sink.document(documents)
     if not rows:
-        related = [each for each in kinds() if each.published and each.package == kind.package]
-        commands = " or ".join(f"`{each.command} list`" for each in related)
-        lists = f"; next: {commands} lists what else {kind.package} opens" if commands else ""
-        sink.line(f"no data set of {kind.command} is published{lists}")
+        lists = f"`{kind.package} list` lists what else {kind.package} opens"
+        sink.line(f"no data set of {kind.command} is published; next: {lists}")
         return
     sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
     if any(row[3] == "?" for row in rows):

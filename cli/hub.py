@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from cli.application import EXIT_FAILED
-from cli.options import FOLDER, REVISION, WORKERS, argument, parse_address, process_count
+from cli.options import FOLDER, WORKERS, argument, parse_address, process_count
 from cli.output import BYTES, Sink, bytes_text
+from tactile_toolkit.catalog.spec import REVISION
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
@@ -57,13 +57,10 @@ def upload(
     if not dry_run:
         # Even where all files are there, a branch to make is a change that may not be meant.
         is_change = not (prepared.plan.is_done and prepared.branch.exists)
-        refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
-        question = f"Send this to {prepared.page}?"
-        if is_change and not (
-            yes or _confirmed(question, refused, "add --yes, or look first with --dry-run")
-        ):
-            sys.stderr.write("nothing was sent\n")
-            raise typer.Exit(EXIT_FAILED)
+        if is_change and not yes:
+            refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
+            next_step = "add --yes, or look first with --dry-run"
+            _require_consent(f"Send this to {prepared.page}?", refused, next_step)
         result = run_upload(prepared)
     _print_result(sink, kind, prepared, result)
 
@@ -105,10 +102,9 @@ def download(
     place = ""
     if not dry_run:
         size = bytes_text(plan.missing_bytes)
-        refused = f"{size} would be fetched, and stdin is not a terminal"
-        is_small = plan.missing_bytes <= _LARGE_BYTES
-        if not (yes or is_small or _confirmed(f"fetch {size}?", refused, "add --yes, or name a --split")):
-            raise InputError("aborted, nothing was fetched", next="name a --split to fetch less")
+        if plan.missing_bytes > _LARGE_BYTES and not yes:
+            refused = f"{size} would be fetched, and stdin is not a terminal"
+            _require_consent(f"fetch {size}?", refused, "add --yes, or name a --split")
         with sink.progress("fetching", BYTES) as update:
             place = carry_out(plan, update)
     _conclude(sink, plan, place, kind)
@@ -123,12 +119,13 @@ def _quiet_client(*, is_all: bool) -> None:
         disable_progress_bars()  # it draws them whatever stderr is
 
 
-def _confirmed(question: str, refused: str, next_step: str) -> bool:
-    """Ask on the terminal; InputError where there is none."""
+def _require_consent(question: str, refused: str, next_step: str) -> None:
+    """Ask on the terminal; InputError where there is none, or the answer is no."""
     # The question goes to stderr: stdout may be a file, or hold the JSON document.
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise InputError(refused, next=next_step)
-    return typer.confirm(question, err=True)
+    if not typer.confirm(question, err=True):
+        raise InputError("the answer was no; nothing was changed", next=next_step)
 
 
 def _listed(paths: Sequence[str]) -> str:

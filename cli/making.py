@@ -7,8 +7,9 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from cli.options import ANY_SET, Chosen, Making, Work, argument, out_folder, process_count
+from cli.options import ANY_SET, Making, Work, argument, out_folder, process_count
 from cli.output import Sink, bytes_text, duration_text
+from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.checked_fields import integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
@@ -131,76 +132,58 @@ def print_set(
     kind: DatasetKind,
     manifest: Manifest,
     out: str,
-    elapsed_s: float | None,
-    header: Sequence[str],
-    rows: Sequence[Sequence[object]],
+    elapsed_s: float | None = None,
+    header: Sequence[str] = (),
+    rows: Sequence[Sequence[object]] = (),
     **further: Any,
 ) -> None:
-    """Print what a folder holds: ``rows`` where its run is finished, and how it continues where not.
+    """Print what a folder holds, and how it continues where its run is not finished.
 
-    ``further`` are JSON values for the document.
+    ``rows`` are printed of a finished one in place of the counts of the manifest; ``further`` are JSON values
+    for the document.
     """
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.origin import read_record
+
+    table = manifest.split_table()
+    # The name of a shard states of how many it is one, so any of them will do.
+    planned = {split: manifest.shards_of(split)[0].shard.count for split in manifest.splits}
     sink.document(
         {
             "folder": out,
             "complete": manifest.complete,
             "toolkit_version": manifest.toolkit_version,
             "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
-            "shards_planned": _shards_planned(manifest),
-            "splits": manifest.split_table(),
+            "shards_planned": planned,
+            "splits": table,
             **further,
             "spec": manifest.spec,
         }
     )
-    if manifest.complete:
-        sink.table(header, rows)
-    else:
-        print_unfinished(sink, manifest, out, kind.nouns, kind.made_by)
-
-
-def print_unfinished(sink: Sink, manifest: Manifest, out: str, unit: str, command: str) -> None:
-    """Print that a folder is unfinished, what it holds so far, and which command continues."""
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.origin import read_record
-
-    table = manifest.split_table()
-    record = read_record(DataFolder(out))
-    found = "the run is under way or was interrupted" if table else "no shard is finished yet"
-    next_step = f"the same `{command}` continues where it stopped, --finish names what is missing"
-    if record is not None:
-        found = "the download is under way or was interrupted"
-        next_step = f"download {record.repo_id} there again, it continues where it stopped"
-    sink.line(f"{out}: unfinished, {found}; {next_step}")
-    rows = [
-        (split, f"{held['shards']:,} of {planned:,}", held["rows"], bytes_text(held["bytes"]))
-        for (split, held), planned in zip(table.items(), _shards_planned(manifest).values(), strict=True)
-    ]
-    sink.table(("split", "shards finished", unit, "Parquet"), rows)
-
-
-def _shards_planned(manifest: Manifest) -> dict[str, int]:
-    """Return how many shards each split is to have, as far as a finished one shows."""
-    # The name of a shard states of how many it is one, so any of them will do.
-    return {split: manifest.shards_of(split)[0].shard.count for split in manifest.splits}
-
-
-def print_converted(
-    sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, _elapsed_s: float | None = None
-) -> None:
-    """Print what a conversion wrote."""
-    table = manifest.split_table()
-    sink.document({"folder": out, "splits": table, "spec": manifest.spec})
-    rows = [
-        (split, e["rows"], e["shards"], bytes_text(e["bytes"]), e["skipped"]) for split, e in table.items()
-    ]
-    sink.table(("split", "rows", "shards", "Parquet", "left out"), rows)
-    print_skipped(sink, manifest, out, kind.nouns)
-
-
-def print_skipped(sink: Sink, manifest: Manifest, out: str, nouns: str) -> None:
-    """Print how many items gave no row, by reason."""
+    if not manifest.complete:
+        record = read_record(DataFolder(out))
+        found = "the run is under way or was interrupted" if table else "no shard is finished yet"
+        again = f"the same `{kind.command_of(manifest)}` continues where it stopped, --finish names what is"
+        next_step = f"{again} missing"
+        if record is not None:
+            found = "the download is under way or was interrupted"
+            next_step = f"download {record.repo_id} there again, it continues where it stopped"
+        sink.line(f"{out}: unfinished, {found}; {next_step}")
+    if not (manifest.complete and header):
+        header = ("split", kind.nouns, "shards", "Parquet", "left out")
+        rows = [
+            (
+                name,
+                held["rows"],
+                f"{held['shards']:,} of {planned[name]:,}",
+                bytes_text(held["bytes"]),
+                held["skipped"],
+            )
+            for name, held in table.items()
+        ]
+    sink.table(header, rows)
     for reason, count in manifest.skipped_reasons().items():
-        sink.line(f"left out {counted(count, nouns)}: {reason} (each is named in {out}/manifest.json)")
+        sink.line(f"left out {counted(count, kind.nouns)}: {reason} (each is named in {out}/manifest.json)")
 
 
 def least_to_most(counts: Sequence[int]) -> str:
@@ -236,7 +219,7 @@ def merge(
     from tactile_toolkit.exchange.copies import merge_sets
 
     make = partial(merge_sets, kind, names, out)
-    make_with_progress(sink, "copying", kind, make, work, out, print_converted)
+    make_with_progress(sink, "copying", kind, make, work, out, print_set)
 
 
 def split(
@@ -271,4 +254,4 @@ def split(
     for number, rows in enumerate(divide(kind, name, fractions, seed, given), 1):
         place = f"{out.rstrip('/')}/part-{number}"
         make = partial(write_part, kind, name, rows, {**options, "part": number}, place)
-        make_with_progress(sink, "copying", kind, make, work, place, print_converted)
+        make_with_progress(sink, "copying", kind, make, work, place, print_set)

@@ -2,24 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cli.application import OptionsOf, command, new_app, run
 from cli.folders import Geometry, check_objects
-from cli.making import generate_set, least_to_most, print_set, print_skipped
-from cli.options import FOLDERS, LIMIT, PER_CLASS, SPLIT, WORKERS, Making, out_folder
+from cli.making import generate_set, least_to_most, print_set
+from cli.options import FOLDERS, WORKERS, Making, argument, out_folder
 from cli.output import Sink, bytes_text
-from cli.products import preview_digits
+from cli.products import Pictures
 from cli.shared import add_shared
 from mnist3d.kind import KIND
-from mnist3d.spec import SOURCES, SPLITS, SolidSpec, SourceOptions, SplitSpec
+from mnist3d.spec import SOURCES, SPLITS, DigitPreviewSpec, SolidSpec, SourceOptions, SplitSpec
+from tactile_toolkit.catalog.spec import LIMIT, PER_CLASS, SPLIT
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
 
 if TYPE_CHECKING:
-    from mnist3d.validate import Checked
     from tactile_toolkit.store.manifest import Manifest
 
 
@@ -89,29 +88,33 @@ def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, ela
     measures = ("height mm", "thinnest wall mm", "skipped", "warnings")
     header = ("split", "digits", "per class", "Parquet", *measures)
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
-    further = {"splits": splits, "skipped": manifest.skipped_reasons()}
-    print_set(sink, kind, manifest, out, elapsed_s, header, rows, **further)
-    if manifest.complete:
-        print_skipped(sink, manifest, out, kind.nouns)
+    skipped = manifest.skipped_reasons()
+    print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits, skipped=skipped)
 
 
 def _range(spread: tuple[float, ...]) -> str:
     return f"{spread[0]:.1f}-{spread[-1]:.1f}" if spread else "-"
 
 
-def _print_checked(sink: Sink, results: Sequence[Checked]) -> None:
-    # Named even with --quiet: a mesh that could not be read has no row in any table.
-    for item in (item for result in results for item in result.unreadable):
-        sink.warn(f"unreadable: {item.report.detail}")
-    for result in results:
-        sink.table(*result.table())
-    failed = sum(result.failed for result in results)
-    checked = sum(result.checked for result in results)
-    are = "mesh is a valid solid" if checked == 1 else "meshes are valid solids"
-    sink.line(f"{checked - failed:,} of {checked:,} {are}")
+_CHECKS = Geometry("meshes", lazy("mnist3d.validate:validate_paths"))
 
 
-_CHECKS = Geometry("meshes", lazy("mnist3d.validate:validate_paths"), _print_checked)
+def _preview(
+    *,
+    path: str = argument(
+        "DIR|FILE", "Data set folder, Parquet file, STL/3MF/PLY/OBJ/GLB file, or a picture of a digit."
+    ),
+    spec: DigitPreviewSpec,
+    pictures: Pictures,
+    sink: Sink,
+) -> None:
+    """Write pictures of digits as PNG, without a screen: sheets, single objects, steps.
+
+    Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
+    """
+    from mnist3d.previews import plan_previews
+
+    pictures.write(sink, plan_previews(path, spec))
 
 
 def _validate(
@@ -131,8 +134,6 @@ def _validate(
     check_objects(sink, _CHECKS, paths, split, limit, workers)
 
 
-add_shared(
-    app, KIND, {"preview": preview_digits, "validate": _validate}, print_made=_print_made, checks=_CHECKS
-)
+add_shared(app, KIND, {"preview": _preview, "validate": _validate}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run, app)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import listed
 
 if TYPE_CHECKING:
     from tactile_toolkit.run.processes import Runner
@@ -53,13 +52,6 @@ def parse_address(text: str | Path) -> str:
     return place if is_remote(place) else str(expanded(place))
 
 
-def parse_ids(text: str) -> Any:
-    """Read ids and ranges of them, such as ``3,17,40-60``."""
-    from tactile_toolkit.catalog.choose import parse_ids as read
-
-    return read(text)
-
-
 def argument(metavar: str, help: str, **option: Any) -> Any:
     """Declare what a command takes without a name."""
     return text(option.pop("default", MISSING), argument=True, metavar=metavar, help=help, **option)
@@ -75,39 +67,15 @@ def local_out_folder(default: str) -> Any:
     return text(Path(default), name="--out -o", metavar="DIR", read=local_place, help="Folder to write.")
 
 
-# Each is the default of parameters, and of fields of groups, of one name: `dataclasses` notes it in them.
 FOLDER = argument("DIR", "Folder of a generated data set.", read=parse_address)
 FOLDERS = argument("DIR|FILE...", "Data set folders, or files of meshes.", read=parse_address, several=True)
 ANY_SET = argument("DIR", "Data set: a folder, a Parquet file or a Hub repository.")
 TOUCH_SET = argument("NAME|DIR", "Short name (real-single-64x64), Hub id, folder or file.")
-SPLIT = text(metavar="NAME", help="Only this split; all by default.")
-ONE_SPLIT = text(metavar="NAME", help="Split to open; required if there are several.")
-REVISION = text(metavar="REV", help="Branch, tag or commit of a Hub data set.")
-IDS = text(name="--ids", metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids.")
-LABELS = text(metavar="3,7", read=listed, help="Only the objects of these classes.")
-LIMIT = integer(None, 1, optional=True, help="Only the first N rows of each split.")
-PER_CLASS = integer(None, 1, optional=True, help="Only the first N of each class, in each split.")
 WORKERS = integer(
     0, name="--workers -w", panel=JOB, help="Number of workers; 0 means one per processor core."
 )
 DRY_RUN = switch(False, panel=JOB, help="Print what would be made, its size and the time; write nothing.")
 OVERWRITE = switch(False, panel=JOB, help="Replace another data set in the folder.")
-
-
-@dataclass(frozen=True, slots=True)
-class Chosen:
-    """Options of all commands that take some of the objects of a data set."""
-
-    split: str | None = SPLIT
-    ids: tuple[Any, ...] | None = IDS
-    labels: tuple[str, ...] | None = LABELS
-    per_class: int | None = PER_CLASS
-    limit: int | None = LIMIT
-
-    def given(self) -> dict[str, Any]:
-        """Return what was asked for, by name; a split only where it is not ``all``."""
-        named = {each.name: getattr(self, each.name) for each in fields(self)}
-        return {**named, "split": None if self.split == "all" else self.split}
 
 
 @dataclass(frozen=True, slots=True)

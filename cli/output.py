@@ -15,8 +15,6 @@ from typing import Any
 from tactile_toolkit.checked_fields import switch
 from tactile_toolkit.wording import printable, printable_json
 
-JSON = switch(False, name="--json", help="Print one JSON document on stdout.")
-"""The option of commands that print no more than results."""
 BYTES = "bytes"
 """A unit of progress: counts are sizes."""
 
@@ -34,7 +32,7 @@ class Sink:
     ``--json`` stands for one document on stdout and no tables, ``--quiet`` for no progress and no tables.
     """
 
-    as_json: bool = JSON
+    as_json: bool = switch(False, name="--json", help="Print one JSON document on stdout.")
     quiet: bool = switch(False, name="--quiet -q", help="Print neither progress nor tables, only errors.")
 
     def document(self, content: Any) -> None:
@@ -62,9 +60,8 @@ class Sink:
             self.line(title)
         if not rows:
             return
-        is_number = [isinstance(cell, (int, float)) for cell in rows[0]]
-        texts = [[f"{cell:,}" if isinstance(cell, int) else str(cell) for cell in row] for row in rows]
-        cells = [[printable(text).rstrip() for text in row] for row in texts]
+        is_number = [isinstance(cell, (int, float)) and not isinstance(cell, bool) for cell in rows[0]]
+        cells = [[printable(_cell(cell)).rstrip() for cell in row] for row in rows]
         # Piped into a file, a table keeps its columns, however wide.
         width = shutil.get_terminal_size().columns if sys.stdout.isatty() else sys.maxsize
         # The words of a header stand under one another before the columns do.
@@ -114,6 +111,12 @@ class Sink:
         finally:
             if is_bar and last_s > start_s:
                 sys.stderr.write("\n")
+
+
+def _cell(value: object) -> str:
+    if isinstance(value, bool):
+        return "yes" if value else "-"
+    return f"{value:,}" if isinstance(value, int) else str(value)
 
 
 def _aligned(row: Sequence[str], widths: Sequence[int], is_number: Sequence[bool]) -> str:

@@ -12,23 +12,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from cli.application import EXIT_FAILED, OptionsOf
-from cli.making import make_with_progress, print_converted
+from cli.making import make_with_progress, print_set
 from cli.options import (
     ANY_SET,
     DRY_RUN,
     JOB,
-    ONE_SPLIT,
-    REVISION,
     TOUCH_SET,
     WORKERS,
-    Chosen,
     Work,
-    argument,
     local_out_folder,
     local_place,
     process_count,
 )
 from cli.output import Sink, bytes_text, duration_text
+from realtouch.spec import TouchPreviewSpec
+from tactile_toolkit.catalog.spec import REVISION, Chosen
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
@@ -77,93 +75,15 @@ class Pictures:
             sink.line(f"{folder / made.file}: {made.what} ({size})")
 
 
-def preview_digits(
-    *,
-    path: str = argument(
-        "DIR|FILE", "Data set folder, Parquet file, STL/3MF/PLY/OBJ/GLB file, or a picture of a digit."
-    ),
-    kinds: tuple[str, ...] = choice(
-        (),
-        ("sheet", "object", "steps", "all"),
-        name="--kind",
-        help="What to draw; may be repeated. Of a data set: sheet, of 10 of each class.",
-    ),
-    chosen: Chosen,
-    images: Path | None = text(
-        metavar="PATH",
-        read=Path,
-        help="Images that the data set was made from, as for `generate`; for --kind steps.",
-    ),
-    writer_info: Path | None = text(
-        metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."
-    ),
-    pictures: Pictures,
-    sink: Sink,
-) -> None:
-    """Write pictures of digits as PNG, without a screen: sheets, single objects, steps.
-
-    Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
-    """
-    from mnist3d.previews import DigitPreviewSpec, plan_previews
-
-    rows = chosen.given() | {"per_class": chosen.per_class or 10}
-    spec = DigitPreviewSpec(kinds, **rows, images=images, writer_info=writer_info)
-    pictures.write(sink, plan_previews(path, spec))
-
-
-def preview_scenes(
-    *,
-    path: str = argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
-    kinds: tuple[str, ...] = choice(
-        (),
-        ("sheet", "scene", "all"),
-        name="--kind",
-        help="What to draw; may be repeated. By default sheet, of 8 of each class.",
-    ),
-    chosen: Chosen,
-    pictures: Pictures,
-    sink: Sink,
-) -> None:
-    """Write pictures of scenes as PNG, without a screen: sheets and single scenes.
-
-    Examples: starstruck preview scenes;  starstruck preview scenes --ids 17 --out scene.png
-
-    A single scene shows the positions that were rejected while it was made, and an oblique view.
-    """
-    from starstruck_gen.previews import plan_previews
-    from tactile_toolkit.pictures.previews import PreviewSpec
-
-    rows = chosen.given() | {"per_class": chosen.per_class or 8}
-    pictures.write(sink, plan_previews(path, PreviewSpec(kinds, **rows)))
-
-
-def preview_touches(
-    *,
-    name: str = TOUCH_SET,
-    kinds: tuple[str, ...] = choice(
-        (),
-        ("grid", "overlay", "strip", "all"),
-        name="--kind",
-        help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell, "
-        "a clip as a strip.",
-    ),
-    split: str | None = ONE_SPLIT,
-    row: int = integer(0, name="--round", help="Round to draw, counted from 0."),
-    touches: int = integer(32, 1, help="Number of touches in a grid."),
-    touch: int = integer(0, help="Touch that a strip shows, counted from 0."),
-    revision: str | None = REVISION,
-    pictures: Pictures,
-    sink: Sink,
-) -> None:
+def preview_touches(*, name: str = TOUCH_SET, spec: TouchPreviewSpec, pictures: Pictures, sink: Sink) -> None:
     """Write pictures of touches as PNG, without a screen; a grid alone goes to touches.png.
 
     Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
     realtouch preview real-seq --kind all --touch 12
     """
-    from realtouch.previews import TouchPreviewSpec, plan_previews
+    from realtouch.previews import plan_previews
 
-    plan = plan_previews(name, TouchPreviewSpec(kinds, split, row, touches, touch, revision))
-    pictures.write(sink, plan, "previews" if kinds else "touches.png")
+    pictures.write(sink, plan_previews(name, spec), "previews" if spec.kinds else "touches.png")
 
 
 @dataclass(frozen=True, slots=True)
@@ -254,10 +174,10 @@ def gallery_of_touches(
 _ROWS_SHOWN = 20
 
 
-@dataclass(frozen=True, slots=True)
-class Form:
-    """What is written."""
-
+def export(
+    *,
+    kind: DatasetKind,
+    name: str = ANY_SET,
     file_format: str | None = choice(
         None,
         ("stl", "3mf", "ply", "obj", "glb", *MODELS, "flat"),
@@ -266,19 +186,12 @@ class Form:
         shown="stl, plates 3mf",
         help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
         "Parquet tables with a row for each object, its mesh as GLB.",
-    )
-    scale: float = real(1.0, help="Factor for all lengths.")
+    ),
+    scale: float = real(1.0, help="Factor for all lengths."),
     plate: str | None = text(
         metavar="256x256|prusa-mk4",
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
-    )
-
-
-def export(
-    *,
-    kind: DatasetKind,
-    name: str = ANY_SET,
-    form: Form,
+    ),
     chosen: Chosen,
     distances: Annotated[dict[str, Any], OptionsOf(PlateSpec)],
     material: Annotated[dict[str, Any], OptionsOf(Physics)],
@@ -304,15 +217,15 @@ def export(
     from tactile_toolkit.catalog.choose import choose_rows, open_splits
     from tactile_toolkit.printing.objects import choose
 
-    some, file_format = chosen.given(), form.file_format
+    some = chosen.given()
     # What cannot be used is reported before any work.
     if file_format == "flat":
-        others = {"plate": form.plate, "scale": None if form.scale == 1 else form.scale}
+        others = {"plate": plate, "scale": None if scale == 1 else scale}
         given = [*distances, *material, *(name for name, value in others.items() if value is not None)]
         _refuse(given, "about files, not about tables of meshes as they are stored", "leave it out")
     elif file_format not in MODELS:
         _refuse(material, "about bodies for simulators", "add --format mjcf, urdf or usd")
-    if form.plate is None:
+    if plate is None:
         _refuse(distances, "about build plates", "add --plate 256x256")
     elif file_format not in (None, "3mf", "mjcf"):
         _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
@@ -320,16 +233,15 @@ def export(
     if file_format == "flat":
         _export_flat(sink, kind, name, choose_rows(datasets, **some), some, str(out), job)
         return
-    # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
     bodies = Physics(**material)
-    if form.plate is None:
-        objects = choose(datasets, **some)
-        failures = _export_files(sink, objects, file_format or "stl", form.scale, bodies, str(out), job)
+    spec = None if plate is None else PlateSpec.parse(plate, **distances)
+    objects = choose(datasets, **some)
+    if spec is None:
+        failures = _export_files(sink, objects, file_format or "stl", scale, bodies, str(out), job)
     else:
-        spec = PlateSpec.parse(form.plate, **distances)
+        # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
         on_floor = bodies if file_format == "mjcf" else None
-        objects = choose(datasets, **some)
-        failures = _export_plates(sink, objects, spec, form.scale, on_floor, str(out), job)
+        failures = _export_plates(sink, objects, spec, scale, on_floor, str(out), job)
     for failure in failures:
         sink.warn(f"failed: {failure.name}: {failure.detail}")
     if failures:
@@ -386,7 +298,7 @@ def _export_flat(
         sink.line(f"would write {made}; nothing was written")
         return
     make, work = partial(export_tables, kind, plan, out), Work(job.workers, overwrite=job.overwrite)
-    make_with_progress(sink, "writing", kind, make, work, out, print_converted)
+    make_with_progress(sink, "writing", kind, make, work, out, print_set)
 
 
 def _export_plates(

@@ -3,35 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Literal
 
 import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
-from cli.making import least_to_most, make_with_progress, print_converted, print_unfinished
-from cli.options import (
-    IDS,
-    LABELS,
-    LIMIT,
-    ONE_SPLIT,
-    PER_CLASS,
-    REVISION,
-    SPLIT,
-    TOUCH_SET,
-    WORKERS,
-    Work,
-    argument,
-    out_folder,
-    parse_address,
-    process_count,
-)
-from cli.output import JSON, Sink, flat_lines
+from cli.making import least_to_most, make_with_progress, print_set
+from cli.options import TOUCH_SET, WORKERS, Work, argument, out_folder, parse_address, process_count
+from cli.output import Sink, flat_lines
 from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
 from realtouch.kind import KIND
 from realtouch.spec import ImportColumns
+from tactile_toolkit.catalog.spec import IDS, LABELS, LIMIT, ONE_SPLIT, PER_CLASS, REVISION, SPLIT
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -75,7 +61,7 @@ def load(
 
 @command(app)
 def info(
-    *, name: str = TOUCH_SET, split: str | None = SPLIT, revision: str | None = REVISION, as_json: bool = JSON
+    *, name: str = TOUCH_SET, split: str | None = SPLIT, revision: str | None = REVISION, sink: Sink
 ) -> None:
     """Show what each split of a data set holds and, if this toolkit made it, how.
 
@@ -86,18 +72,12 @@ def info(
     from realtouch.summary import summarise
     from tactile_toolkit.catalog.locate import folder_named
     from tactile_toolkit.store.job import manifest_so_far
-    from tactile_toolkit.store.manifest import MANIFEST_FILE
-    from tactile_toolkit.store.names import typed
 
-    sink = Sink(as_json)
     folder = folder_named(name)
     manifest = None if folder is None else manifest_so_far(folder)
-    if manifest is not None and not manifest.complete:
-        sink.document({"name": name, "complete": False, "splits": manifest.split_table()})
-        print_unfinished(sink, manifest, name, KIND.nouns, f"realtouch {manifest.spec.get('operation')}")
-        return
-    if manifest is not None and manifest.spec.get("operation") in ("frames", "export", "merge", "split"):
-        print_converted(sink, KIND, manifest, name)
+    copies = ("frames", "export", "merge", "split")
+    if manifest is not None and not (manifest.complete and manifest.spec.get("operation") not in copies):
+        print_set(sink, KIND, manifest, name)
         return
     announce_fetching(sink, name, split)
     source = Source.open(name, revision, split)
@@ -112,11 +92,9 @@ def info(
     for each, summary in summaries.items():
         _print_summary(sink, each, summary)
     if manifest is not None:
-        where = f"{name}/{MANIFEST_FILE}"
-        operation = typed(manifest.spec.get("operation"), str, where, "spec.operation")
-        values = typed(manifest.spec.get("options") or {}, dict, where, "spec.options")
+        operation = manifest.spec.get("operation")
         sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {operation} with")
-        for line in flat_lines(values):
+        for line in flat_lines(manifest.spec.get("options")):
             sink.line(f"  {line}")
 
 
@@ -137,10 +115,7 @@ def verify(
     Example: realtouch verify real-single-64x64 --split test
     """
     result = _verified(sink, name, split, revision, workers, quick=quick)
-    findings = [
-        {name: getattr(finding, name) for name in ("file", "row", "touch", "field", "problem")}
-        for finding in result.findings
-    ]
+    findings = list(map(asdict, result.findings))
     counts_of = {"rounds": result.rounds, "touches": result.touches}
     unprotected = list(result.unprotected)
     sink.document({"ok": result.ok, **counts_of, "findings": findings, "unprotected": unprotected})
@@ -223,13 +198,12 @@ def _print_summary(sink: Sink, split: str, summary: Summary) -> None:
 _SKIPPED_SHOWN = 20
 
 
-def _frame() -> Any:
-    return choice(
-        "contact_end",
-        ("contact_end", "contact_start", "peak", "median", "best"),
-        help="Frame of a clip: last or first of the contact, of the deepest press, least like the median, "
-        "or with the best contact score.",
-    )
+_FRAME = choice(
+    "contact_end",
+    ("contact_end", "contact_start", "peak", "median", "best"),
+    help="Frame of a clip: last or first of the contact, of the deepest press, least like the median, "
+    "or with the best contact score.",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +213,7 @@ class ToSingle:
     Example: realtouch to-single real-seq --frame peak --out touches
     """
 
-    frame: str = _frame()
+    frame: str = _FRAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -268,7 +242,7 @@ class Frames:
         name="--format",
         help="png: exact pixels; jpeg: the stored JPEGs, unchanged.",
     )
-    frame: str = _frame()
+    frame: str = _FRAME
     difference: str | None = choice(
         None,
         ("grey", "absolute"),
@@ -314,15 +288,10 @@ class Export:
         "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
         "anytouch: list files.",
     )
-    frame: str = _frame()
+    frame: str = _FRAME
 
 
-def _add(
-    name: str,
-    options_of: type,
-    function: Callable[..., Manifest],
-    nouns: str = KIND.nouns,
-) -> None:
+def _add(name: str, options_of: type, function: Callable[..., Manifest], nouns: str = KIND.nouns) -> None:
     """Add a command: print what will be fetched, convert with progress, print what was made.
 
     ``options_of`` declares its options, named as the parameters of its function; the docstring is the help.
@@ -349,7 +318,7 @@ def _add(
         make = partial(function, source, place, **_arguments(options), split=split, limit=limit)
         announce_fetching(sink, source, split)
         kind = replace(KIND, nouns=nouns)
-        make_with_progress(sink, "converting", kind, make, work, place, print_converted, KIND.nouns)
+        make_with_progress(sink, "converting", kind, make, work, place, print_set, KIND.nouns)
 
     convert.__doc__ = options_of.__doc__
     convert.__annotations__["options"] = options_of
@@ -436,7 +405,7 @@ def _print_imported(
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, and of how many touches: {counts}")
-    print_converted(sink, kind, manifest, out)
+    print_set(sink, kind, manifest, out)
 
 
 _add("to-single", ToSingle, lazy("realtouch.convert.api:to_single"))
@@ -446,16 +415,7 @@ _add("select", Select, lazy("realtouch.convert.api:select"))
 # A row is a touch, or an episode of LeRobot.
 _add("export", Export, lazy("realtouch.exchange.api:export"), nouns="rows")
 command(app, "import")(import_touches)
-add_shared(
-    app,
-    KIND,
-    {
-        "preview": preview_touches,
-        "gallery": gallery_of_touches,
-        "info": None,
-        "verify": None,
-        "export": None,
-    },
-)
+_own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
+add_shared(app, KIND, {**_own, "info": None, "verify": None, "export": None})
 
 main = partial(run, app)

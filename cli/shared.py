@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import typer
@@ -14,7 +14,7 @@ from cli.making import merge, split
 from cli.products import export, gallery_of_meshes
 from tactile_toolkit.kind import DatasetKind
 
-_COMMANDS: dict[str, Callable[..., None] | None] = {
+_COMMANDS: dict[str, Any] = {
     "info": info,
     "verify": verify,
     "validate": None,
@@ -32,9 +32,7 @@ _COMMANDS: dict[str, Callable[..., None] | None] = {
 }
 
 
-def add_shared(
-    app: typer.Typer, kind: DatasetKind, others: Mapping[str, Callable[..., None] | None], **known: Any
-) -> None:
+def add_shared(app: typer.Typer, kind: DatasetKind, others: Mapping[str, Any], **known: Any) -> None:
     """Add the shared commands, with what they must know of a kind.
 
     ``others`` are the kind's own commands by name, in place of those here; None leaves one out.

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 from cli.application import command, new_app, run
 from cli.folders import Geometry, check_objects
 from cli.making import generate_set, least_to_most, print_set
-from cli.options import FOLDERS, LIMIT, SPLIT, WORKERS, Making, out_folder
+from cli.options import FOLDERS, WORKERS, Making, argument, out_folder
 from cli.output import Sink, bytes_text
-from cli.products import preview_scenes
+from cli.products import Pictures
 from cli.shared import add_shared
 from starstruck_gen.kind import KIND
-from starstruck_gen.options import SceneOptions, scene_counts
+from starstruck_gen.options import SceneOptions, ScenePreviewSpec, scene_counts
+from tactile_toolkit.catalog.spec import LIMIT, SPLIT
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from starstruck_gen.validate import Checked
@@ -87,17 +87,6 @@ def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, ela
     header = ("split", "scenes", "per class", "Parquet", "bytes per scene", "accepted", "started over")
     splits = [summary.to_dict() for summary in summaries]
     print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
-    for summary in summaries if elapsed_s is None else ():
-        counts = zip(summary.acceptance.objects, summary.acceptance.attempts, strict=True)
-        sink.table(
-            ("object", "placed", "positions drawn", "per object"),
-            [
-                (number, placed, tried, f"{tried / placed:.3f}")
-                for number, (placed, tried) in enumerate(counts, start=1)
-                if placed
-            ],
-            f"{summary.split}: positions drawn by object of a scene",
-        )
 
 
 def _check(paths: Sequence[str], *options: Any, on_progress: Callable[[int, int], None]) -> list[Checked]:
@@ -106,23 +95,25 @@ def _check(paths: Sequence[str], *options: Any, on_progress: Callable[[int, int]
     return [validate_folder(path, *options, on_progress=on_progress) for path in paths]
 
 
-def _print_checked(sink: Sink, results: Sequence[Checked]) -> None:
-    # The table has the scenes that failed, so of a set that is fine it would be its title alone.
-    for result in results:
-        if result.failed:
-            sink.table(*result.table())
-    checked = sum(result.checked for result in results)
-    valid = checked - sum(result.failed for result in results)
-    stars = sum(result.stars for result in results)
-    declared = any(result.declared for result in results)
-    which = f", {stars:,} of them stars" if declared else "; which of them are stars is not declared"
-    solids = counted(sum(result.bodies for result in results), "solids")
-    sink.line(
-        f"{valid:,} of {checked:,} {'scene is' if checked == 1 else 'scenes are'} valid: {solids}{which}"
-    )
+_CHECKS = Geometry("scenes", _check)
 
 
-_CHECKS = Geometry("scenes", _check, _print_checked)
+def _preview(
+    *,
+    path: str = argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
+    spec: ScenePreviewSpec,
+    pictures: Pictures,
+    sink: Sink,
+) -> None:
+    """Write pictures of scenes as PNG, without a screen: sheets and single scenes.
+
+    Examples: starstruck preview scenes;  starstruck preview scenes --ids 17 --out scene.png
+
+    A single scene shows the positions that were rejected while it was made, and an oblique view.
+    """
+    from starstruck_gen.previews import plan_previews
+
+    pictures.write(sink, plan_previews(path, spec))
 
 
 def _validate(
@@ -142,8 +133,6 @@ def _validate(
     check_objects(sink, _CHECKS, paths, split, limit, workers)
 
 
-add_shared(
-    app, KIND, {"preview": preview_scenes, "validate": _validate}, print_made=_print_made, checks=_CHECKS
-)
+add_shared(app, KIND, {"preview": _preview, "validate": _validate}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run, app)

@@ -12,12 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cli.application import OptionsOf, command, new_app, run
 from cli.folders import Objects
 from cli.making import generate_set, print_set
-from cli.options import Chosen, Making, argument, local_out_folder, local_place, out_folder
+from cli.options import Making, argument, local_out_folder, local_place, out_folder
 from cli.output import Sink, bytes_text
 from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
 from tactile_sim.kind import KIND
 from tactile_sim.spec import SENSOR_NOISE, PairsSpec, PictureOptions, TouchPlan, TrainConfig
+from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
@@ -179,10 +180,7 @@ def pairs(
 def _print_pairs(
     sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, elapsed_s: float | None
 ) -> None:
-    header = ("split", "rows", "objects left out", "Parquet")
-    table = manifest.split_table()
-    rows = [(name, held["rows"], held["skipped"], bytes_text(held["bytes"])) for name, held in table.items()]
-    print_set(sink, kind, manifest, out, elapsed_s, header, rows)
+    print_set(sink, kind, manifest, out, elapsed_s)
     if manifest.complete and elapsed_s is not None:
         sink.line(f"next: tactile-sim train {out} --out weights")
 
@@ -271,13 +269,7 @@ def evaluate(
     sink.line(f"table and pictures are in {out}")
 
 
-add_shared(
-    app,
-    KIND,
-    {"preview": preview_touches, "gallery": gallery_of_touches, "export": None},
-    print_made=_print_made,
-    checks=None,
-    objects=Objects(),
-)
+_own = {"preview": preview_touches, "gallery": gallery_of_touches, "export": None}
+add_shared(app, KIND, _own, print_made=_print_made, checks=None, objects=Objects())
 
 main = partial(run, app)

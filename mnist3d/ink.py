@@ -58,7 +58,7 @@ _SENTENCES = {
 }
 _NEXT = {
     "too-small": "solidify(..., resample=True) draws it again with 500",
-    "unclear-ink": "give dark or light (--ink, ink=), or crop the image",
+    "unclear-ink": "give dark or light (--foreground, ink=), or crop the image",
     "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
     "layers": "leave the digit out, or try method='fast'",
     "vertex-budget": "ask for {5:,} (target_vertices, --vertices)",

@@ -206,7 +206,7 @@ _OPTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "synthetic": ((), ("digits",)),
     "hwdplus": (("images", "writer_info"), ("writer_column",)),
     "mnist": (("images",), ("download",)),
-    "folder": (("images",), ("ink",)),
+    "folder": (("images",), ("foreground",)),
 }
 """The options that each source needs, and those that it takes."""
 
@@ -233,7 +233,7 @@ def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource
     if name == "hwdplus":
         return HwdPlusSource(**given)
     if name == "folder":
-        return FolderSource(given["images"], given.get("ink", "auto"))
+        return FolderSource(given["images"], given.get("foreground", "auto"))
     if given.get("download"):
         download_mnist(given["images"])
     return MnistSource(given["images"])
@@ -248,7 +248,7 @@ def source_again(described: Mapping[str, Any], **files: str | None) -> DigitSour
     if name not in _OPTIONS:
         raise InputError(f"the data set was made from source {name!r}, which is not known")
     needed, taken = _OPTIONS[name]
-    known = {**files, "digits": described.get("count"), "ink": described.get("ink")}
+    known = {**files, "digits": described.get("count"), "foreground": described.get("ink")}
     given = {option: known[option] for option in (*needed, *taken) if known.get(option) is not None}
     source = chosen_source(name, given, int(described.get("seed", 0)))
     # Who wrote a digit decides no solid, and the column of writers is not asked for.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,15 +16,16 @@ from mnist3d.lattice import Lattice, Mirrored
 from mnist3d.loader import MeshDataset, MeshRecord
 from mnist3d.make import source_again
 from mnist3d.solid import binarise, solidify
-from mnist3d.spec import SolidSpec
+from mnist3d.spec import DigitPreviewSpec, SolidSpec
 from mnist3d.surface import Surface, scale
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.catalog.locate import specification_read
+from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.pictures.previews import MeshPreviews, PreviewSpec, draw_by_class, draw_two_views
+from tactile_toolkit.pictures.previews import MeshPreviews, draw_by_class, draw_two_views
 from tactile_toolkit.pictures.render import (
     OBLIQUE,
     TOP,
@@ -58,14 +59,6 @@ _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 _TILE_PX = 132
 _VIEW_PX = (560, 520)
 _FILLED = 0.9
-
-
-@dataclass(frozen=True, slots=True)
-class DigitPreviewSpec(PreviewSpec):
-    """Which pictures of digits to draw; the steps need the files that the images came from."""
-
-    images: Path | None = None
-    writer_info: Path | None = None
 
 
 def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:

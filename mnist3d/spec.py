@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
 from functools import partial
+from pathlib import Path
 from typing import Any, Literal
 
+from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.checked_fields import (
     check_fields,
     choice,
@@ -240,6 +242,30 @@ class SourceOptions:
     writer_info: str | None = text(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
     writer_column: int | None = integer(None, help="Column of WriterInfo.npy that holds the writer.")
     download: bool = switch(False, help="Fetch MNIST into --images first (extra `torch`).")
-    ink: str = choice("auto", ("auto", "dark", "light"), help="Ink of the images in a folder.")
+    foreground: str = choice(
+        "auto",
+        ("auto", "dark", "light"),
+        help="Strokes of the images in a folder: darker than the paper, or lighter.",
+    )
     # As many as MNIST 3D has (Tactile MNIST paper).
     digits: int = integer(13_580, 1, help="Number of digits in the synthetic source.")
+
+
+@dataclass(frozen=True, slots=True)
+class DigitPreviewSpec(PreviewSpec):
+    """Which pictures of digits to draw; the steps need the files that the images came from."""
+
+    kinds: tuple[str, ...] = choice(
+        (),
+        ("sheet", "object", "steps", "all"),
+        name="--kind",
+        help="What to draw; may be repeated. Of a data set: sheet.",
+    )
+    images: Path | None = text(
+        metavar="PATH",
+        read=Path,
+        help="Images that the data set was made from, as for `generate`; for --kind steps.",
+    )
+    writer_info: Path | None = text(
+        metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."
+    )

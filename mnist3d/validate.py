@@ -67,9 +67,9 @@ class Checked:
         return sum(not item.report.is_solid for item in self.items)
 
     @property
-    def unreadable(self) -> tuple[CheckedItem, ...]:
-        """Files, and rows, that no mesh could be read from."""
-        return tuple(item for item in self.items if item.report.problem == UNREADABLE)
+    def unreadable(self) -> list[str]:
+        """Why no mesh could be read from files, or rows."""
+        return [item.report.detail or "" for item in self.items if item.report.problem == UNREADABLE]
 
     def warnings(self) -> dict[str, int]:
         """Count the meshes that carry each print warning."""

@@ -15,6 +15,7 @@ from realtouch.contact import contact_heights_m
 from realtouch.images import evenly_spaced, fitted, in_parallel
 from realtouch.opening import load
 from realtouch.rounds import TouchRound, TouchSeqRound
+from realtouch.spec import TouchPreviewSpec
 from realtouch.touch import Touch
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError
@@ -200,18 +201,6 @@ _STRIP_TILE_PX = 168
 _BAR_PX = 34
 _GAP_PX = 2
 _TRACK = (224, 228, 232)
-
-
-@dataclass(frozen=True, slots=True)
-class TouchPreviewSpec:
-    """Which pictures of touches to draw; the grid where no kind is asked for."""
-
-    kinds: tuple[str, ...] = ()
-    split: str | None = None  # the only one
-    round_number: int = 0  # which round of the split, from 0
-    touches: int = 32  # of a grid, evenly spaced over the round
-    touch: int = 0  # which touch of the round is drawn as a strip, from 0
-    revision: str | None = None  # branch, tag or commit of a Hub repository
 
 
 def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:

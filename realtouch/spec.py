@@ -6,7 +6,8 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tactile_toolkit.checked_fields import text
+from tactile_toolkit.catalog.spec import ONE_SPLIT, REVISION
+from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import listed
 
@@ -102,3 +103,21 @@ class ImportColumns:
         """Return the columns that must be there."""
         plain = (self.label, self.round, self.object_id, self.split)
         return list(dict.fromkeys(filter(None, (*plain, *(self.position or ()), *(self.pose or ())))))
+
+
+@dataclass(frozen=True, slots=True)
+class TouchPreviewSpec:
+    """Which pictures of touches to draw; the grid where no kind is asked for."""
+
+    kinds: tuple[str, ...] = choice(
+        (),
+        ("grid", "overlay", "strip", "all"),
+        name="--kind",
+        help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell, "
+        "a clip as a strip.",
+    )
+    split: str | None = ONE_SPLIT
+    round_number: int = integer(0, name="--round", help="Round to draw, counted from 0.")
+    touches: int = integer(32, 1, help="Number of touches in a grid.")
+    touch: int = integer(0, help="Touch that a strip shows, counted from 0.")
+    revision: str | None = REVISION

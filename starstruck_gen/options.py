@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.checked_fields import choice, integer, read_split_counts, real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_count, listed
@@ -115,3 +116,16 @@ class SceneOptions:
         elif self.star_points == _FEWEST_POINTS:
             numbers["inner_ratio"] = _RATIO_OF_FEWEST
         return Shape(STAR, plain.radius_m, Star.from_dict(numbers))
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePreviewSpec(PreviewSpec):
+    """Which pictures of scenes to draw."""
+
+    per_class: int = integer(8, 1, help="Objects of each class on a sheet.")
+    kinds: tuple[str, ...] = choice(
+        (),
+        ("sheet", "scene", "all"),
+        name="--kind",
+        help="What to draw; may be repeated. By default sheet.",
+    )

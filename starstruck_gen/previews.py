@@ -26,10 +26,10 @@ from starstruck_gen.scene import (
 from starstruck_gen.shapes import outline
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.locate import specification_read
+from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.pictures.previews import (
     MeshPreviews,
-    PreviewSpec,
     draw_by_class,
     draw_two_views,
 )

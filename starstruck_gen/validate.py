@@ -6,7 +6,7 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -21,6 +21,7 @@ from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.read.columns import class_names, column_names
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.wording import counted
 
 _COLUMNS = (
     *("id", "label", VERTICES, FACES),
@@ -59,6 +60,7 @@ class Checked:
     stars: int
     failures: tuple[Failure, ...]
     declared: bool = True
+    unreadable: ClassVar[tuple[str, ...]] = ()
 
     @property
     def failed(self) -> int:
@@ -71,7 +73,13 @@ class Checked:
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
         """Return header, rows and title of a table of the scenes that fail."""
-        title = f"{self.path}: {self.checked:,} checked, {self.failed:,} failed"
+        which = (
+            f", {self.stars:,} of them stars"
+            if self.declared
+            else "; which of them are stars is not declared"
+        )
+        solids = f"{counted(self.bodies, 'solids')}{which}"
+        title = f"{self.path}: {self.checked:,} checked, {self.failed:,} failed; {solids}"
         shown = [(failure.split, failure.id, failure.problem) for failure in self.failures[:_SHOWN]]
         return ("split", "scene", "finding"), shown, title
 

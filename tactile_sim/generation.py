@@ -29,10 +29,11 @@ from tactile_sim.pressing import (
     pose,
     render_touch,
 )
-from tactile_sim.spec import PictureOptions, TouchPlan
+from tactile_sim.spec import WINDOWS, PictureOptions, TouchPlan, current_window, window_option
 from tactile_toolkit import making
-from tactile_toolkit.catalog.choose import IdChoice, choose_rows
+from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.catalog.locate import place_of, splits_of
+from tactile_toolkit.catalog.spec import IdChoice
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
@@ -78,8 +79,8 @@ class GenerateSpec:
     optics : str
         How depth becomes a picture: ``"depth"``, ``"taxim"`` or ``"cyclegan"``.
     window : str
-        ``"environment"``: rendered in this size, with the window that the environments show in it;
-        ``"published"``: rendered as 320 x 240 pixels of the whole sensor and scaled to the size.
+        ``"center"``: rendered in this size, with the window that the environments show in it;
+        ``"full"``: rendered as 320 x 240 pixels of the full view of the sensor and scaled to the size.
     plan : TouchPlan
         Where the gel goes.
     image_format : str
@@ -102,7 +103,7 @@ class GenerateSpec:
 
     size_px: tuple[int, int] = (64, 64)
     optics: str = choice("taxim", OPTICS)
-    window: str = choice("environment", ("environment", "published"))
+    window: str = window_option("center")
     plan: TouchPlan = field(default_factory=TouchPlan)
     image_format: Literal["jpeg", "png"] = choice("jpeg", ("jpeg", "png"))
     quality: int = integer(95, 1, 100)
@@ -117,6 +118,7 @@ class GenerateSpec:
     def __post_init__(self) -> None:
         # A sensor checks its size: one rule for both.
         object.__setattr__(self, "size_px", full_view(*self.size_px).size_px)
+        object.__setattr__(self, "window", current_window(self.window))
         check_fields(self, "the touches")
         object.__setattr__(self, "layer_m", checked_layer_m(self.layer_m))
         noise: Any = self.noise
@@ -149,9 +151,9 @@ class GenerateSpec:
 
     def sensor(self, optics: Optics) -> Sensor:
         """Return the sensor whose depth maps the optics get."""
-        width, height = self.size_px if self.window == "environment" else _PUBLISHED_PX
+        width, height = self.size_px if self.window == "center" else _PUBLISHED_PX
         # Environments show the window of the pixels that they render, whatever becomes of these.
-        seen = center_view if self.window == "environment" else full_view
+        seen = center_view if self.window == "center" else full_view
         return seen(*optics.depth_size(width, height))
 
     def to_dict(self) -> dict[str, Any]:
@@ -169,7 +171,7 @@ class GenerateSpec:
         return {
             "size_px": list(self.size_px),
             "optics": self.optics,
-            "like": self.window,
+            "like": WINDOWS[self.window],
             "plan": self.plan.to_dict(),
             "image_format": self.image_format,
             "quality": self.quality if self.image_format == "jpeg" else None,

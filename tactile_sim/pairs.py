@@ -22,7 +22,7 @@ from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
 from tactile_sim.plan import key_of, open_split, plan_round
 from tactile_sim.pressing import Pressable, Sensor, center_view, full_view, render_touch
-from tactile_sim.spec import PairsSpec, TouchPlan
+from tactile_sim.spec import WINDOWS, PairsSpec, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import find_shards, place_of, require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -155,7 +155,7 @@ class Pairs:
     size_px : tuple of int
         Width and height of all pictures, pixels.
     window : str
-        Window of the depth images, ``"published"`` or ``"environment"``.
+        Window of the depth images, ``"full"`` or ``"center"``.
     identity : str
         Names the rows: equal for equal data sets.
     """
@@ -176,7 +176,8 @@ class Pairs:
             )
         try:
             options = manifest.spec["options"]
-            (width, height), window = options["size_px"], options["like"]
+            (width, height), stored = options["size_px"], options["like"]
+            window = {former: name for name, former in WINDOWS.items()}[stored]
         except (KeyError, TypeError, ValueError) as error:
             raise IntegrityError(
                 f"the specification in {folder!r} does not state size and window of the pictures",
@@ -197,7 +198,7 @@ class Pairs:
 
 
 def _sensor(window: str, size_px: tuple[int, int]) -> Sensor:
-    return (full_view if window == "published" else center_view)(*size_px)
+    return (full_view if window == "full" else center_view)(*size_px)
 
 
 @dataclass(frozen=True)
@@ -212,7 +213,7 @@ class PairsMaking(making.Making):
     real: str
     split: str
     names: tuple[str, ...] = field(repr=False)
-    kind = replace(KIND, nouns="pictures", made_by="tactile-sim pairs")
+    kind = replace(KIND, nouns="pictures")
 
     @classmethod
     def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsMaking:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
-from tactile_toolkit.deprecation import former_attributes
+from tactile_toolkit.deprecation import former_attributes, warn_former
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch.contact import contact_height_option, size_option
@@ -32,18 +32,22 @@ _NOISE: Any = lazy("tactile_sim.noise:SensorNoise.named")
 _MOST_TOUCHES = 4096
 
 
-_WINDOWS = {"center": "environment", "full": "published"}
+WINDOWS = {"center": "environment", "full": "published"}
+"""What of the sensor is seen, and as manifests name it."""
 
 
-def _window(word: str) -> str:
-    if word not in (*_WINDOWS, *_WINDOWS.values()):  # the latter are those of the former option
-        raise InputError(f"--window is {word!r}; expected one of {', '.join(_WINDOWS)}")
-    return _WINDOWS.get(word, word)
+def current_window(word: Any) -> Any:
+    """Return the name of today of a window; former ones, those of manifests, work with a warning."""
+    for name, former in WINDOWS.items():
+        if word == former:
+            warn_former(former, name)
+            return name
+    return word
 
 
-def _window_option(word: str, help: str) -> Any:
-    known, words = tuple(_WINDOWS.values()), "|".join(_WINDOWS)
-    return choice(_WINDOWS[word], known, name="--window", metavar=words, shown=word, read=_window, help=help)
+def window_option(default: str, **option: Any) -> Any:
+    """Declare the window of a sensor."""
+    return choice(default, tuple(WINDOWS), metavar="|".join(WINDOWS), read=current_window, **option)
 
 
 def _turn_rad(word: str) -> float:
@@ -307,10 +311,10 @@ class PictureOptions:
         shown="taxim; depth without the extra sim",
         help="How an image is made from depth.",
     )
-    window: str = _window_option(
+    window: str = window_option(
         "center",
-        "center: what the environments show in this size; full: the full view of the sensor, as in published "
-        "sets.",
+        help="center: what the environments show in this size; full: the full view of the sensor, as in "
+        "published sets.",
     )
     image_format: Literal["jpeg", "png"] = choice(
         "jpeg", ("jpeg", "png"), name="--format", help="Format of the images."
@@ -364,8 +368,8 @@ class PairsSpec:
         A gel that stops so far above the plate touched an object, metres; None: the rule of the real touches,
         see :meth:`realtouch.dataset.Touches.in_contact`, for both.
     window : str
-        ``"published"``: depth of the whole sensor, squashed into the size as the real touches are;
-        ``"environment"``: the window that the environments show.
+        ``"full"``: depth of the full view of the sensor, squashed into the size as the real touches are;
+        ``"center"``: the window that the environments show.
     image_format : str
         ``"png"`` or ``"jpeg"`` for the real touches; a network learns the blocks of a JPEG.
     turn_rad : float
@@ -382,9 +386,10 @@ class PairsSpec:
     min_height_m: float | None = contact_height_option(
         above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
     )
-    window: Literal["published", "environment"] = _window_option(
+    window: str = window_option(
         "full",
-        "full: depth of the full view of the sensor, as real touches show it; center: as environments do.",
+        help="full: depth of the full view of the sensor, as real touches show it; center: as environments "
+        "do.",
     )
     image_format: Literal["png", "jpeg"] = choice(
         "png", ("png", "jpeg"), name="--format", help="Format of the real touches."
@@ -394,6 +399,7 @@ class PairsSpec:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", plain(self.size_px))
+        object.__setattr__(self, "window", current_window(self.window))
         check_fields(self, "the training set")
         if len(self.size_px) != 2 or not all(side in _SIDES_PX for side in self.size_px):
             raise InputError(
@@ -406,5 +412,5 @@ class PairsSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values that decide every row."""
-        # Manifests name the window so.
-        return {"like" if name == "window" else name: value for name, value in asdict(self).items()}
+        values = asdict(self)
+        return {**values, "like": WINDOWS[values.pop("window")]}

@@ -156,13 +156,19 @@ class DatasetKind:
         """Open a split as the kind's package does."""
         return import_module(self.package).load(name, split)
 
+    def command_of(self, manifest: Any) -> str:
+        """Return the command that made a data set: that of the kind, unless it is a copy or converted."""
+        operation = None if manifest is None else manifest.spec.get("operation")
+        return f"{self.command} {operation}" if operation else self.made_by
+
     def refuse_other(self, manifest: Any, where: str) -> None:
         """Raise InputError where a manifest names another kind; data without one may be of any."""
         if manifest is None or manifest.kind == self.name:
             return
+        commands = {each.name: f"`{each.command}`" for each in kinds()}
         raise InputError(
             f"{where!r} holds a data set of kind {manifest.kind!r}; expected one of {self.name!r}",
-            next="use the command of that kind",
+            next=f"use {commands.get(manifest.kind, 'the package that made it')}",
         )
 
     def schema_of(self, manifest: Any) -> Any:

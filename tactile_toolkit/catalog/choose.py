@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.catalog.locate import find_shards, folder_named, splits_of
+from tactile_toolkit.catalog.spec import IdChoice
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.read.columns import null_fields
@@ -27,11 +27,6 @@ from tactile_toolkit.store.names import is_remote, normalize_uri
 
 T = TypeVar("T")
 D = TypeVar("D", bound=RecordDataset[Any])
-
-_IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
-
-IdChoice: TypeAlias = Sequence[int | tuple[int, int]]
-"""Ids, and first and last ids of ranges."""
 
 
 def open_splits(
@@ -113,22 +108,6 @@ def choose_rows(
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
         )
     return found
-
-
-def parse_ids(text: str) -> list[int | tuple[int, int]]:
-    """Read ids such as ``3,17,40-60``: numbers, and first and last one of each range.
-
-    Ranges stay ranges, as the ids of a split are scattered: most numbers of a range belong to no row. Raises
-    InputError for another form.
-    """
-    numbers: list[int | tuple[int, int]] = []
-    for part in text.split(","):
-        match = _IDS.fullmatch(part.strip())
-        low, high = (int(match[1]), int(match[2] or match[1])) if match is not None else (0, -1)
-        if match is None or high < low:
-            raise InputError(f"--ids has {part.strip()!r}; expected numbers and ranges such as 3,17,40-60")
-        numbers.append(low if match[2] is None else (low, high))
-    return numbers
 
 
 def short_name(name: str) -> str:

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property, partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from tactile_toolkit.catalog.choose import IdChoice, choose_rows, open_splits
+from tactile_toolkit.catalog.choose import choose_rows, open_splits
 from tactile_toolkit.catalog.locate import folder_named, require_kind
-from tactile_toolkit.checked_fields import check_fields, integer
+from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
@@ -25,26 +24,6 @@ from tactile_toolkit.wording import counted
 D = TypeVar("D", bound=RecordDataset[Any])
 
 
-@dataclass(frozen=True, slots=True)
-class PreviewSpec:
-    """Which pictures of a data set of meshes to draw.
-
-    Without kinds the usual ones, or single rows where ids are given; without a split all of them; without ids
-    the first ``per_class`` rows of each class on a sheet, and the first row where one is shown alone. With
-    ``labels`` only rows of these classes. Of all these, the first ``limit`` of each split.
-    """
-
-    kinds: tuple[str, ...] = ()
-    split: str | None = None
-    ids: IdChoice | None = None
-    per_class: int = integer(10, 1)
-    labels: Sequence[str] | None = None
-    limit: int | None = None
-
-    def __post_init__(self) -> None:
-        check_fields(self, "the previews")
-
-
 class MeshPreviews(Generic[D]):
     """A data set that is to be drawn: the splits that have rows, and the rows that are drawn alone.
 
@@ -54,7 +33,7 @@ class MeshPreviews(Generic[D]):
     def __init__(self, kind: DatasetKind, name: str, spec: PreviewSpec) -> None:
         self.name, self.spec, self.thing, self.things = name, spec, kind.noun, kind.nouns
         self.stem = file_stem(name)
-        self.datasets: dict[str, D] = open_splits(name, spec.split, kind.load, kind.nouns)
+        self.datasets: dict[str, D] = open_splits(name, spec.given()["split"], kind.load, kind.nouns)
         if spec.labels:
             some = {split: rows.filter_labels(spec.labels) for split, rows in self.datasets.items()}
             self.datasets = {split: rows for split, rows in some.items() if len(rows)}

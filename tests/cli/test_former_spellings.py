@@ -60,6 +60,7 @@ def test_lengths_and_angles_that_had_other_units(equals, tmp_path, capsys):
     assert found[0] == found[1]
 
 
+@pytest.mark.filterwarnings("ignore:'published' is deprecated:DeprecationWarning")
 @pytest.mark.parametrize("former", [True, False])
 def test_options_that_had_other_names_make_the_same(former, tmp_path, capsys):
     digits, touches = tmp_path / "digits", tmp_path / "touches"
@@ -89,6 +90,14 @@ def test_options_that_had_other_names_make_the_same(former, tmp_path, capsys):
     spec = json.loads((touches / "manifest.json").read_text())["spec"]["options"]
     assert (spec["plan"]["place"], spec["like"], spec["plan"]["shift"]) == ("object", "published", False)
     assert capsys.readouterr().err.count("is deprecated") == 3 * former
+
+
+def test_strokes_of_a_folder_by_their_former_name(tmp_path, capsys):
+    words = ("generate", "--source", "folder", "--images", tmp_path / "absent", "--ink", "light")
+    assert call("mnist3d", *words, "--out", tmp_path / "out") == 2
+    said = capsys.readouterr().err
+    assert "warning: --ink is deprecated; next: write --foreground\n" in said
+    assert "absent" in said
 
 
 def test_no_help_names_a_former_spelling_or_a_type_of_python():

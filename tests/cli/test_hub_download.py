@@ -205,9 +205,7 @@ def test_a_data_set_of_another_kind_is_refused(server, tmp_path):
     out = tmp_path / "out"
     said = call(server, tmp_path, "starstruck", "download", DIGITS, "--out", out)
     assert said.code == 2
-    assert (
-        "holds a data set of kind 'mnist3d'; expected one of 'starstruck'; next: use the command" in said.err
-    )
+    assert "holds a data set of kind 'mnist3d'; expected one of 'starstruck'; next: use `mnist3d`" in said.err
     said = call(server, tmp_path, "mnist3d", "download", "real-single-64x64", "--out", out)
     assert said.code == 2
     assert "next: realtouch download real-single-64x64" in said.err

@@ -96,7 +96,7 @@ def test_verify(folder, tmp_path, capsys):
 
 def test_validate_a_folder(folder, capsys):
     assert call("validate", folder) == 0
-    assert "10 of 10 meshes are valid solids" in capsys.readouterr().out
+    assert "10 of 10 meshes are valid" in capsys.readouterr().out
     assert call("validate", folder, "--json", "--workers", "2") == 0
     (document,) = json.loads(capsys.readouterr().out)
     assert (document["checked"], document["failed"]) == (10, 0)
@@ -118,7 +118,7 @@ def test_validate_files_of_anyone(tmp_path, capsys, kind):
     assert "30.0 x 20.0 x 10.0" in capsys.readouterr().out
     assert call("validate", good, bad) == 1
     printed = capsys.readouterr().out
-    assert "1 of 2 meshes are valid solids" in printed
+    assert "1 of 2 meshes are valid" in printed
     assert call("validate", bad, "--json") == 1
     (document,) = json.loads(capsys.readouterr().out)
     assert document["meshes"][0]["name"] == bad.name
@@ -143,7 +143,7 @@ def write(mesh, path: Path) -> None:
         (("generate", "--source", "hwdplus", "--images", "x.npy"), 2, ("needs --writer-info",)),
         (("generate", "--source", "mnist", "--images", "nowhere"), 2, ("nowhere",)),
         (("generate", "--images", "x"), 2, ("--images", "--source synthetic", "hwdplus or mnist or folder")),
-        (("generate", "--ink", "auto"), 2, ("--ink", "--source folder")),
+        (("generate", "--foreground", "auto"), 2, ("--foreground", "--source folder")),
         (("generate", "--writer-info", "x"), 2, ("--writer-info", "--source hwdplus")),
         (("generate", "--writer-column", "0"), 2, ("--writer-column", "--source hwdplus")),
         (("generate", "--download"), 2, ("--download", "--source mnist")),
@@ -160,7 +160,7 @@ def write(mesh, path: Path) -> None:
         (("generate", "--split-sizes", "train=9999"), 2, ("9999 digits per class", "1358")),
         (("generate", "--half-thickness-mm", "-1"), 2, ("error: --half-thickness-mm",)),
         (("generate", "--vertices", "0"), 2, ("error: --vertices",)),
-        (("info", "nowhere"), 2, ("nowhere' does not exist", "next: give the folder")),
+        (("info", "nowhere"), 2, ("nowhere' does not exist", "next: check the name")),
         (("verify", "nowhere"), 2, ("nowhere' does not exist",)),
         (("validate", "nowhere.stl"), 2, ("'nowhere.stl' does not exist",)),
     ],
@@ -241,7 +241,7 @@ def test_an_unreadable_file_hides_no_verdict(tmp_path, capsys):
     other.write_text("x")
     assert call("validate", bad, other, good) == 1
     printed = capsys.readouterr()
-    assert "1 of 3 meshes are valid solids" in printed.out
+    assert "1 of 3 meshes are valid" in printed.out
     assert "thinnest wall" in printed.out
     assert f"unreadable: {bad}" in printed.err
     assert f"unreadable: {other}" in printed.err

@@ -106,7 +106,7 @@ def test_verify_checks_the_objects_too_where_asked(digits, capsys):
 
 def test_a_token_is_that_of_the_hub(digits, monkeypatch):
     monkeypatch.setenv("HF_TOKEN", "another")
-    assert call("mnist3d", "info", digits, "--token", "hf_example", "-q") == 2, "info has no --quiet"
+    assert call("mnist3d", "info", digits, "--token", "hf_example", "--no-such") == 2
     assert call("mnist3d", "info", digits, "--token", "hf_example") == 0
     assert os.environ["HF_TOKEN"] == "hf_example"
 

@@ -11,12 +11,12 @@ from PIL import Image
 
 import mnist3d
 from mnist3d.make import GenerateSpec, generate
-from mnist3d.previews import DigitPreviewSpec as PreviewSpec
 from mnist3d.previews import _stack_view, draw_steps, layer_map, object_facts, plan_previews
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.mnist import MnistSource
 from mnist3d.sources.synthetic import SyntheticSource
+from mnist3d.spec import DigitPreviewSpec as PreviewSpec
 from mnist3d.splits import SplitSpec
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.files import write_mesh
@@ -103,7 +103,7 @@ def places_step(places: dict[int, tuple[int, float, float]]) -> float:
 def test_a_sheet_holds_the_ids_asked_for_and_no_others(folder):
     dataset = mnist3d.load(str(folder), "train")
     ids = tuple(int(number) for number in dataset.ids[[0, 5, 9]])
-    plan = plan_previews(str(folder), PreviewSpec(("sheet",), ids=ids))
+    plan = plan_previews(str(folder), PreviewSpec(kinds=("sheet",), ids=ids))
     (picture,) = plan.pictures
     assert picture.what == "3 digits of train from above"
     pixels = picture.draw()
@@ -228,7 +228,9 @@ def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices
     spec = GenerateSpec(source, SolidSpec(target_vertices=vertices, join_bodies=True), limit=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     (record,) = mnist3d.load(str(tmp_path / "set"), "test")
-    (planned,) = plan_previews(str(tmp_path / "set"), PreviewSpec(("steps",), ids=(record.id,))).pictures
+    (planned,) = plan_previews(
+        str(tmp_path / "set"), PreviewSpec(kinds=("steps",), ids=(record.id,))
+    ).pictures
     planned.draw()
     np.testing.assert_array_equal(seen[-1].vertices_m, record.vertices_m)
     np.testing.assert_array_equal(seen[-1].faces, record.faces)
@@ -241,7 +243,7 @@ def test_steps_of_mnist_are_drawn_from_its_files(tmp_path, seen):
     spec = GenerateSpec(source, SolidSpec(target_vertices=2_000), limit=1)
     generate(spec, str(tmp_path / "set"), ("train",))
     (record,) = mnist3d.load(str(tmp_path / "set"), "train")
-    chosen = PreviewSpec(("steps",), ids=(record.id,), images=tmp_path / "mnist")
+    chosen = PreviewSpec(kinds=("steps",), ids=(record.id,), images=tmp_path / "mnist")
     (planned,) = plan_previews(str(tmp_path / "set"), chosen).pictures
     planned.draw()
     np.testing.assert_array_equal(seen[-1].vertices_m, record.vertices_m)
@@ -270,24 +272,24 @@ def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
     )
     spec = GenerateSpec(spec.source, spec.solid, spec.split, limit=2)
     with pytest.raises(InputError):
-        plan_previews(str(tmp_path / "one"), PreviewSpec(("steps",)))
+        plan_previews(str(tmp_path / "one"), PreviewSpec(kinds=("steps",)))
     try:
         generate(spec, str(tmp_path / "set"), ("train",))
     except InputError as error:
         pytest.skip(f"a source of two classes makes no split: {error}")
     where = str(tmp_path / "set")
     with pytest.raises(InputError, match="--source folder needs --images"):
-        plan_previews(where, PreviewSpec(("steps",)))
+        plan_previews(where, PreviewSpec(kinds=("steps",)))
     with pytest.raises(InputError, match="holds other images"):
-        plan_previews(where, PreviewSpec(("steps",), images=tmp_path / "other"))
-    assert len(plan_previews(where, PreviewSpec(("steps",), images=tmp_path / "one")).pictures) == 1
+        plan_previews(where, PreviewSpec(kinds=("steps",), images=tmp_path / "other"))
+    assert len(plan_previews(where, PreviewSpec(kinds=("steps",), images=tmp_path / "one")).pictures) == 1
 
 
 def test_the_usual_pictures_of_a_data_set(folder):
     plan = plan_previews(str(folder), PreviewSpec(per_class=1))
     assert plan.left_out == ()
     assert [picture.name for picture in plan.pictures] == ["digits-train-sheet.png", "digits-test-sheet.png"]
-    everything = plan_previews(str(folder), PreviewSpec(("all",)))
+    everything = plan_previews(str(folder), PreviewSpec(kinds=("all",)))
     assert len(everything.pictures) == 4
 
 
@@ -317,8 +319,8 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(folder), PreviewSpec(split="holdout"))
     with pytest.raises(InputError, match="no object with id 999999"):
         plan_previews(str(folder), PreviewSpec(ids=(999999,)))
-    with pytest.raises(InputError, match="no pictures of kind"):
-        plan_previews(str(folder), PreviewSpec(("shoe",)))
+    with pytest.raises(InputError, match="expected one of sheet, object, steps, all"):
+        plan_previews(str(folder), PreviewSpec(kinds=("shoe",)))
     with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)
 

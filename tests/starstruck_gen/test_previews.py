@@ -18,8 +18,8 @@ from starstruck_gen.previews import REJECTED, draw_one, draw_trace, plan_preview
 from starstruck_gen.sampling import SceneTrace, trace_scene
 from starstruck_gen.scene import centre_px, draw_scene
 from tactile_toolkit.catalog.choose import Choice
+from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.pictures.previews import PreviewSpec
 from tests.starstruck_gen.strategies import specs
 
 CROWDED = SceneSpec(stars=(3,), distractors=(5, 5), attempts=12)
@@ -140,7 +140,7 @@ def test_without_a_specification_the_scene_is_drawn_all_the_same(folder):
     without = draw_one(record, None, "t")
     assert red_px(with_spec) > red_px(without) + 50
     shard = next((folder / "data").glob("train-*.parquet"))
-    (planned,) = plan_previews(str(shard), PreviewSpec(("scene",))).pictures
+    (planned,) = plan_previews(str(shard), PreviewSpec(kinds=("scene",))).pictures
     assert planned.draw().shape == with_spec.shape
 
 
@@ -165,7 +165,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     pq.write_table(table.select(kept), tmp_path / "train.parquet")
     record = starstruck_gen.load(str(tmp_path / "train.parquet"))[0]
     assert not record.has_placements
-    plan = plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(("sheet", "scene")))
+    plan = plan_previews(str(tmp_path / "train.parquet"), PreviewSpec(kinds=("sheet", "scene")))
     assert plan.pictures[1].what.endswith("from above and obliquely")
     for planned in plan.pictures:
         pixels = planned.draw().astype(int)
@@ -193,7 +193,9 @@ def test_digits_are_no_scenes(tmp_path):
         pq.write_table(table, places[names])
     digits, scenes = places.values()
     assert plan_gallery(Choice(scenes)).size == 1
-    assert plan_previews(scenes, PreviewSpec(("sheet",))).pictures[0].what == "1 scene of train from above"
+    assert (
+        plan_previews(scenes, PreviewSpec(kinds=("sheet",))).pictures[0].what == "1 scene of train from above"
+    )
     with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d preview "):
         plan_previews(digits, PreviewSpec())
     with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d gallery "):
@@ -203,7 +205,7 @@ def test_digits_are_no_scenes(tmp_path):
 def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     out = tmp_path / "mixed"
     generate(GenerateSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))
-    (planned,) = plan_previews(str(out), PreviewSpec(("sheet",), per_class=3)).pictures
+    (planned,) = plan_previews(str(out), PreviewSpec(kinds=("sheet",), per_class=3)).pictures
     assert (planned.name, planned.what) == ("mixed-train-sheet.png", "9 scenes of train from above")
     pixels = planned.draw()
     places = []
@@ -225,7 +227,7 @@ def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
 def test_the_usual_pictures_are_sheets_of_all_splits(folder):
     plan = plan_previews(str(folder), PreviewSpec())
     assert [picture.name for picture in plan.pictures] == ["scenes-train-sheet.png", "scenes-test-sheet.png"]
-    assert len(plan_previews(str(folder), PreviewSpec(("all",))).pictures) == 3
+    assert len(plan_previews(str(folder), PreviewSpec(kinds=("all",))).pictures) == 3
 
 
 def test_bad_input_is_named(folder, tmp_path):

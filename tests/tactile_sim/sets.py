@@ -15,6 +15,6 @@ def touch_sets(scenes: Path, folder: Path) -> None:
     printed = tactile_sim.GenerateSpec(
         (64, 48), "depth", plan=plan, image_format="png", layer_m=0.0002, limit=1
     )
-    noisy = tactile_sim.GenerateSpec((64, 64), "taxim", "published", plan, noise=NOISE, limit=1)
+    noisy = tactile_sim.GenerateSpec((64, 64), "taxim", "full", plan, noise=NOISE, limit=1)
     for name, spec in (("touches-depth", printed), ("touches-taxim", noisy)):
         tactile_sim.generate(str(scenes), spec, folder / name, ["train"])

@@ -100,7 +100,7 @@ def test_a_set_is_what_its_poses_say(scenes, touches):
 
 def test_published_is_the_whole_sensor_rendered_large_and_scaled(scenes, tmp_path):
     """By another way: the window cut into 320 x 240 by hand, and areas averaged by numpy."""
-    spec = tactile_sim.GenerateSpec((64, 48), "depth", "published", PLAN, "png", limit=2)
+    spec = tactile_sim.GenerateSpec((64, 48), "depth", "full", PLAN, "png", limit=2)
     tactile_sim.generate(scenes, spec, tmp_path / "made", ["train"])
     solids = starstruck_gen.load(scenes, "train")
     whole = tactile_sim.Sensor((320, 240), (0.01888, 0.01416))

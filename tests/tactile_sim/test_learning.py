@@ -63,7 +63,7 @@ from tactile_sim.spec import TrainConfig  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
 
-SPEC = PairsSpec((32, 32), 60, without_contact=0.2, min_height_m=0.006, window="environment")
+SPEC = PairsSpec((32, 32), 60, without_contact=0.2, min_height_m=0.006, window="center")
 CONFIG = TrainConfig(
     2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1, sensor_noise=NOISE, noise=0.05,
     discriminator_noise=0.1, pretrain_steps=3,
@@ -171,7 +171,7 @@ def test_pairs_that_cannot_be_made_are_named(sources, tmp_path):
 
 def test_objects_that_are_too_low_for_a_touch_are_named(sources, tmp_path):
     highest_m = float(realtouch.load(sources[1], "train").touches().heights_m().max())
-    spec = PairsSpec((32, 32), 1, 0.0, highest_m, "environment")
+    spec = PairsSpec((32, 32), 1, 0.0, highest_m, "center")
     with pytest.raises(
         InputError, match=r"object \d+ is nowhere \d\.\d mm high.*next: lower --min-height-mm"
     ):
@@ -213,13 +213,13 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
 
 
 def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pairs, trained, tmp_path):
-    few = PairsSpec((32, 32), 12, without_contact=0.2, window="environment")
+    few = PairsSpec((32, 32), 12, without_contact=0.2, window="center")
     make_pairs(*sources, "train", few, tmp_path / "few")
     with pytest.raises(
         InputError, match=r"few' holds 12 pictures .*, 10 with contact, .*at least 40.*--count"
     ):
         evaluate(trained, str(tmp_path / "few"), baselines=())
-    make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, window="environment"), tmp_path / "untouched")
+    make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, window="center"), tmp_path / "untouched")
     with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no picture with contact"):
         train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
     manifest = tmp_path / "few" / "manifest.json"

@@ -33,8 +33,8 @@ def test_a_public_name(former, name):
         (tactile_sim.TouchPlan, "lie", "object_placement", "middle"),
         (tactile_sim.TouchPlan, "place", "positions", "grid"),
         (tactile_sim.TouchPlan, "shift", "perturb", False),
-        (tactile_sim.GenerateSpec, "like", "window", "published"),
-        (PairsSpec, "like", "window", "environment"),
+        (tactile_sim.GenerateSpec, "like", "window", "full"),
+        (PairsSpec, "like", "window", "center"),
         (TrainConfig, "judge_noise", "discriminator_noise", 0.5),
         (TrainConfig, "start_steps", "pretrain_steps", 3),
     ],
@@ -46,6 +46,15 @@ def test_a_field(kind, former, name, value):
     assert spec == kind(**{name: value})
     with pytest.warns(DeprecationWarning, match=f"'{former}' is deprecated"):
         assert getattr(spec, former) == value
+
+
+@pytest.mark.parametrize(("former", "name"), [("environment", "center"), ("published", "full")])
+def test_a_window_by_the_name_that_manifests_keep(former, name):
+    for kind in (tactile_sim.GenerateSpec, PairsSpec):
+        with pytest.warns(DeprecationWarning, match=f"'{former}' is deprecated; use '{name}'"):
+            spec = kind(window=former)
+        assert spec == kind(window=name)
+        assert spec.to_dict()["like"] == former
 
 
 def test_an_argument():

@@ -28,8 +28,8 @@ import realtouch.previews
 import starstruck_gen
 import starstruck_gen.previews
 from mnist3d.sources.synthetic import SyntheticSource
-from realtouch.previews import TouchPreviewSpec
-from tactile_toolkit.pictures.previews import PreviewSpec
+from realtouch.spec import TouchPreviewSpec
+from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.printing.packing import arrange, measure
 from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.spec import PlateSpec
@@ -137,10 +137,10 @@ def pictures(sets: Path) -> dict[str, str]:
     """Draw the sets of :func:`data_sets` and a plate, and return digests of the pixels."""
     plans = (
         mnist3d.previews.plan_previews(
-            str(sets / "coarse"), PreviewSpec(("sheet", "object", "steps"), per_class=2)
+            str(sets / "coarse"), PreviewSpec(kinds=("sheet", "object", "steps"), per_class=2)
         ),
         starstruck_gen.previews.plan_previews(
-            str(sets / "scenes"), PreviewSpec(("sheet", "scene"), "test", per_class=2)
+            str(sets / "scenes"), PreviewSpec(kinds=("sheet", "scene"), split="test", per_class=2)
         ),
         realtouch.previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay", "strip"))),
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_toolkit.catalog.choose import parse_ids
+from tactile_toolkit.catalog.spec import parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh

@@ -1,0 +1,75 @@
+"""Which rows of a data set are taken, as commands have options of it; imported with nothing heavy."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any, TypeAlias
+
+from tactile_toolkit.checked_fields import check_fields, integer, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import listed
+
+_IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
+
+IdChoice: TypeAlias = Sequence[int | tuple[int, int]]
+"""Ids, and first and last ids of ranges."""
+
+
+def parse_ids(text: str) -> list[int | tuple[int, int]]:
+    """Read ids such as ``3,17,40-60``: numbers, and first and last one of each range.
+
+    Ranges stay ranges, as the ids of a split are scattered: most numbers of a range belong to no row. Raises
+    InputError for another form.
+    """
+    numbers: list[int | tuple[int, int]] = []
+    for part in text.split(","):
+        match = _IDS.fullmatch(part.strip())
+        low, high = (int(match[1]), int(match[2] or match[1])) if match is not None else (0, -1)
+        if match is None or high < low:
+            raise InputError(f"--ids has {part.strip()!r}; expected numbers and ranges such as 3,17,40-60")
+        numbers.append(low if match[2] is None else (low, high))
+    return numbers
+
+
+# Each is the default of parameters, and of fields of groups, of one name: `dataclasses` notes it in them.
+SPLIT = text(metavar="NAME", help="Only this split; all by default.")
+ONE_SPLIT = text(metavar="NAME", help="Split to open; required if there are several.")
+REVISION = text(metavar="REV", help="Branch, tag or commit of a Hub data set.")
+IDS = text(name="--ids", metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids.")
+LABELS = text(metavar="3,7", read=listed, help="Only the objects of these classes.")
+LIMIT = integer(None, 1, optional=True, help="Only the first N rows of each split.")
+PER_CLASS = integer(None, 1, optional=True, help="Only the first N of each class, in each split.")
+
+
+@dataclass(frozen=True, slots=True)
+class Chosen:
+    """Options of all commands that take some of the objects of a data set."""
+
+    split: str | None = SPLIT
+    ids: IdChoice | None = IDS
+    labels: Sequence[str] | None = LABELS
+    per_class: int | None = PER_CLASS
+    limit: int | None = LIMIT
+
+    def given(self) -> dict[str, Any]:
+        """Return what was asked for, by name; a split only where it is not ``all``."""
+        named = {each.name: getattr(self, each.name) for each in fields(self)}
+        return {**named, "split": None if self.split == "all" else self.split}
+
+
+@dataclass(frozen=True, slots=True)
+class PreviewSpec(Chosen):
+    """Which pictures of a data set of meshes to draw.
+
+    Without kinds the usual ones, or single rows where ids are given; without a split all of them; without ids
+    the first ``per_class`` rows of each class on a sheet, and the first row where one is shown alone. With
+    ``labels`` only rows of these classes. Of all these, the first ``limit`` of each split.
+    """
+
+    per_class: int = integer(10, 1, help="Objects of each class on a sheet.")
+    kinds: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the previews")
