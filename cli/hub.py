@@ -52,7 +52,7 @@ def upload(
     sink.info(f"checking {folder}")
     check = partial(check_folder, kind, workers=process_count(workers))
     prepared = prepare_upload(folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info)
-    _print_plan(sink, prepared)
+    _print_upload_plan(sink, prepared)
     result = None
     if not dry_run:
         # Even where all files are there, a branch to make is a change that may not be meant.
@@ -62,7 +62,7 @@ def upload(
             next_step = "add --yes, or look first with --dry-run"
             _require_consent(f"Send this to {prepared.page}?", refused, next_step)
         result = run_upload(prepared)
-    _print_result(sink, kind, prepared, result)
+    _print_upload(sink, kind, prepared, result)
 
 
 def download(
@@ -98,7 +98,7 @@ def download(
         )
     plan = plan_download(name, split or (), revision=revision, out=out, on_wait=sink.info)
     kind.refuse_other(plan.repository.manifest, plan.repository.repo_id)
-    _introduce(sink, name, plan)
+    _print_download_plan(sink, name, plan)
     place = ""
     if not dry_run:
         size = bytes_text(plan.missing_bytes)
@@ -107,7 +107,7 @@ def download(
             _require_consent(f"fetch {size}?", refused, "add --yes, or name a --split")
         with sink.progress("fetching", BYTES) as update:
             place = carry_out(plan, update)
-    _conclude(sink, plan, place, kind)
+    _print_download(sink, plan, place, kind)
 
 
 def _quiet_client(*, is_all: bool) -> None:
@@ -120,12 +120,12 @@ def _quiet_client(*, is_all: bool) -> None:
 
 
 def _require_consent(question: str, refused: str, next_step: str) -> None:
-    """Ask on the terminal; InputError where there is none, or the answer is no."""
+    """Ask on the terminal; InputError where that is not possible, or the user declines."""
     # The question goes to stderr: stdout may be a file, or hold the JSON document.
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise InputError(refused, next=next_step)
     if not typer.confirm(question, err=True):
-        raise InputError("the answer was no; nothing was changed", next=next_step)
+        raise InputError("declined; nothing was changed", next=next_step)
 
 
 def _listed(paths: Sequence[str]) -> str:
@@ -134,7 +134,7 @@ def _listed(paths: Sequence[str]) -> str:
     return ", ".join(paths[:_FILES_SHOWN]) + more
 
 
-def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
+def _print_upload_plan(sink: Sink, prepared: PreparedUpload) -> None:
     plan, branch, where = prepared.plan, prepared.branch, _where(prepared)
     for paths, words in (
         (prepared.left_out, "left out, no part of the data set: {}"),
@@ -166,7 +166,7 @@ def _print_plan(sink: Sink, prepared: PreparedUpload) -> None:
     )
 
 
-def _print_result(
+def _print_upload(
     sink: Sink, kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None
 ) -> None:
     plan, held, where = prepared.plan, prepared.branch.held, _where(prepared)
@@ -222,7 +222,7 @@ def _where(prepared: PreparedUpload) -> str:
     return prepared.repo_id if name == MAIN_BRANCH else f"{prepared.repo_id} ({name})"
 
 
-def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
+def _print_download_plan(sink: Sink, name: str, plan: DownloadPlan) -> None:
     """Print what is fetched, how large it is, and under which terms it stands."""
     from tactile_toolkit.catalog.locate import published_set
 
@@ -241,7 +241,7 @@ def _introduce(sink: Sink, name: str, plan: DownloadPlan) -> None:
         sink.info(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")
 
 
-def _conclude(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> None:
+def _print_download(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> None:
     absent, files = {file.path for file in plan.missing}, plan.record.files.values()
     sink.document(
         {

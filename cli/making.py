@@ -163,8 +163,8 @@ def print_set(
     if not manifest.complete:
         record = read_record(DataFolder(out))
         found = "the run is under way or was interrupted" if table else "no shard is finished yet"
-        again = f"the same `{kind.command_of(manifest)}` continues where it stopped, --finish names what is"
-        next_step = f"{again} missing"
+        made_by = kind.command_of(manifest)
+        next_step = f"the same `{made_by}` continues where it stopped, --finish names what is missing"
         if record is not None:
             found = "the download is under way or was interrupted"
             next_step = f"download {record.repo_id} there again, it continues where it stopped"
@@ -172,14 +172,8 @@ def print_set(
     if not (manifest.complete and header):
         header = ("split", kind.nouns, "shards", "Parquet", "left out")
         rows = [
-            (
-                name,
-                held["rows"],
-                f"{held['shards']:,} of {planned[name]:,}",
-                bytes_text(held["bytes"]),
-                held["skipped"],
-            )
-            for name, held in table.items()
+            (name, e["rows"], f"{e['shards']:,} of {planned[name]:,}", bytes_text(e["bytes"]), e["skipped"])
+            for name, e in table.items()
         ]
     sink.table(header, rows)
     for reason, count in manifest.skipped_reasons().items():

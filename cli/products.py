@@ -174,10 +174,10 @@ def gallery_of_touches(
 _ROWS_SHOWN = 20
 
 
-def export(
-    *,
-    kind: DatasetKind,
-    name: str = ANY_SET,
+@dataclass(frozen=True, slots=True)
+class Form:
+    """What is written."""
+
     file_format: str | None = choice(
         None,
         ("stl", "3mf", "ply", "obj", "glb", *MODELS, "flat"),
@@ -186,12 +186,19 @@ def export(
         shown="stl, plates 3mf",
         help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
         "Parquet tables with a row for each object, its mesh as GLB.",
-    ),
-    scale: float = real(1.0, help="Factor for all lengths."),
+    )
+    scale: float = real(1.0, help="Factor for all lengths.")
     plate: str | None = text(
         metavar="256x256|prusa-mk4",
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
-    ),
+    )
+
+
+def export(
+    *,
+    kind: DatasetKind,
+    name: str = ANY_SET,
+    form: Form,
     chosen: Chosen,
     distances: Annotated[dict[str, Any], OptionsOf(PlateSpec)],
     material: Annotated[dict[str, Any], OptionsOf(Physics)],
@@ -219,33 +226,28 @@ def export(
 
     some = chosen.given()
     # What cannot be used is reported before any work.
-    if file_format == "flat":
-        others = {"plate": plate, "scale": None if scale == 1 else scale}
-        given = [*distances, *material, *(name for name, value in others.items() if value is not None)]
+    if form.file_format == "flat":
+        given = [*distances, *material, *(["scale"] if form.scale != 1 else [])]
         _refuse(given, "about files, not about tables of meshes as they are stored", "leave it out")
-    elif file_format not in MODELS:
+    elif form.file_format not in MODELS:
         _refuse(material, "about bodies for simulators", "add --format mjcf, urdf or usd")
-    if plate is None:
+    if form.plate is None:
         _refuse(distances, "about build plates", "add --plate 256x256")
-    elif file_format not in (None, "3mf", "mjcf"):
+    elif form.file_format not in (None, "3mf", "mjcf"):
         _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
     datasets = open_splits(name, some.pop("split"), kind.load, kind.nouns).items()
-    if file_format == "flat":
+    if form.file_format == "flat":
         _export_flat(sink, kind, name, choose_rows(datasets, **some), some, str(out), job)
         return
     bodies = Physics(**material)
-    spec = None if plate is None else PlateSpec.parse(plate, **distances)
+    spec = None if form.plate is None else PlateSpec.parse(form.plate, **distances)
     objects = choose(datasets, **some)
     if spec is None:
-        failures = _export_files(sink, objects, file_format or "stl", scale, bodies, str(out), job)
+        _export_files(sink, objects, form.file_format or "stl", form.scale, bodies, str(out), job)
     else:
         # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
-        on_floor = bodies if file_format == "mjcf" else None
-        failures = _export_plates(sink, objects, spec, scale, on_floor, str(out), job)
-    for failure in failures:
-        sink.warn(f"failed: {failure.name}: {failure.detail}")
-    if failures:
-        raise typer.Exit(EXIT_FAILED)
+        on_floor = bodies if form.file_format == "mjcf" else None
+        _export_plates(sink, objects, spec, form.scale, on_floor, str(out), job)
 
 
 def _refuse(given: Iterable[str], why: str, instead: str) -> None:
@@ -256,7 +258,7 @@ def _refuse(given: Iterable[str], why: str, instead: str) -> None:
 
 def _export_files(
     sink: Sink, objects: list[PrintObject], ending: str, scale: float, physics: Physics, out: str, job: Job
-) -> tuple[Failure, ...]:
+) -> None:
     from tactile_toolkit.printing.objects import export_files, forecast_files
 
     how: dict[str, Any] = {"scale": scale, "physics": physics, "overwrite": job.overwrite}
@@ -267,7 +269,8 @@ def _export_files(
             f"would write {counted(view.files, f'{ending} files')} to {out}, about {bytes_text(view.bytes)} "
             f"(measured on {view.sampled}); nothing was written"
         )
-        return view.failed
+        _report_failures(sink, view.failed)
+        return
     workers = process_count(job.workers)
     with sink.progress("writing", "files") as update:
         made = export_files(objects, out, ending, **how, workers=workers, on_progress=update)
@@ -282,7 +285,7 @@ def _export_files(
     kept = _kept(sum(file.state == "kept" for file in made.files))
     size = bytes_text(sum(file.bytes for file in made.files))
     sink.line(f"{counted(len(made.files), 'files')} in {out} ({size}), each read back as a solid{kept}")
-    return made.failed
+    _report_failures(sink, made.failed)
 
 
 def _export_flat(
@@ -309,7 +312,7 @@ def _export_plates(
     bodies: Physics | None,
     out: str,
     job: Job,
-) -> tuple[Failure, ...]:
+) -> None:
     from tactile_toolkit.printing.packing import arrange, measure
     from tactile_toolkit.printing.plates import TABLE_FILE, forecast_plates, write_plates
 
@@ -338,7 +341,15 @@ def _export_plates(
         f"{verb} {placed} on {plates} of {spec.text} to {out} (no packing needs fewer than "
         f"{made.least_plates}){kept}; {ending}"
     )
-    return made.failed
+    _report_failures(sink, made.failed)
+
+
+def _report_failures(sink: Sink, failures: Iterable[Failure]) -> None:
+    """Name what could not be written; then the exit code is that of a failed validation."""
+    for failure in failures:
+        sink.warn(f"failed: {failure.name}: {failure.detail}")
+    if failures:
+        raise typer.Exit(EXIT_FAILED)
 
 
 def _kept(count: int) -> str:

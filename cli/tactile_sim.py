@@ -114,11 +114,7 @@ def render(
     turn_deg: float = real(0.0, help="Rotation of the object about z."),
     picture: PictureOptions,
     out: Path = text(
-        Path("touch.png"),
-        name="--out",
-        metavar="FILE",
-        read=local_place,
-        help="Image to write.",
+        Path("touch.png"), name="--out", metavar="FILE", read=local_place, help="Image to write."
     ),
     sink: Sink,
 ) -> None:

@@ -214,7 +214,7 @@ def test_without_a_terminal_it_does_not_send_unasked(server, folder, capsys):
     assert server.repositories == {}
 
 
-@pytest.mark.parametrize(("answer", "code"), [pytest.param("y", 0, marks=pytest.mark.thorough), ("n", 1)])
+@pytest.mark.parametrize(("answer", "code"), [pytest.param("y", 0, marks=pytest.mark.thorough), ("n", 2)])
 def test_on_a_terminal_it_asks(server, folder, tmp_path, answer, code):
     environment = settings(server, tmp_path, next(iter(server.accounts)), PYTHONPATH=str(Path.cwd()))
     ours, theirs = pty.openpty()
