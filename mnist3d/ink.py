@@ -8,20 +8,17 @@ built from the mask can be held to them.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NoReturn, TypeAlias
+from typing import Any, NoReturn, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mnist3d.spec import SolidSpec
 from tactile_toolkit.errors import ItemError
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mnist3d.spec import SolidSpec
-
-    Mask: TypeAlias = NDArray[np.bool_]
-    Levels: TypeAlias = NDArray[np.uint8]
-
+Mask: TypeAlias = NDArray[np.bool_]
+Levels: TypeAlias = NDArray[np.uint8]
+Places: TypeAlias = NDArray[np.intp]
 
 MIN_SIDE_PX = 8
 """Smaller images cannot show a digit."""

@@ -17,24 +17,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar
+from typing import Any, NamedTuple, TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.ink import grown
+from mnist3d.ink import Mask, Places, grown
+from mnist3d.spec import SolidSpec
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mnist3d.spec import SolidSpec
-
-    Mask: TypeAlias = NDArray[np.bool_]
-    Places: TypeAlias = NDArray[np.intp]
-    Singles: TypeAlias = NDArray[np.float32]
-    Doubles: TypeAlias = NDArray[np.float64]
-
-
+Singles: TypeAlias = NDArray[np.float32]
+Doubles: TypeAlias = NDArray[np.float64]
 Floats = NDArray[np.floating[Any]]
 
 

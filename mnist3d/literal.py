@@ -6,19 +6,16 @@ the vertex budget. Slow and plain on purpose.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mnist3d.ink import count_bodies_and_holes, refuse
 from mnist3d.lattice import erosion_radius_px, stack
+from mnist3d.spec import SolidSpec
 from mnist3d.surface import Surface, bodies_and_holes, decimate, isosurface, scale, smooth
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mnist3d.spec import SolidSpec
-    from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.mesh import Mesh
 
 
 def literal_solid(ink: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool = True) -> Mesh:

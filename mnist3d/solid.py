@@ -10,10 +10,13 @@ and :func:`~mnist3d.lattice.mirror`, in a continuous form that :mod:`mnist3d.lat
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
+
+from numpy.typing import NDArray
 
 from mnist3d.ink import (
     SMALL_PX,
+    Mask,
     clean,
     count_bodies_and_holes,
     ink_of_levels,
@@ -26,12 +29,7 @@ from mnist3d.literal import literal_solid
 from mnist3d.spec import SolidSpec
 from mnist3d.surface import BUDGET_SLACK, Surface, bodies_and_holes, decimate, marching_cubes, scale, smooth
 from tactile_toolkit.errors import InputError
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import NDArray
-
-    from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.mesh import Mesh
 
 
 def solidify(
@@ -93,7 +91,7 @@ def solidify(
 
 
 def _smoothed(
-    image: NDArray[np.bool_], spec: SolidSpec, on_surface: Callable[[Lattice, Mirrored, Surface], None]
+    image: Mask, spec: SolidSpec, on_surface: Callable[[Lattice, Mirrored, Surface], None]
 ) -> Surface:
     """Take the steps from ink to a smooth surface, on finer lattices until all bodies and holes are there."""
     counts, lattice = count_bodies_and_holes(image), lattice_of(image, spec)
@@ -118,7 +116,7 @@ def binarise(
     *,
     ink: Literal["auto", "dark", "light"] = "auto",
     resample: bool = False,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Find the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
 
     Parameters and errors as of :func:`solidify`.

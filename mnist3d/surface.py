@@ -4,25 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mnist3d.ink import refuse
+from mnist3d.ink import Mask, Places, refuse
+from mnist3d.lattice import Lattice, Mirrored
+from mnist3d.spec import SolidSpec
 from tactile_toolkit.mesh.crossings import self_crossing
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
-    from mnist3d.lattice import Lattice, Mirrored
-    from mnist3d.spec import SolidSpec
-
-    Mask: TypeAlias = NDArray[np.bool_]
-    Places: TypeAlias = NDArray[np.intp]
-    Vertices: TypeAlias = NDArray[np.float32]
-    Faces: TypeAlias = NDArray[np.int32]
-
+Vertices: TypeAlias = NDArray[np.float32]
+Faces: TypeAlias = NDArray[np.int32]
 
 TAUBIN_RATIO = -1.06
 """Step outward over step inward that lets smoothing keep the volume (Taubin 1995: slightly above one)."""

@@ -5,7 +5,7 @@ Importing the module registers them with gymnasium: ``gymnasium.make``, ``gymnas
 ``"tactile_envs:TactileMNIST-Depth-train-v0"``.
 """
 
-from tactile_envs.registration import register
+from tactile_envs.config import register
 from tactile_toolkit import on_first_use
 
 __getattr__, __dir__, __all__ = on_first_use(__name__, __file__)

@@ -173,9 +173,11 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         """
         super().reset(seed=seed)
         options = {} if options is None else options
-        wanted = self._given(options, "datapoint_idx")
-        for i in range(self.num_envs):
-            self._next[i] = self._any_mesh() if wanted[i] is None else self._mesh_number(wanted[i])
+        for i, wanted in enumerate(self._given(options, "datapoint_idx")):
+            number = int(self.np_random.integers(0, len(self._pool)) if wanted is None else wanted)
+            if not 0 <= number < len(self._pool):
+                raise InputError(f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}")
+            self._next[i] = number
         poses, places = self._poses(options, "initial_object_pose", 3), self._poses(options, _PLACE, 2)
         self._begin(poses)
         starts = self._starts()
@@ -338,14 +340,6 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             found.append(numbers)
         return found
 
-    def _any_mesh(self) -> int:
-        return int(self.np_random.integers(0, len(self._pool)))
-
-    def _mesh_number(self, number: Any) -> int:
-        if not 0 <= int(number) < len(self._pool):
-            raise InputError(f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}")
-        return int(number)
-
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """Return a picture of each environment, (240, 336, 3) uint8; None without a render mode.
 
@@ -372,10 +366,6 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             )
             for i in range(self.num_envs)
         )
-
-    def close(self, **options: Any) -> None:
-        """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
-        super().close(**options)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""

@@ -214,30 +214,28 @@ def _write(stream: IO[bytes], parts: list[Parts]) -> None:
 
 def _found(path: Path) -> Parts | None:
     """Map a file of the cache; None where it is not there, or not as it was written: then it goes."""
+    import xxhash
+
+    arrays: Parts = []
     try:
-        return _mapped(path)
+        with path.open("rb") as stream:
+            size = path.stat().st_size - _CHECKSUM_BYTES
+            content = np.memmap(path, np.uint8, "r") if size >= 0 else np.zeros(_CHECKSUM_BYTES + 1, np.uint8)
+            if (
+                xxhash.xxh3_128_digest(content[:-_CHECKSUM_BYTES].data)
+                != content[-_CHECKSUM_BYTES:].tobytes()
+            ):
+                raise ValueError("the meshes do not match their checksum")
+            for _ in fields(MeshPool):
+                np.lib.format.read_magic(stream)
+                shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+                # A plain array over the map: numba knows no memmap, and numpy is slower with one.
+                arrays.append(np.asarray(np.memmap(path, dtype, "r", stream.tell(), shape)))
+                stream.seek(int(np.prod(shape)) * dtype.itemsize, 1)
     except FileNotFoundError:
         return None
     except (ValueError, OSError) as error:
         if resource_shortage(error) is None:
             _POOLS.drop(path)
         return None
-
-
-def _mapped(path: Path) -> Parts:
-    """Map a file, compared with its checksum; ValueError where it is another."""
-    import xxhash
-
-    arrays: Parts = []
-    with path.open("rb") as stream:
-        size = path.stat().st_size - _CHECKSUM_BYTES
-        content = np.memmap(path, np.uint8, "r") if size >= 0 else np.zeros(_CHECKSUM_BYTES + 1, np.uint8)
-        if xxhash.xxh3_128_digest(content[:-_CHECKSUM_BYTES].data) != content[-_CHECKSUM_BYTES:].tobytes():
-            raise ValueError("the meshes do not match their checksum")
-        for _ in fields(MeshPool):
-            np.lib.format.read_magic(stream)
-            shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
-            # A plain array over the map: numba knows no memmap, and numpy is slower with one.
-            arrays.append(np.asarray(np.memmap(path, dtype, "r", stream.tell(), shape)))
-            stream.seek(int(np.prod(shape)) * dtype.itemsize, 1)
     return arrays

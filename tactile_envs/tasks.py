@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import ap_gym
 import gymnasium as gym
@@ -33,24 +33,7 @@ class Score:
     metrics: dict[str, NDArray[Any]]
 
 
-class Target(Protocol):
-    """What is to be predicted of objects."""
-
-    prediction_space: gym.Space[Any]
-    target_space: gym.Space[Any]
-    loss_fn: Any
-
-    def targets(self, chosen: NDArray[np.int64], objects: Numbers) -> NDArray[Any]:
-        """Return the targets of some meshes, shape (n,), that lie at positions and turns, shape (n, 3)."""
-
-    def score(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Score:
-        """Score predictions."""
-
-    def shown(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Shown:
-        """Return what a picture shows of predictions."""
-
-
-def make_task(registered: Registered, config: Config, pool: MeshPool, classes: int) -> Target:
+def make_task(registered: Registered, config: Config, pool: MeshPool, classes: int) -> Task:
     """Make the task of an id on some meshes; InputError where all answers are equal."""
     if registered.task == "classification":
         return Classification(pool, classes)
@@ -75,14 +58,14 @@ class Classification:
         """Return labels, shape (n,)."""
         return self._labels[chosen]
 
-    def score(self, predictions: NDArray[Any], targets: NDArray[np.int64]) -> Score:
+    def score(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Score:
         """Score logits, shape (n, classes)."""
         entropies, is_right = classify(np.ascontiguousarray(predictions, np.float32), targets)
         certainty = np.exp(-entropies).astype(np.float32)
         metrics = {"correct_label_prob": certainty, "accuracy": is_right.astype(np.float32)}
         return Score(entropies * self._scale, metrics)
 
-    def shown(self, predictions: NDArray[Any], targets: NDArray[np.int64]) -> Shown:
+    def shown(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Shown:
         """Show the probability of each class."""
         return Shown(shares=softmax(predictions, axis=1), right=targets)
 
@@ -201,6 +184,10 @@ class ObjectPose(_Regression):
         if self._has_direction:
             variances = np.concatenate([variances, [cosine.var(), sine.var()]])
         return np.asarray(variances)
+
+
+Task = Classification | Volume | ObjectPose
+"""What is to be predicted of objects."""
 
 
 def placements_m(hull: NDArray[np.float32], turn_rad: float, config: Config) -> tuple[Numbers, Numbers]:

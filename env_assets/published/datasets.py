@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,10 +26,7 @@ from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.dataset import RecordDataset
 
-if TYPE_CHECKING:
-    import tactile_mnist
-else:
-    tactile_mnist = published_package("tactile_mnist")
+tactile_mnist: Any = published_package("tactile_mnist")
 
 CELL_SIZE_M: tuple[float, float] = tuple(tactile_mnist.CELL_SIZE.tolist())
 """Width and depth of the cell of the digits, metres."""
@@ -161,15 +158,13 @@ def mesh_keywords(record: Any) -> dict[str, Any]:
     return {"vertices": vertices_m, "faces": record.faces, "process": has_equal_rows(vertices_m)}
 
 
-_OF_MESHES: Mapping[str, Callable[[Any], Any]] = {
-    "id": attrgetter("id"),
-    "label": attrgetter("label"),
-    "mesh": mesh_keywords,
-    "record": _as_it_is,
-}
-_TOUCH_COLUMNS = ("id", "label", "object_id", "info", "gel_pose_cell_frame", "sensor_image")
+def _read(*names: str) -> dict[str, Callable[[Any], Any]]:
+    return {name: attrgetter(name) for name in names}
+
+
+_OF_MESHES = {**_read("id", "label"), "mesh": mesh_keywords, "record": _as_it_is}
 _OF_TOUCHES: Mapping[str, Callable[[Any], Any]] = {
-    **{name: attrgetter(name) for name in _TOUCH_COLUMNS},
+    **_read("id", "label", "object_id", "info", "gel_pose_cell_frame", "sensor_image"),
     "pos_in_cell": attrgetter("pos_in_cell_m"),
 }
 

@@ -15,13 +15,13 @@ from functools import cache, partial
 from importlib.metadata import version
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from env_assets.meshes import LazyMesh, MeshView, require_fitting_meshes
-from env_assets.provider import FOREIGN, KINDS, meshes_at
+from env_assets.provider import FOREIGN, KINDS, AssetSource, meshes_at
 from env_assets.published.packages import (
     CLASSES,
     SPARSE_SINGLE_BROKEN,
@@ -38,10 +38,6 @@ from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.files import expanded, named_failures
 from tactile_toolkit.store.shards import ShardName
-
-if TYPE_CHECKING:
-    from env_assets.provider import AssetSource
-    from env_assets.published.datasets import StoredMeshDataset
 
 
 def make(
@@ -245,7 +241,7 @@ def _required(provider: AssetSource | None, environment: PublishedEnvironment) -
 
 def _meshes(
     environment: PublishedEnvironment, provider: AssetSource | None, split: str, settings: Mapping[str, Any]
-) -> StoredMeshDataset:
+) -> Any:
     """Ask a provider for meshes; of what is not made here the source is named."""
     name = environment.family.assets
     where = f"{name!r}, split {split!r},"
@@ -270,7 +266,7 @@ def _fitting(
     kind: str | None,
     where: str,
     settings: Mapping[str, Any],
-) -> StoredMeshDataset:
+) -> Any:
     """Hand meshes that fit an environment to the package; those of a ``kind`` must be what its name says."""
     from env_assets.published.datasets import CELL_SIZE_M, as_mesh_dataset
 
