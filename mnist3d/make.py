@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, Unpack
 
 from mnist3d.columns import PARQUET_STYLE, REPORT_FILE, DigitRow, digit_schema, report_table
 from mnist3d.kind import KIND
@@ -18,8 +18,7 @@ from tactile_toolkit import making
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.printability import PrintProfile, inspect
-from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Progress
+from tactile_toolkit.store.build import RunOptions
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
 
@@ -151,10 +150,7 @@ def generate(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
-    *,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    **run: Unpack[RunOptions],
 ) -> Manifest:
     """Make a data set of printable 3D digits.
 
@@ -171,12 +167,8 @@ def generate(
     splits : sequence of str, optional
         Splits to make; others that the folder holds already stay. By default all; for a folder of images only
         ``train``, unless ``spec.split`` divides them.
-    workers : int or Runner
-        Number of local processes, or a runner of another kind.
-    overwrite : bool
-        Replace another data set of this toolkit in the folder.
-    on_progress : callable
-        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
+    **run
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
 
     Returns
     -------
@@ -192,14 +184,7 @@ def generate(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    return making.generate(
-        DigitMaking.of(spec, splits),
-        out,
-        splits,
-        workers=workers,
-        overwrite=overwrite,
-        on_progress=on_progress,
-    )
+    return making.generate(DigitMaking.of(spec, splits), out, splits, **run)
 
 
 _OPTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Any
+from typing import Any, Unpack
 
 from starstruck_gen.columns import PARQUET_STYLE, SceneRow, scene_schema
 from starstruck_gen.kind import KIND
@@ -26,8 +26,7 @@ from starstruck_gen.spec import SceneSpec
 from tactile_toolkit import making
 from tactile_toolkit.checked_fields import check_fields, integer, split_counts
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Progress
+from tactile_toolkit.store.build import RunOptions
 from tactile_toolkit.store.manifest import Manifest, without_collecting
 
 
@@ -200,10 +199,8 @@ def generate(
     out: str | os.PathLike[str],
     splits: Sequence[str] = SPLITS,
     *,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
     on_failure: LayoutFailed = lambda _failed, _allowed: None,
+    **run: Unpack[RunOptions],
 ) -> Manifest:
     """Make a data set of scenes.
 
@@ -218,14 +215,10 @@ def generate(
         Folder to write.
     splits : sequence of str
         Splits to make; others that the folder holds already stay.
-    workers : int or Runner
-        Number of local processes, or a runner of another kind.
-    overwrite : bool
-        Replace another data set of this toolkit in the folder.
-    on_progress : callable
-        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
     on_failure : callable
         Called after each layout that failed while it is tried whether the fullest scene has room.
+    **run
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
 
     Raises
     ------
@@ -236,15 +229,8 @@ def generate(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written. What was finished stays.
     """
-    return making.generate(
-        SceneMaking(spec),
-        out,
-        splits,
-        workers=workers,
-        overwrite=overwrite,
-        on_progress=on_progress,
-        require=partial(require_feasible, spec.scene, spec.seed, on_failure),
-    )
+    require = partial(require_feasible, spec.scene, spec.seed, on_failure)
+    return making.generate(SceneMaking(spec), out, splits, require=require, **run)
 
 
 def scene_recipe(seed: int, per_class: int | None) -> making.Recipe:

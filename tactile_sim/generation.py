@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,8 +41,7 @@ from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.mesh import MeshLike
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.source import content_fingerprint, refuse_source
-from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Progress
+from tactile_toolkit.store.build import RunOptions
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -367,10 +366,7 @@ def generate(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
-    *,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    **run: Unpack[RunOptions],
 ) -> Manifest:
     """Make a data set of touches of solids, in the published schema; ``realtouch.load`` opens it.
 
@@ -389,12 +385,8 @@ def generate(
         Folder to write.
     splits : sequence of str, optional
         Splits of the source; all by default.
-    workers : int or Runner
-        Number of local processes, or a runner of another kind.
-    overwrite : bool
-        Replace another data set of this toolkit in the folder.
-    on_progress : callable
-        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
+    **run
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
 
     Returns
     -------
@@ -413,15 +405,8 @@ def generate(
         The folder holds a data set of another specification, or cannot be written. What was finished stays.
     """
     touches = TouchMaking.of(source, spec)
-    return making.generate(
-        touches,
-        out,
-        splits,
-        workers=workers,
-        overwrite=overwrite,
-        on_progress=on_progress,
-        require=partial(touches.refuse_sources, source, out),
-    )
+    require = partial(touches.refuse_sources, source, out)
+    return making.generate(touches, out, splits, require=require, **run)
 
 
 # On a surface as large as the cell they are two millimetres apart.

@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import io
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -30,8 +30,7 @@ from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import content_fingerprint, file_fingerprint, refuse_source
 from tactile_toolkit.rows import column, plain_schema, row
-from tactile_toolkit.run.processes import Runner
-from tactile_toolkit.store.build import Progress
+from tactile_toolkit.store.build import RunOptions
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
@@ -353,10 +352,7 @@ def make_pairs(
     split: str,
     spec: PairsSpec,
     out: str | os.PathLike[str],
-    *,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    **run: Unpack[RunOptions],
 ) -> Manifest:
     """Make the training set of a CycleGAN: depth images of objects, and real touches, not paired.
 
@@ -372,12 +368,8 @@ def make_pairs(
         What to make of them.
     out : str or path-like
         Folder to write: splits ``depth`` and ``real``.
-    workers : int or Runner
-        Number of local processes, or a runner of another kind.
-    overwrite : bool
-        Replace another data set of this toolkit in the folder.
-    on_progress : callable
-        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
+    **run
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
 
     Returns
     -------
@@ -395,6 +387,4 @@ def make_pairs(
     """
     pairs = PairsMaking.of(objects, real, split, spec)
     require = partial(pairs.refuse_sources, objects, out)
-    return making.generate(
-        pairs, out, workers=workers, overwrite=overwrite, on_progress=on_progress, require=require
-    )
+    return making.generate(pairs, out, require=require, **run)

@@ -7,13 +7,13 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
+from typing import Any, Unpack
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.run.processes import Check, Runner, runner_for
-from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.run.processes import Check, Runner
+from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, Job, ShardContent, inspect_job, manifest_so_far
 from tactile_toolkit.store.manifest import Manifest, without_collecting
@@ -184,10 +184,8 @@ def generate(
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
     *,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
     require: Callable[[], None] = lambda: None,
+    **run: Unpack[RunOptions],
 ) -> Manifest:
     """Make a data set folder.
 
@@ -203,14 +201,10 @@ def generate(
         Folder to write.
     splits : sequence of str, optional
         Splits to make, all by default; others that the folder holds already stay.
-    workers : int or Runner
-        Number of local processes, or a runner of another kind.
-    overwrite : bool
-        Replace another data set of this toolkit in the folder.
-    on_progress : callable
-        Called with the :class:`~tactile_toolkit.store.build.Progress` after each shard.
     require : callable
         Raises what speaks against the run, once it is known what is to be made.
+    **run
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
 
     Returns
     -------
@@ -219,14 +213,7 @@ def generate(
     """
     plan = plan_build(making, splits)
     require()
-    return build(
-        DataFolder(os.fspath(out)),
-        plan,
-        runner_for(workers),
-        overwrite=overwrite,
-        on_progress=on_progress,
-        write_card=making.kind.write_card,
-    )
+    return build(DataFolder(os.fspath(out)), plan, write_card=making.kind.write_card, **run)
 
 
 @dataclass(frozen=True, slots=True)

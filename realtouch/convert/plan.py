@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import accumulate, chain
 from os import PathLike, fspath
-from typing import Any, NamedTuple, Protocol, TypedDict
+from typing import Any, NamedTuple, Protocol, Unpack
 
 import pyarrow as pa
 
@@ -29,9 +29,8 @@ from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
-from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.manifest import Manifest
@@ -302,14 +301,11 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
     )
 
 
-class JobOptions(TypedDict, total=False):
+class JobOptions(RunOptions, total=False):
     """How any conversion is done; see :func:`realtouch.to_single`."""
 
     split: str | None
     limit: int | None
-    workers: int | Runner
-    overwrite: bool
-    on_progress: Callable[[Progress], None]
 
 
 def convert(
@@ -319,9 +315,7 @@ def convert(
     *,
     split: str | None = None,
     limit: int | None = None,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    **run: Unpack[RunOptions],
 ) -> Manifest:
     """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped.
 
@@ -334,14 +328,7 @@ def convert(
     # The terms are those of the source; columns of rounds say by themselves that they were rendered.
     if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
         conversion = replace(conversion, options={**conversion.options, "touches": origin})
-    return build(
-        folder,
-        plan_conversion(conversion),
-        runner_for(workers),
-        overwrite=overwrite,
-        on_progress=on_progress,
-        write_card=write_card,
-    )
+    return build(folder, plan_conversion(conversion), write_card=write_card, **run)
 
 
 def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:

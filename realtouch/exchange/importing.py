@@ -7,12 +7,12 @@ import json
 import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from os import PathLike, fspath
 from pathlib import Path, PurePosixPath
-from typing import Any, get_args
+from typing import Any, Unpack, get_args
 
 import numpy as np
 import pyarrow as pa
@@ -25,8 +25,7 @@ from realtouch.exchange.items import NUMBERED, Item, contents_of
 from realtouch.poses import bad_pose
 from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.manifest import Manifest
@@ -70,9 +69,7 @@ def import_images(
     table: str | None = None,
     classes: Sequence[str] = (),
     split: str | None = None,
-    workers: int | Runner = 1,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
+    **run: Unpack[RunOptions],
 ) -> Manifest:
     """Make a data set of touches from images and a table of labels and poses; images are not changed.
 
@@ -119,9 +116,7 @@ def import_images(
     items = _items(home, layout, chosen, table)
     known = dict.fromkeys(name for item in items for name in item.fields)
     plan = _plan(items, chosen.found_in(known), tuple(classes), split, layout)
-    return build(
-        folder, plan, runner_for(workers), overwrite=overwrite, on_progress=on_progress, write_card=write_card
-    )
+    return build(folder, plan, write_card=write_card, **run)
 
 
 def _items(home: DataFolder, layout: str, columns: ImportColumns, table: str | None) -> list[Item]:

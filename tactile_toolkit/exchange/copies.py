@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 import numpy as np
 
@@ -21,9 +21,8 @@ from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.columns import class_names, column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
-from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.build import build
+from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.job import BuildPlan, ShardContent, inspect_job
 from tactile_toolkit.store.manifest import Manifest
@@ -123,7 +122,7 @@ def _open_source(kind: DatasetKind, name: str) -> _Source:
     return _Source(name, manifest.spec.get("source_spec", manifest.spec), is_imported, shards)
 
 
-def merge_sets(kind: DatasetKind, names: Sequence[str], out: str, **run: Any) -> Manifest:
+def merge_sets(kind: DatasetKind, names: Sequence[str], out: str, **run: Unpack[RunOptions]) -> Manifest:
     """Make one data set of several, whose shards are copied byte for byte; ``run`` are options of ``build``.
 
     Raises InputError where they are of another kind, have other columns or classes, or an id in common.
@@ -180,7 +179,7 @@ def write_part(
     rows: Mapping[str, NDArray[np.int64]],
     options: Mapping[str, Any],
     out: str,
-    **run: Any,
+    **run: Unpack[RunOptions],
 ) -> Manifest:
     """Write rows of a data set as one of the same kind; ``options`` are JSON values that say which."""
     return _build(kind, [_open_source(kind, name)], rows, SPLIT, options, out, run)
@@ -193,7 +192,7 @@ def _build(
     operation: str,
     options: Mapping[str, Any],
     out: str,
-    run: dict[str, Any],
+    run: RunOptions,
 ) -> Manifest:
     folder, tasks, found = DataFolder(out), [], {}
     for source in sources:
@@ -216,7 +215,7 @@ def _build(
     source_spec = specs[0] if all(spec == specs[0] for spec in specs) else None
     made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
     plan = _copy_plan(made, operation, options, found, source_spec, tasks, _style(shards[0]))
-    return build(folder, plan, runner_for(run.pop("workers", 1)), write_card=made.write_card, **run)
+    return build(folder, plan, write_card=made.write_card, **run)
 
 
 def _copy_plan(
@@ -308,10 +307,9 @@ def forecast_tables(plan: BuildPlan, out: str, *, overwrite: bool = False) -> tu
     return rows, round(rows * len(encode_parquet(flat_table(sample), _STYLE)) / len(sample))
 
 
-def export_tables(kind: DatasetKind, plan: BuildPlan, out: str, **run: Any) -> Manifest:
+def export_tables(kind: DatasetKind, plan: BuildPlan, out: str, **run: Unpack[RunOptions]) -> Manifest:
     """Write planned tables; ``run`` are options of ``build``. Raises as all makers of folders do."""
-    runner = runner_for(run.pop("workers", 1))
-    return build(DataFolder(out), plan, runner, write_card=kind.write_card, **run)
+    return build(DataFolder(out), plan, write_card=kind.write_card, **run)
 
 
 def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:

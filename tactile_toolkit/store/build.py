@@ -13,9 +13,10 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from typing import TypedDict
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
-from tactile_toolkit.run.processes import Check, Finish, Part, Runner
+from tactile_toolkit.run.processes import Check, Finish, Part, Runner, runner_for
 from tactile_toolkit.store.derived import merge_reports, write_small_columns
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import (
@@ -58,6 +59,24 @@ class Progress:
     record: ShardRecord | None = None
 
 
+class RunOptions(TypedDict, total=False):
+    """How a data set is made, whatever it holds; none of it changes a row.
+
+    Attributes
+    ----------
+    workers : int or Runner
+        Number of local processes, 1 by default, or a runner of another kind.
+    overwrite : bool
+        Replace another data set of this toolkit in the folder.
+    on_progress : callable
+        Called with the :class:`Progress` before the work and after each shard.
+    """
+
+    workers: int | Runner
+    overwrite: bool
+    on_progress: Callable[[Progress], None]
+
+
 @dataclass(frozen=True)
 class _WriteShard:
     """Picklable: make one shard of a job, and write it with its record."""
@@ -98,7 +117,7 @@ class _WriteShard:
 def build(
     folder: DataFolder,
     plan: BuildPlan,
-    runner: Runner,
+    workers: int | Runner = 1,
     *,
     overwrite: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
@@ -120,6 +139,7 @@ def build(
     MissingPartsError
         The set cannot be finished yet, or the runner has not made all shards; those that it made stay.
     """
+    runner = runner_for(workers)
     kind = runner.workers if isinstance(runner, Check) else runner
     is_part = isinstance(kind, Part)
     if overwrite:
