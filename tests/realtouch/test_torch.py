@@ -166,17 +166,17 @@ def test_transforms_apply(single_folder: Path) -> None:
 
 
 @pytest.mark.own_process
-@pytest.mark.parametrize("method", ["fork", "spawn", "forkserver"])
-def test_workers_of_every_start_method(images: Any, method: str) -> None:
+def test_workers_of_every_start_method(images: Any) -> None:
     _ = images[0]  # opened in the parent, too
-    loader = torch.utils.data.DataLoader(
-        images, batch_size=4, shuffle=False, num_workers=2, multiprocessing_context=method, timeout=PATIENCE_S
-    )
-    batches = list(loader)
-    pixels = torch.cat([batch for batch, _ in batches])
-    labels = torch.cat([label for _, label in batches])
-    assert labels.tolist() == [0] * 5 + [1] * 5 + [2] * 5
-    np.testing.assert_array_equal(pixels.numpy().transpose(0, 2, 3, 1), images.touches.images())
+    for method in ("fork", "spawn", "forkserver"):
+        loader = torch.utils.data.DataLoader(
+            images, batch_size=8, num_workers=2, multiprocessing_context=method, timeout=PATIENCE_S
+        )
+        batches = list(loader)
+        pixels = torch.cat([batch for batch, _ in batches])
+        labels = torch.cat([label for _, label in batches])
+        assert labels.tolist() == [0] * 5 + [1] * 5 + [2] * 5
+        np.testing.assert_array_equal(pixels.numpy().transpose(0, 2, 3, 1), images.touches.images())
 
 
 def test_touches_of_a_stream_are_read_where_they_lie(single_folder: Path) -> None:

@@ -119,9 +119,9 @@ def test_cycle_gan(env_id, provider, assets, packages):
     pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
     config = {"step_limit": 3}
     published = env_assets.make(
-        env_id, provider=provider, num_envs=ENVS, config={**config, "sensor_backend": "torch"}
+        env_id, provider=provider, num_envs=2, config={**config, "sensor_backend": "torch"}
     )
-    native = make_vector(env_id, num_envs=ENVS, assets=assets, config={**config, "depth_in_info": True})
+    native = make_vector(env_id, num_envs=2, assets=assets, config={**config, "depth_in_info": True})
     _same_spaces(published, native)
 
     def compare(theirs: Any, ours: Any) -> None:
@@ -195,7 +195,7 @@ def _same_stats(theirs: dict[str, Any], ours: dict[str, Any]) -> None:
     assert theirs["scalar"].keys() == ours["scalar"].keys()
     for name, values in theirs["scalar"].items():
         # The package gives metrics of volumes as columns.
-        np.testing.assert_allclose(ours["scalar"][name], np.reshape(values, ENVS), rtol=1e-4, atol=1e-6)
+        np.testing.assert_allclose(ours["scalar"][name], np.ravel(values), rtol=1e-4, atol=1e-6)
     assert theirs["vector"].keys() == ours["vector"].keys()
     for name, values in theirs["vector"].items():
         for one, other in zip(values, ours["vector"][name], strict=True):

@@ -112,9 +112,13 @@ def test_height_maps_and_meshes(digits: mnist3d.MeshDataset) -> None:
 
 
 @pytest.mark.own_process
-@pytest.mark.parametrize("method", ["fork", "spawn"])
-@pytest.mark.parametrize("form", ["points", "mesh"])
-def test_workers_give_what_this_process_gives(form: Any, method: str) -> None:
+def test_workers_give_what_this_process_gives() -> None:
+    """In one process for all, which takes a second to start."""
+    for form, method in (("points", "fork"), ("mesh", "fork"), ("mesh", "spawn")):
+        workers_give_what_this_process_gives(form, method)
+
+
+def workers_give_what_this_process_gives(form: Any, method: str) -> None:
     from torch.utils.data import DataLoader
 
     from starstruck_gen.torch import SceneTensors, collate_meshes

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import signal
@@ -98,14 +99,14 @@ def a_rank_is_given_the_same_batches_whatever_its_workers(rows: Rows) -> None:
     plain = list(batches_of(rows, rank=1, world_size=2))
     expected = epoch_ids(rows, 0)
     assert flat(plain) == [*expected[1::2], expected[0]], "43 items: the second rank gets the first one again"
-    for workers in (0, 1, 3):
-        for kind in (torch.utils.data.DataLoader, stateful.StatefulDataLoader):
-            batches = batches_of(rows, rank=1, world_size=2)
-            loader = kind(batches, batch_size=None, num_workers=workers)
-            assert len(loader) == len(plain) == 8
-            assert list(loader) == plain
-            assert batches.epoch == 1
-            assert flat(loader) == [*epoch_ids(rows, 1)[1::2], epoch_ids(rows, 1)[0]], "each pass is an epoch"
+    plain_loader, stateful_loader = torch.utils.data.DataLoader, stateful.StatefulDataLoader
+    for kind, workers in ((plain_loader, 0), (plain_loader, 3), (stateful_loader, 0), (stateful_loader, 1)):
+        batches = batches_of(rows, rank=1, world_size=2)
+        loader = kind(batches, batch_size=None, num_workers=workers)
+        assert len(loader) == len(plain) == 8
+        assert list(loader) == plain
+        assert batches.epoch == 1
+        assert flat(loader) == [*epoch_ids(rows, 1)[1::2], epoch_ids(rows, 1)[0]], "each pass is an epoch"
 
 
 @given(
@@ -237,13 +238,16 @@ def states_that_cannot_be_resumed_are_refused_by_name(rows: Rows) -> None:
 
 
 @pytest.mark.own_process
-def test_loaders_with_workers(rows: Rows) -> None:
+def test_loaders_with_workers(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
     """In one process for all, because each must begin without threads of others."""
+    # A loader whose state was refused ends each of its workers after this time, by default 5 s.
+    monkeypatch.setattr("torch.utils.data._utils.MP_STATUS_CHECK_INTERVAL", 0.2)
     a_rank_is_given_the_same_batches_whatever_its_workers(rows)
     the_state_of_a_loader_goes_on_with_the_same_or_with_other_workers(rows)
     a_state_at_the_end_of_an_epoch_begins_the_next(rows)
     looking_at_a_batch_before_going_on_loses_nothing(rows)
     states_that_cannot_be_resumed_are_refused_by_name(rows)
+    gc.collect()  # with the time above
 
 
 @pytest.mark.parametrize(
