@@ -72,13 +72,17 @@ def info(
     from realtouch.summary import summarise
     from tactile_toolkit.catalog.locate import folder_named
     from tactile_toolkit.store.job import manifest_so_far
+    from tactile_toolkit.store.manifest import MANIFEST_FILE
+    from tactile_toolkit.store.names import typed
 
     folder = folder_named(name)
     manifest = None if folder is None else manifest_so_far(folder)
-    copies = ("frames", "export", "merge", "split")
-    if manifest is not None and not (manifest.complete and manifest.spec.get("operation") not in copies):
-        print_set(sink, KIND, manifest, name)
-        return
+    operation = ""
+    if manifest is not None:
+        operation = typed(manifest.spec.get("operation"), str, f"{name}/{MANIFEST_FILE}", "spec.operation")
+        if not manifest.complete or operation in ("frames", "export", "merge", "split"):
+            print_set(sink, KIND, manifest, name)
+            return
     announce_fetching(sink, name, split)
     source = Source.open(name, revision, split)
     summaries = {each: summarise(dataset_of(shards)) for each, shards in source.shards.items()}
@@ -92,7 +96,6 @@ def info(
     for each, summary in summaries.items():
         _print_summary(sink, each, summary)
     if manifest is not None:
-        operation = manifest.spec.get("operation")
         sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {operation} with")
         for line in flat_lines(manifest.spec.get("options")):
             sink.line(f"  {line}")
