@@ -71,8 +71,8 @@ def height_table(digits: Sequence[MeshRecord], pitch_m: float, repeats: int) -> 
 
 def by_boxes(digit: MeshRecord, expected: HeightMap) -> None:
     """The plain way, for comparison: each triangle tried at the pixels of its bounding box, in a loop."""
-    window = expected.window
-    heights = np.full((window.rows, window.columns), -np.inf)
+    window = expected
+    heights = np.full(expected.heights_m.shape, -np.inf)
     places = digit.vertices_m.astype(np.float64) / [window.pitch_m, window.pitch_m, 1]
     places[:, :2] -= [window.first_column + 0.5, window.first_row + 0.5]
     for a, b, c in places[digit.faces]:

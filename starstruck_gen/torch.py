@@ -2,10 +2,29 @@
 
 from __future__ import annotations
 
-from tactile_toolkit.mesh.torch import FORMS, TARGETS, MeshBatch, MeshItem, SolidTensors, collate_meshes
+from tactile_toolkit.mesh.torch import (
+    REPRESENTATIONS,
+    TARGETS,
+    MeshBatch,
+    MeshItem,
+    SolidTensors,
+    collate_meshes,
+)
 from tactile_toolkit.read.torch import TrainingBatches
 
-__all__ = ["FORMS", "TARGETS", "MeshBatch", "MeshItem", "SceneTensors", "TrainingBatches", "collate_meshes"]
+__all__ = [
+    "FORMS",
+    "REPRESENTATIONS",
+    "TARGETS",
+    "MeshBatch",
+    "MeshItem",
+    "SceneTensors",
+    "TrainingBatches",
+    "collate_meshes",
+]
+
+FORMS = REPRESENTATIONS
+"""Former name."""
 
 
 class SceneTensors(SolidTensors):

@@ -21,33 +21,13 @@ MOST_PIXELS = 1 << 27
 """Largest grid, 512 MiB: a finer pitch is refused instead of filling the memory."""
 
 
-@dataclass(frozen=True, slots=True)
-class Window:
-    """Which pixels of the endless grid a map has.
-
-    The pixels of a pitch are the same for all meshes: pixel (i, j) is the square from ``i * pitch`` to
-    ``(i + 1) * pitch`` along x and from ``j * pitch`` to ``(j + 1) * pitch`` along y.
-
-    Attributes
-    ----------
-    first_column, first_row : int
-        Least i and j.
-    columns, rows : int
-        How many there are along x and y.
-    pitch_m : float
-        Side of a pixel, metres.
-    """
-
-    first_column: int
-    first_row: int
-    columns: int
-    rows: int
-    pitch_m: float
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class HeightMap:
     """The top surface of a mesh, in the frame of the mesh.
+
+    The pixels of a pitch are the same for all meshes: pixel (i, j) is the square from ``i * pitch`` to
+    ``(i + 1) * pitch`` along x and from ``j * pitch`` to ``(j + 1) * pitch`` along y. A map has those that
+    touch the mesh.
 
     Row 0 has the least y and column 0 the least x: ``heights_m[row, column]`` is the surface above the point
     ``(x_m[column], y_m[row])``, the centre of that pixel. (Pictures put row 0 on top: show
@@ -58,27 +38,26 @@ class HeightMap:
     ----------
     heights_m : ndarray of float32, shape (rows, columns)
         z of the highest point of the mesh above each pixel centre, metres; read-only.
-    window : Window
-        Where the pixels lie.
+    first_column, first_row : int
+        Least i and j.
+    pitch_m : float
+        Side of a pixel, metres.
     """
 
     heights_m: NDArray[np.float32]
-    window: Window
-
-    @property
-    def pitch_m(self) -> float:
-        """Side of a pixel, metres."""
-        return self.window.pitch_m
+    first_column: int
+    first_row: int
+    pitch_m: float
 
     @property
     def x_m(self) -> NDArray[np.float64]:
         """Centre of each column along x, shape (columns,), metres."""
-        return _centres_m(self.window.first_column, self.window.columns, self.pitch_m)
+        return _centres_m(self.first_column, self.heights_m.shape[1], self.pitch_m)
 
     @property
     def y_m(self) -> NDArray[np.float64]:
         """Centre of each row along y, shape (rows,), metres."""
-        return _centres_m(self.window.first_row, self.window.rows, self.pitch_m)
+        return _centres_m(self.first_row, self.heights_m.shape[0], self.pitch_m)
 
     @property
     def covered(self) -> NDArray[np.bool_]:
@@ -126,20 +105,18 @@ def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
     """
     mesh = as_mesh(mesh)
     vertices_m = np.asarray(mesh.vertices_m)
-    window = window_of(vertices_m, pitch_m)
+    first_column, first_row, columns, rows = _pixels_of(vertices_m, pitch_m)
     x_m, y_m, z_m = vertices_m.T.astype(np.float64)
-    # The centre of pixel (i, j) of the window is at column i, row j.
-    columns = x_m / window.pitch_m - (window.first_column + 0.5)
-    rows = y_m / window.pitch_m - (window.first_row + 0.5)
-    points = np.stack([columns, rows, z_m])
-    heights_m = highest_values(points, mesh.faces, (window.rows, window.columns))
+    # The centre of pixel (i, j) of the map is at column i, row j.
+    places = x_m / pitch_m - (first_column + 0.5), y_m / pitch_m - (first_row + 0.5)
+    heights_m = highest_values(np.stack([*places, z_m]), mesh.faces, (rows, columns))
     heights_m[np.isneginf(heights_m)] = np.nan
     heights_m.setflags(write=False)
-    return HeightMap(heights_m, window)
+    return HeightMap(heights_m, first_column, first_row, float(pitch_m))
 
 
-def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
-    """Return the pixels that touch the bounding box of some vertices; raises as :func:`top_surface`."""
+def _pixels_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> tuple[int, int, int, int]:
+    """Return first column and row, columns and rows of the pixels that touch the bounding box of vertices."""
     if not _is_length(pitch_m):
         raise InputError(
             f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
@@ -159,7 +136,7 @@ def window_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> Window:
             f"{MOST_PIXELS:,} are made",
             next="choose a larger pitch",
         )
-    return Window(int(first[0]), int(first[1]), int(columns), int(rows), float(pitch_m))
+    return int(first[0]), int(first[1]), int(columns), int(rows)
 
 
 def _is_length(value: object) -> bool:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.checked_fields import checked_integer
+from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh.height_map import MOST_PIXELS
 from tactile_toolkit.mesh.raster import covered_pixels, highest_values
@@ -120,8 +121,8 @@ def voxels_in(
     return inside.astype(np.uint8)
 
 
-Form = Literal["points", "voxels", "height_map", "mesh"]
-FORMS: tuple[Form, ...] = get_args(Form)
+Representation = Literal["points", "voxels", "height_map", "mesh"]
+REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
 """What an item may be, see :class:`SolidTensors`."""
 
 Target = str | Callable[[Any], Any] | None
@@ -168,10 +169,11 @@ class MeshBatch(NamedTuple):
     face_counts: torch.Tensor
 
 
+@former_attributes(form="representation")
 class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     """A map-style data set of solids.
 
-    Item i is ``(tensor, target)``, or without a target the tensor alone. By ``form`` that is
+    Item i is ``(tensor, target)``, or without a target the tensor alone. By ``representation`` that is
 
     - ``"points"``: points on the surface, shape (``points``, 3), float32, metres, drawn evenly over its area:
       the same for the same seed, epoch and i, in every process;
@@ -185,8 +187,8 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     ----------
     dataset : RecordDataset of SolidRecord
         What to give.
-    form : str
-        One of :data:`FORMS`.
+    representation : str
+        One of :data:`REPRESENTATIONS`.
     points : int
         How many points.
     pitch_m : float
@@ -203,7 +205,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     Raises
     ------
     InputError
-        The form or the target is unknown, or a number is impossible.
+        The representation or the target is unknown, or a number is impossible.
     """
 
     extent_m: ClassVar[tuple[float, float, float]] = (0.12, 0.12, 0.01)
@@ -211,7 +213,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     def __init__(
         self,
         dataset: RecordDataset[Any],
-        form: Form = "points",
+        representation: Representation = "points",
         *,
         points: int = 1024,
         pitch_m: float = 0.001,
@@ -220,8 +222,9 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         target: Target = "label",
         seed: int = 0,
     ) -> None:
-        if form not in FORMS:
-            raise InputError(f"no form {form!r}; expected one of {', '.join(FORMS)}")
+        if representation not in REPRESENTATIONS:
+            expected = ", ".join(REPRESENTATIONS)
+            raise InputError(f"no representation {representation!r}; expected one of {expected}")
         if isinstance(target, str) and target not in TARGETS:
             raise InputError(
                 f"no target {target!r}; expected one of {', '.join(TARGETS)}, a function of a record, or None"
@@ -229,7 +232,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         from tactile_toolkit.read.torch import shared_zeros  # here: without torch its message is another
 
         self.dataset = dataset
-        self.form = form
+        self.representation = representation
         self.points = checked_integer(points, "points", 1)
         self.seed = checked_integer(seed, "seed")
         self.box = Box(extent_m or type(self).extent_m, pitch_m)
@@ -269,13 +272,13 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def _tensor(self, record: SolidRecord, place: int) -> torch.Tensor | MeshItem:
         vertices_m, faces = record.vertices_m, record.faces
-        if self.form == "points":
+        if self.representation == "points":
             # Not of torch's generator, whose state differs from worker to worker.
             random = np.random.default_rng([self.seed, self.epoch, place])
             return torch.from_numpy(surface_points(vertices_m, faces, self.points, random))
-        if self.form == "voxels":
+        if self.representation == "voxels":
             return torch.from_numpy(voxels_in(self.box, vertices_m, faces)[None])
-        if self.form == "height_map":
+        if self.representation == "height_map":
             return torch.from_numpy(heights_in(self.box, vertices_m, faces)[None])
         # Copies: torch takes no read-only view.
         return MeshItem(torch.from_numpy(vertices_m.copy()), torch.from_numpy(faces.astype(np.int64)))

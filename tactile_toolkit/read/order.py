@@ -9,7 +9,6 @@ on is one number: how many items all ranks together have been given.
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -20,7 +19,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.bounds import CACHE_LIMIT_VARIABLE, cache_limit_bytes
+from tactile_toolkit.bounds import cache_limit_bytes
 from tactile_toolkit.errors import ToolkitError
 
 _KEPT_WINDOWS = 2  # a batch may reach over the end of one
@@ -176,15 +175,7 @@ class Prefetcher:
             return
         self._window = window
         size_bytes = self._unpack(window)
-        limit_bytes = cache_limit_bytes()
-        if size_bytes > limit_bytes:
-            message = ToolkitError(
-                f"shards of one window unpack to {size_bytes:,} bytes; the cache keeps {limit_bytes:,}, so "
-                "that row groups are unpacked again and again",
-                next=f"take a smaller window, or set {CACHE_LIMIT_VARIABLE}={2 * size_bytes >> 20}",
-            ).message
-            warnings.warn(message, RuntimeWarning, stacklevel=2)
-        if 2 * size_bytes <= limit_bytes:  # the next one must not drive this one out
+        if 2 * size_bytes <= cache_limit_bytes():  # the next one must not drive this one out
             # A job that ends in the middle of an epoch does not wait for row groups that are not needed.
             self._thread = Thread(target=self._unpack, args=(window + 1,), daemon=True)
             self._thread.start()

@@ -48,8 +48,8 @@ def test_every_pixel_is_exact_on_edges_and_corners_too(mesh):
 def test_moving_by_whole_pixels_moves_the_map_and_changes_no_number(mesh, columns, rows):
     moved = Mesh(mesh.vertices_m + np.array([columns, rows, 0]), mesh.faces)
     here, there = top_surface(mesh, 1.0), top_surface(moved, 1.0)
-    assert there.window.first_column == here.window.first_column + columns
-    assert there.window.first_row == here.window.first_row + rows
+    assert there.first_column == here.first_column + columns
+    assert there.first_row == here.first_row + rows
     np.testing.assert_array_equal(there.heights_m, here.heights_m)
     lifted = top_surface(Mesh(mesh.vertices_m + np.array([0, 0, 0.25]), mesh.faces), 1.0)
     np.testing.assert_allclose(lifted.heights_m, here.heights_m + 0.25, rtol=0, atol=1e-6)
@@ -60,9 +60,9 @@ def test_the_map_of_several_is_the_highest_of_their_maps(one, other):
     both = top_surface(joined(one, other), 1.0)
     expected = np.full(both.heights_m.shape, np.nan, np.float32)
     for part in (top_surface(one, 1.0), top_surface(other, 1.0)):
-        row = part.window.first_row - both.window.first_row
-        column = part.window.first_column - both.window.first_column
-        place = expected[row : row + part.window.rows, column : column + part.window.columns]
+        row = part.first_row - both.first_row
+        column = part.first_column - both.first_column
+        place = expected[row : row + part.heights_m.shape[0], column : column + part.heights_m.shape[1]]
         np.fmax(place, part.heights_m, out=place)
     np.testing.assert_array_equal(both.heights_m, expected)
 

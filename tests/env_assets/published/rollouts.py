@@ -108,10 +108,10 @@ def _heights_m(surface: Any, object_pose: Any, points_m: NDArray[Any]) -> NDArra
     """Look up the surface below points (..., 2) of the cell; 0 where the plate lies bare."""
     turn = Rotation.from_matrix(object_pose.rotation.as_matrix()).as_matrix()[:2, :2]
     local = (points_m - object_pose.translation[:2]) @ turn  # the transpose of `turn` from the left
-    window = surface.window
+    window, (rows, columns) = surface, surface.heights_m.shape
     column = np.floor(local[..., 0] / window.pitch_m).astype(int) - window.first_column
     row = np.floor(local[..., 1] / window.pitch_m).astype(int) - window.first_row
-    inside = (column >= 0) & (column < window.columns) & (row >= 0) & (row < window.rows)
+    inside = (column >= 0) & (column < columns) & (row >= 0) & (row < rows)
     heights = surface.filled(0.0)[np.where(inside, row, 0), np.where(inside, column, 0)]
     covered = surface.covered[np.where(inside, row, 0), np.where(inside, column, 0)]
     return np.where(inside & covered, heights + object_pose.translation[2], 0.0)

@@ -96,9 +96,9 @@ def test_height_maps_and_meshes(digits: mnist3d.MeshDataset) -> None:
     assert (tuple(heights.shape), heights.dtype) == ((1, 200, 200), torch.float32)
     assert volume_m3 == pytest.approx(digits[3].volume_m3)
     surface = top_surface(digits[3], 0.0005)
-    window = surface.window
+    window, (rows, columns) = surface, surface.heights_m.shape
     first_row, first_column = window.first_row + 100, window.first_column + 100
-    part = heights[0, first_row : first_row + window.rows, first_column : first_column + window.columns]
+    part = heights[0, first_row : first_row + rows, first_column : first_column + columns]
     np.testing.assert_allclose(part.numpy(), surface.filled(), atol=1e-7)
     assert int((heights > 0).sum()) == int((part > 0).sum())
     cut = DigitTensors(digits, "height_map", extent_m=(0.01, 0.02, 0.01), target=None)[3]
@@ -164,7 +164,7 @@ def test_what_cannot_be_is_refused() -> None:
     from starstruck_gen.torch import SceneTensors
 
     for given, words in (
-        ({"form": "soup"}, "no form 'soup'"),
+        ({"representation": "soup"}, "no representation 'soup'"),
         ({"target": "taste"}, "no target 'taste'"),
         ({"points": 0}, "points is 0"),
         ({"seed": -1}, "seed is -1"),
