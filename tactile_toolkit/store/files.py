@@ -228,13 +228,23 @@ def sync_folder(folder: Path) -> None:
         os.close(handle)
 
 
+def make_folder(path: Path) -> None:
+    """Make a folder and those above it, where other writers may remove empty ones at the same time."""
+    for _ in range(_TRIES):
+        # pathlib says that the folder exists where it goes between its attempt and its look at what is there.
+        with contextlib.suppress(FileExistsError, FileNotFoundError):
+            path.mkdir(parents=True, exist_ok=True)
+            return
+    path.mkdir(parents=True, exist_ok=True)
+
+
 def new_file(path: Path) -> IO[bytes]:
     """Open a file that is not there yet for writing, making its folder."""
     for _ in range(_TRIES):
         # Another run that has come to its end may remove an empty folder in between.
         with contextlib.suppress(FileNotFoundError):
             return path.open("xb")
-        path.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(path.parent)
     return path.open("xb")
 
 

@@ -29,6 +29,7 @@ from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import (
     expanded,
     locked,
+    make_folder,
     named_failures,
     new_file,
     open_regular,
@@ -242,7 +243,7 @@ class DataFolder:
         os.fsync(stream.fileno())
         stream.close()  # Windows moves no open file
         target = self.place(path)
-        target.parent.mkdir(parents=True, exist_ok=True)
+        make_folder(target.parent)
         publish(Path(stream.name), target)
         sync_folder(target.parent)
 
@@ -301,7 +302,7 @@ class DataFolder:
         """Move a file of a local folder inside it, in place of any other."""
         with named_failures(self.address(target)):
             place = self.place(target)
-            place.parent.mkdir(parents=True, exist_ok=True)
+            make_folder(place.parent)
             self.place(path).replace(place)
             sync_folder(place.parent)
 
@@ -338,7 +339,7 @@ class DataFolder:
         with named_failures(self.root):
             if self.exists() and self._problem():
                 raise InputError(self._problem(), next="choose another path (--out or OUT)")
-            Path(self.root).mkdir(parents=True, exist_ok=True)
+            make_folder(Path(self.root))
             with self._temporary(""):
                 pass
 
@@ -365,7 +366,7 @@ class DataFolder:
                     break
                 except FileNotFoundError:  # a run that failed has removed it, empty as it was
                     with named_failures(str(home)):
-                        home.mkdir(parents=True, exist_ok=True)
+                        make_folder(home)
                 except BlockingIOError as error:
                     left = f", or remove {error.filename!r} if none is at work" if error.filename else ""
                     raise InputError(

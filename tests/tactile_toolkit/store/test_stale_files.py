@@ -131,6 +131,23 @@ def test_of_containers_that_share_a_host_name(tmp_path, proc):
     assert names(tmp_path) == ["here", "kept", "mine", "theirs"]
 
 
+def test_a_folder_of_temporaries_that_goes_between_two_looks_is_made_again(tmp_path, monkeypatch):
+    """Another writer removes it, empty as it is, between the attempt of pathlib and its look at it."""
+    make, met = Path.mkdir, []
+
+    def racing(path, *words, **options):
+        if path.name == ".pending" and len(met) < 3:
+            met.append(path)
+            raise FileExistsError(17, "File exists", str(path))
+        make(path, *words, **options)
+
+    monkeypatch.setattr(Path, "mkdir", racing)
+    DataFolder(str(tmp_path)).write_bytes("data/rows", b"all")
+    assert (tmp_path / "data" / "rows").read_bytes() == b"all"
+    assert len(met) == 3
+    assert names(tmp_path) == ["data"]
+
+
 def test_what_is_being_written_is_no_damage(tmp_path):
     """A file that a user writes, or never finished on another machine, is not one of the set."""
     folder = DataFolder(str(tmp_path / "set"))
