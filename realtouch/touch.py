@@ -115,7 +115,7 @@ class Touch:
             raise missing_column(self.round._row, "sensor_video")
         return self.round.sensor_video[self._index_in_row]
 
-    def alone(self) -> Touch:
+    def _alone(self) -> Touch:
         """Return the touch with a copy of its own bytes, which keeps no other touch in memory."""
         return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
 
@@ -128,14 +128,14 @@ class Touch:
         mine, theirs = self.round._row, other.round._row
         if mine.group is theirs.group and mine.index == theirs.index:
             return self._index_in_row == other._index_in_row
-        return self.alone().round == other.alone().round
+        return self._alone().round == other._alone().round
 
     def __hash__(self) -> int:
         return hash((self.touch_index, self.round))
 
     def __reduce__(self) -> tuple[Any, ...]:
         # A round of clips has some 50 MB; between processes a touch takes its own bytes alone.
-        alone = self.alone()
+        alone = self._alone()
         return (Touch, (alone.round, alone.touch_index, 0))
 
     def __repr__(self) -> str:

@@ -16,8 +16,8 @@ from tests.real_input import NO_REAL_INPUT, SHARED
 from tests.s3_fixtures import bucket, new_clients, s3, s3_server  # noqa: F401  # one server for each worker
 
 # A slow or busy machine must not fail a property. README's command draws few examples, for a quick answer;
-# `pytest -m ""` draws many. A server draws the same ones every time, and new ones in a run that
-# prints its seed (`FRESH_EXAMPLES`, .ci/run); every other machine always draws new ones.
+# `pytest -m ""` draws many. A server draws the same ones every time, so that a change fails for what it
+# changes; every other machine always draws new ones.
 _EXAMPLES_AT_A_DESK = 25
 _EXAMPLES_IN_ALL = 200
 
@@ -28,7 +28,7 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.register_profile(
         "toolkit",
         max_examples=_EXAMPLES_AT_A_DESK if is_desk else _EXAMPLES_IN_ALL,
-        derandomize=bool(os.environ.get("CI") and not os.environ.get("FRESH_EXAMPLES")),
+        derandomize=bool(os.environ.get("CI")),
         deadline=None,
         suppress_health_check=[HealthCheck.too_slow],
     )

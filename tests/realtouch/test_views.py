@@ -26,7 +26,7 @@ def test_a_touch_kept_from_a_filter_carries_its_picture(single_folder: Path, seq
         touches.filter(lambda touch, kept=kept: kept.append(touch) or True)
         expected = touches[8].image
         alone = kept[8].round.with_touches([3])
-        for same in (pickle.loads(pickle.dumps(kept[8])), kept[8].alone(), Touch(alone, 3, 0)):
+        for same in (pickle.loads(pickle.dumps(kept[8])), kept[8]._alone(), Touch(alone, 3, 0)):
             np.testing.assert_array_equal(same.image, expected)
         light = next(record for row, record in touches.dataset.rounds_without_media() if row == 1)
         np.testing.assert_array_equal(Touch(pickle.loads(pickle.dumps(light)), 3).image, expected)
