@@ -122,7 +122,7 @@ def test_cells_cover_all_that_a_polygon_grown_by_the_slack_covers(
     found = cells_touched([np.asarray(ring) for ring in rings], (16, 16))
     needed = exact_cells(section, (16, 16))
     assert (found >= needed).all()
-    # manifold3d rounds to millionths: a polygon that only touches a cell covers less of it than can be told from none.
+    # manifold3d rounds to millionths: a cell that the polygon only touches has no area that can be measured.
     wider = section.offset(1 / 16 + 1e-4, manifold3d.JoinType.Round)
     assert (found <= exact_cells(wider, (16, 16))).all()
 
