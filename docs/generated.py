@@ -45,6 +45,7 @@ SHARED = (
     "tactile_toolkit.mesh.printability.REPORT_COLUMNS",
     "tactile_toolkit.mesh.printability.UNREADABLE",
     "tactile_toolkit.mesh.printability.WARNINGS",
+    "tactile_toolkit.mesh.records.RecordStream",
     "tactile_toolkit.mesh.records.SolidRecord",
     "tactile_toolkit.mesh.solid_check.PROBLEMS",
     "tactile_toolkit.mesh.torch.SolidTensors",
@@ -54,9 +55,13 @@ SHARED = (
     "tactile_toolkit.read.sequence.LazySequence",
     "tactile_toolkit.read.sequence.Statistics",
     "tactile_toolkit.store.build.Progress",
+    "tactile_toolkit.store.build.RunOptions",
     "tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS",
 )
 """What users inherit from several packages, and what public names refer to."""
+
+FOREIGN = ("Sequence", "dict", "tuple", "Exception", "Dataset", "IterableDataset", "Protocol", "Generic")
+"""Base classes whose members their own packages describe."""
 
 
 class Name(NamedTuple):
@@ -216,7 +221,7 @@ def _object_page(name: Name) -> str:
         lines += [
             f".. autoclass:: {name.name}",
             "   :members:",
-            "   :inherited-members: Sequence, tuple, Exception, Dataset, IterableDataset, Protocol, Generic",
+            f"   :inherited-members: {', '.join(FOREIGN)}",
         ]
     elif name.role == "func":
         lines += [f".. autofunction:: {name.name}"]

@@ -70,7 +70,10 @@ class MeshDataset(SolidDataset[MeshRecord]):
 
 
 class MeshStream(RecordStream[MeshRecord]):
-    """Digits one after another, read as they are asked for; see :class:`RecordStream`."""
+    """Digits one after another, read as they are asked for.
+
+    See :class:`~tactile_toolkit.mesh.records.RecordStream`.
+    """
 
 
 @overload

@@ -367,6 +367,10 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             for i in range(self.num_envs)
         )
 
+    def close(self, **options: Any) -> None:  # its own words: those of gymnasium are no valid reST
+        """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
+        super().close(**options)
+
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
         if self._threads is not None:

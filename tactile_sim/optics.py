@@ -30,6 +30,8 @@ from tactile_toolkit.touch.jpeg import resized
 if TYPE_CHECKING:
     from tactile_sim.kernels import Calibration, PictureTables
 
+__all__ = ["OPTICS", "Optics", "make_optics", "scaled"]
+
 Numbers = NDArray[np.float64]
 
 

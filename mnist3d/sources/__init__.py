@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import ItemError
 
+__all__ = ["NO_WRITER", "DigitCatalog", "DigitImage", "DigitSource"]
+
 NO_WRITER = -1
 """Writer number of digits whose writer is unknown."""
 
