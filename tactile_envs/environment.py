@@ -367,7 +367,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             for i in range(self.num_envs)
         )
 
-    def close(self, **options: Any) -> None:  # its own words: those of gymnasium are no valid reST
+    def close(self, **options: Any) -> None:  # its own words: those of gymnasium are not valid reST
         """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
         super().close(**options)
 

@@ -1,6 +1,6 @@
 """Writing touches in the formats of others, and finding what reads and writes each.
 
-A format is one module, which knows no other but that of its tars. Its ``plan`` plans an export, of source,
+A format is one module, which knows no other. Its ``plan`` plans an export, of source,
 rows, frame of a clip and options; its ``items`` reads a folder, columns and a table, and yields what is to be
 imported.
 """

@@ -28,7 +28,7 @@ from realtouch.columns import (
 from realtouch.convert.plan import Choices, Made, RowChoice, Source
 from realtouch.damage import naming
 from realtouch.dataset import dataset_of
-from realtouch.exchange.flat import image_column, require_intact
+from realtouch.exchange.images import image_column, require_intact
 from realtouch.images import SensorImages
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, IntegrityError

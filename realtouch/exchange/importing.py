@@ -20,7 +20,7 @@ import pyarrow as pa
 from realtouch.card import write_card
 from realtouch.convert.plan import KIND
 from realtouch.exchange.api import ImportLayout, format_of
-from realtouch.exchange.flat import require_intact
+from realtouch.exchange.images import require_intact
 from realtouch.exchange.items import NUMBERED, Item, contents_of
 from realtouch.poses import bad_pose
 from realtouch.spec import ImportColumns

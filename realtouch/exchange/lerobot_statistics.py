@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.exchange.flat import decoded
+from realtouch.exchange.images import decoded
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.touch.schema import MEDIA_TYPE
 

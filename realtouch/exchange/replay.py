@@ -9,11 +9,8 @@ buffers of others, whose compressors are many, are read by Zarr itself.
 from __future__ import annotations
 
 import hashlib
-import json
 import shutil
 import tempfile
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import IO, Any
@@ -26,10 +23,11 @@ from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import Choices, Conversion, Source
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
-from realtouch.exchange.flat import decoded
+from realtouch.exchange.images import decoded
 from realtouch.exchange.items import Item
+from realtouch.exchange.zarr_group import ZarrWriter, open_group, path_of_group
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
-from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -41,16 +39,10 @@ _FILE = f"{_FOLDER}/touches.zarr.zip"
 _PIXELS = "data/tactile"
 _ARRAYS = {STATE: "state", ACTION: "action", TIME: "time_s", "label": "label", "object_id": "object_id"}
 _CHUNK_BYTES = 2 << 20
-_LEVEL = 1
 _IN_MEMORY_BYTES = 64 << 20
 
 
-def plan(
-    source: Source,
-    choices: Choices,
-    method: ContactMethod,
-    options: Mapping[str, Any],
-) -> Conversion:
+def plan(source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]) -> Conversion:
     """Plan a replay buffer; reads footers and one header. InputError for several splits."""
     step = Episodes.of(source, only_split(source, choices, "replay buffer"))
     options = {**options, "image_size": [step.size[1], step.size[0]]}
@@ -88,23 +80,17 @@ class _WriteBuffer:
         arrays["meta/episode_ends"] = np.append(starts[1:], len(table)).astype("<i8")
         shape = (len(table), *self.size, 3)
         length = max(1, _CHUNK_BYTES // (3 * self.size[0] * self.size[1]))
-        with zipfile.ZipFile(stream, "w") as group:
-
-            def write(path: str, content: bytes) -> None:
-                group.writestr(zipfile.ZipInfo(path), content)  # of no time: equal frames give equal bytes
-
-            for path in (".zgroup", "data/.zgroup", "meta/.zgroup"):
-                write(path, json.dumps({"zarr_format": 2}).encode())
+        with ZarrWriter(stream, ("data", "meta")) as group:
             for path, values in arrays.items():
-                write(f"{path}/.zarray", _description(values.shape, values.shape, values.dtype.str))
-                write(f"{path}/{'.'.join('0' * values.ndim)}", zlib.compress(values.tobytes(), _LEVEL))
-            write(f"{_PIXELS}/.zarray", _description(shape, (length, *shape[1:]), "|u1"))
+                group.describe(path, values.shape, values.shape, values.dtype.str)
+                group.chunk(path, 0, values)
+            group.describe(_PIXELS, shape, (length, *shape[1:]), "|u1")
             chunk = np.zeros((length, *shape[1:]), np.uint8)
             for number, image in enumerate(_images(shards)):
                 decoded(image["bytes"], image["path"], chunk[number % length])
                 if (number + 1) % length == 0 or number + 1 == len(table):
                     chunk[number % length + 1 :] = 0  # as a chunk is filled behind the end
-                    write(f"{_PIXELS}/{number // length}.0.0.0", zlib.compress(chunk.tobytes(), _LEVEL))
+                    group.chunk(_PIXELS, number // length, chunk)
 
 
 def _images(shards: Sequence[Shard]) -> Any:
@@ -121,16 +107,9 @@ def _numbers(column: pa.ChunkedArray) -> NDArray[Any]:
     return found.reshape(len(values), -1) if is_list else found
 
 
-def _description(shape: Sequence[int], chunks: Sequence[int], dtype: str) -> bytes:
-    """Return what Zarr states of an array."""
-    stated = {"zarr_format": 2, "shape": list(shape), "chunks": list(chunks), "dtype": dtype, "order": "C"}
-    stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
-    return json.dumps(stated, indent=4).encode()
-
-
 def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each frame of the buffer; an episode is a round, other arrays are its fields."""
-    path = _path_of(home)
+    path = path_of_group(home)
     data, ends = _arrays(path)
     pixels = _PIXELS.rpartition("/")[2] if columns.image in (None, "file") else str(columns.image)
     if pixels not in data or data[pixels].ndim != 4:
@@ -169,23 +148,10 @@ def contents(items: Iterable[Item]) -> Iterator[bytes | Exception]:
         yield encode_image(np.ascontiguousarray(chunk[item.start % length]), "png")
 
 
-def _path_of(home: DataFolder) -> str:
-    """Return the group that a folder is, or the only one that it holds."""
-    if home.exists(".zgroup") or home.address().endswith(".zip"):
-        return home.address()
-    found = [name for name in home.names() if name.endswith((".zarr", ".zarr.zip"))]
-    if len(found) != 1:
-        raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(found) or 'none'}")
-    return home.address(found[0])
-
-
 def _arrays(path: str) -> tuple[dict[str, Any], Any]:
     """Open the arrays of a buffer and read the ends of its episodes."""
-    with needs_extra("importing a replay buffer", "zarr", "zarr"):
-        import zarr
     try:
-        place: Any = zarr.storage.ZipStore(path, mode="r") if path.endswith(".zip") else path
-        group: Any = zarr.open_group(place, mode="r", zarr_format=2)
+        group = open_group(path)
         data = {name: array for name, array in group["data"].arrays() if array.shape}
         return data, group["meta/episode_ends"][:]
     except (KeyError, ValueError, OSError) as error:

@@ -39,7 +39,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a file for each round, so that there are several."""
     monkeypatch.setattr(plan, "_MOST_ROWS_PER_SHARD", 1)
-    monkeypatch.setattr(lerobot, "_FILE_BYTES", 1 << 10)
+    monkeypatch.setattr(lerobot, "FILE_BYTES", 1 << 10)
 
 
 def expected(source: Path, split: str = "train") -> list[dict[str, Any]]:
