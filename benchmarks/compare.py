@@ -174,7 +174,7 @@ def convert_clips(data: Path) -> float:
 
     with tempfile.TemporaryDirectory(dir=data) as out:
         start = time.process_time()
-        realtouch.to_single(str(data / "clips"), Path(out) / "single")
+        realtouch.clips_to_images(str(data / "clips"), Path(out) / "single")
         return time.process_time() - start
 
 

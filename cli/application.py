@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 import typer
-from typer.core import TyperCommand
+from typer.core import TyperCommand, TyperGroup
 
 from tactile_toolkit.checked_fields import OptionText, Rule, check_value, metavar_of, rule_of, text
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
@@ -49,8 +49,9 @@ _FORMER = {
     "--profile": "--edge-profile",
     "--shift": "--perturb",
     "--turn": "--turn-deg",
+    "to-single": "clips-to-images",
 }
-"""Spellings of an earlier version, in commands that have the one of now alone; they work for one version."""
+"""Spellings of an earlier version, where the one of now alone is known; they work for one version."""
 _FORMER_UNITS = {"--at": 1e3, "--turn": math.degrees(1)}
 """By what the values of these, in metres and radians, are multiplied."""
 
@@ -107,6 +108,7 @@ def new_app(name: str, purpose: str) -> typer.Typer:
     # `--help`, and breaks long choices and messages to fit its boxes.
     app = typer.Typer(
         name=name,
+        cls=_Commands,
         help=purpose,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
@@ -120,6 +122,17 @@ def new_app(name: str, purpose: str) -> typer.Typer:
         pass
 
     return app
+
+
+class _Commands(TyperGroup):
+    """The commands of an application, which are found by former names, too."""
+
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
+        now = _FORMER.get(cmd_name, cmd_name)
+        if now not in self.commands or cmd_name in self.commands:
+            return super().get_command(ctx, cmd_name)
+        _warn(f"{cmd_name} is deprecated; next: write {now}")
+        return super().get_command(ctx, now)
 
 
 class _Command(TyperCommand):

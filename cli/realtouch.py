@@ -210,10 +210,10 @@ _FRAME = choice(
 
 
 @dataclass(frozen=True, slots=True)
-class ToSingle:
+class ClipsToImages:
     """Make a data set of single images from one of clips: a frame of each clip, with its pose.
 
-    Example: realtouch to-single real-seq --frame peak --out touches
+    Example: realtouch clips-to-images real-seq --frame peak --out touches
     """
 
     frame: str = _FRAME
@@ -411,7 +411,7 @@ def _print_imported(
     print_set(sink, kind, manifest, out)
 
 
-_add("to-single", ToSingle, lazy("realtouch.convert.api:to_single"))
+_add("clips-to-images", ClipsToImages, lazy("realtouch.convert.api:clips_to_images"))
 _add("resize", Resize, lazy("realtouch.convert.api:resize"))
 _add("frames", Frames, lazy("realtouch.convert.api:frames"))
 _add("select", Select, lazy("realtouch.convert.api:select"))

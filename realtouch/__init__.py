@@ -1,10 +1,12 @@
 """Real touches: typed, lazy, fast loaders, and functions to select, convert and export them.
 
 ``realtouch.load`` opens a data set; ``dataset[0]`` is a round of touches, ``dataset.touches()`` the flat view
-of single touches with its filters. ``to_single``, ``resize``, ``select`` and ``frames`` write new ones. Names
-are imported on first use, so that ``import realtouch`` costs nothing.
+of single touches with its filters. ``clips_to_images``, ``resize``, ``select`` and ``frames`` write new ones.
+Names are imported on first use, so that ``import realtouch`` costs nothing.
 """
 
 from tactile_toolkit import on_first_use
 
-__getattr__, __dir__, __all__ = on_first_use(__name__, __file__)
+__getattr__, __dir__, __all__ = on_first_use(
+    __name__, __file__, to_single="clips_to_images", find_contacts="contacts_by_image"
+)

@@ -1,6 +1,11 @@
 """The public names: type checkers read this list, and the package imports each on first use."""
 
-from realtouch.convert.api import frames as frames, resize as resize, select as select, to_single as to_single
+from realtouch.convert.api import (
+    frames as frames,
+    resize as resize,
+    select as select,
+    clips_to_images as clips_to_images,
+)
 from realtouch.dataset import (
     TouchDataset as TouchDataset,
     TouchSeqDataset as TouchSeqDataset,
@@ -19,7 +24,7 @@ from realtouch.preprocess import (
     Contacts as Contacts,
     background as background,
     best_frame as best_frame,
-    find_contacts as find_contacts,
+    contacts_by_image as contacts_by_image,
 )
 from realtouch.contact import difference as difference
 from realtouch.contact import contact_score as contact_score

@@ -213,7 +213,7 @@ class ContactRule:
     Notes
     -----
     The defaults are those of a known consumer of the published clips (median background of each clip, central
-    half of the picture); see :func:`find_contacts`.
+    half of the picture); see :func:`contacts_by_image`.
     """
 
     min_change: int = integer(10, 0, 255)

@@ -492,7 +492,7 @@ class Touches(LazySequence[Touch], Generic[R]):
             selected and in whatever order. They stay where they are among the others.
         contact : ndarray of bool, shape (len,), optional
             Which touches have contact; by default those that :meth:`with_contact` keeps. See also
-            :func:`realtouch.find_contacts`.
+            :func:`realtouch.contacts_by_image`.
 
         Raises
         ------

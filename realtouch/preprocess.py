@@ -175,12 +175,14 @@ class Contacts:
         return touch.clip[int(self.frame[index])]
 
 
-def find_contacts(touches: Touches[Any], rule: ContactRule | None = None, *, threads: int = 1) -> Contacts:
+def contacts_by_image(
+    touches: Touches[Any], rule: ContactRule | None = None, *, threads: int = 1
+) -> Contacts:
     """Find the image of each touch that shows contact best, and decide whether there was contact.
 
     The background is the median of each clip; for single images, the median of those images of the round that
-    are among these touches. With the defaults, ``find_contacts(touches).select(0.015)`` is the selection of
-    an earlier project, which kept 30,956 of the 153,600 touches.
+    are among these touches. With the defaults, ``contacts_by_image(touches).select(0.015)`` is the
+    selection of an earlier project, which kept 30,956 of the 153,600 touches.
 
     Parameters
     ----------

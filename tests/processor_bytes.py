@@ -19,7 +19,7 @@ def main(folder: Path, touches: Path) -> None:
     mnist3d.generate(mnist3d.GenerateSpec(source, limit=12), folder / "digits", splits=("test",))
     scenes = starstruck_gen.GenerateSpec(scenes=(("train", 30),))
     starstruck_gen.generate(scenes, folder / "scenes")
-    realtouch.to_single(touches / "clips", folder / "to-single", frame="peak")
+    realtouch.clips_to_images(touches / "clips", folder / "to-single", frame="peak")
     realtouch.resize(touches / "images", folder / "resized", width=48, height=36)
     if find_spec("taxim"):
         touch_sets(folder / "scenes", folder)

@@ -53,7 +53,7 @@ def test_commands_options_and_calls_in_the_text_are_there(page):
         "starstruck preview --king steps",
         "preview --king steps",
         "--king steps",
-        "realtouch to-single | resise",
+        "realtouch clips-to-images | resise",
     ],
 )
 def test_a_false_one_is_found(code):

@@ -48,7 +48,7 @@ _CONTACT_FRAME_ROWS = 16
 _INDEX_ROWS = 16
 
 
-def to_single(
+def clips_to_images(
     source: str | PathLike[str],
     out: str | PathLike[str],
     frame: str = "contact_end",
@@ -124,7 +124,7 @@ def resize(
     Parameters
     ----------
     source, out, split, limit, workers, overwrite, on_progress
-        As for :func:`to_single`.
+        As for :func:`clips_to_images`.
     width, height : int
         Size wanted, pixels. What has it already passes through byte for byte.
     quality : int
@@ -137,7 +137,7 @@ def resize(
     Raises
     ------
     InputError, SpecMismatchError, StorageError
-        As :func:`to_single`.
+        As :func:`clips_to_images`.
     """
     if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS or not 1 <= quality <= 100:
         raise InputError(
@@ -170,7 +170,7 @@ def select(
     Parameters
     ----------
     source, out, split, workers, overwrite, on_progress
-        As for :func:`to_single`.
+        As for :func:`clips_to_images`.
     contact : bool
         Only touches in which the gel stopped on an object; rounds then differ in their number of touches, and
         a column ``plate_z_m`` keeps the height of the plate, which followed from the removed touches.
@@ -195,7 +195,7 @@ def select(
     Raises
     ------
     InputError, SpecMismatchError, StorageError
-        As :func:`to_single`.
+        As :func:`clips_to_images`.
     """
     if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
         raise InputError(f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}")
@@ -283,12 +283,12 @@ def frames(
     Parameters
     ----------
     source, out, split, limit, workers, overwrite, on_progress
-        As for :func:`to_single`.
+        As for :func:`clips_to_images`.
     kind : "png" or "jpeg"
         Format of the files ``images/SPLIT/ROUND/TOUCH.png``. Stored JPEGs pass through byte for byte, each
         decoded once to prove that it is intact.
     frame : str
-        Which frame of a clip; as for :func:`to_single`.
+        Which frame of a clip; as for :func:`clips_to_images`.
     difference : "grey" or "absolute", optional
         Write what differs from the background, as :func:`realtouch.difference` gives it, instead of the
         picture: from the median of the clip, or of the images of the round.
@@ -302,7 +302,7 @@ def frames(
     Raises
     ------
     InputError, SpecMismatchError, StorageError
-        As :func:`to_single`.
+        As :func:`clips_to_images`.
     """
     if kind not in ("png", "jpeg"):
         raise InputError(f"no picture format {kind!r}; expected png or jpeg")

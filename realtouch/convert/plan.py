@@ -302,7 +302,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
 
 
 class JobOptions(RunOptions, total=False):
-    """How any conversion is done; see :func:`realtouch.to_single`."""
+    """How any conversion is done; see :func:`realtouch.clips_to_images`."""
 
     split: str | None
     limit: int | None

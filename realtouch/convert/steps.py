@@ -1,4 +1,4 @@
-"""What ``to-single``, ``resize``, ``select`` and ``frames`` do to one row."""
+"""What ``clips-to-images``, ``resize``, ``select`` and ``frames`` do to one row."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ _SEQ_ONLY = (
 
 @dataclass(frozen=True)
 class TakeContactFrames:
-    """Step of ``to-single``: one frame of each clip, with the pose of the gel at that moment."""
+    """Step of ``clips-to-images``: one frame of each clip, with the pose of the gel at that moment."""
 
     method: ContactMethod
 

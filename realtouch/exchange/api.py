@@ -41,7 +41,7 @@ def export(
     Parameters
     ----------
     source, out, split, limit, workers, overwrite, on_progress
-        As for :func:`realtouch.to_single`.
+        As for :func:`realtouch.clips_to_images`.
     layout : str
         ``"flat"``: Parquet with one row a touch, for `datasets`, pandas and polars. ``"webdataset"``: the
         same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
@@ -50,7 +50,7 @@ def export(
         reads; they need much space. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``: pickled
         lists of encoded images, with a background. ``"anytouch"``: images and list files of AnyTouch 2.
     frame : str
-        Which frame of a clip a touch shows, as for :func:`realtouch.to_single`; ``"lerobot"`` and
+        Which frame of a clip a touch shows, as for :func:`realtouch.clips_to_images`; ``"lerobot"`` and
         ``"replay"`` take all.
 
     Returns

@@ -92,7 +92,7 @@ def import_images(
         Split of touches where no column states it; by default that of a tar called ``test-000000.tar``, else
         ``train``.
     workers, overwrite, on_progress
-        As for :func:`realtouch.to_single`.
+        As for :func:`realtouch.clips_to_images`.
 
     Returns
     -------
@@ -105,7 +105,7 @@ def import_images(
     InputError
         Source, table, a column or an option cannot be used, or no image can.
     IntegrityError, SpecMismatchError, StorageError
-        A tar is damaged; or as :func:`realtouch.to_single`.
+        A tar is damaged; or as :func:`realtouch.clips_to_images`.
     """
     home, folder = DataFolder(fspath(source)), DataFolder(fspath(out))
     format_of(layout, get_args(ImportLayout))

@@ -32,6 +32,15 @@ def test_a_folder_without_out_is_taken_with_a_warning(touches, tmp_path, capsys)
     assert "--out was not given" in capsys.readouterr().err
 
 
+def test_a_command_by_its_former_name(tmp_path, capsys):
+    assert call("realtouch", "to-single", tmp_path / "none", "--out", tmp_path / "out") == 2
+    printed = capsys.readouterr().err
+    assert "warning: to-single is deprecated; next: write clips-to-images\n" in printed
+    assert "does not exist" in printed
+    assert call("realtouch", "to-singles") == 2
+    assert "warning" not in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(("former", "ending"), [("--png", "png"), ("--jpeg", "jpg")])
 def test_a_flag_that_is_a_format_now(former, ending, touches, tmp_path, capsys):
     words = ("frames", touches, "--out", tmp_path / "out", former, "--workers", 1, "-q")

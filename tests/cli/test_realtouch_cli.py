@@ -91,7 +91,7 @@ def test_names_of_classes_are_shown_and_not_obeyed(tmp_path, capsys, monkeypatch
 def test_one_split_alone(clips, tmp_path, capsys):
     assert call("info", clips, "--split", "test", "--json") == 0
     assert set(json.loads(capsys.readouterr().out)["splits"]) == {"test"}
-    for command in ("to-single", "resize --size 32x24", "frames", "select"):
+    for command in ("clips-to-images", "resize --size 32x24", "frames", "select"):
         name, *options = command.split()
         out = tmp_path / name
         assert (
@@ -125,7 +125,7 @@ def test_numbers_that_are_none(images, tmp_path, capsys):
 
 def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
     out = tmp_path / "single"
-    assert call("to-single", clips, "--out", out, "--frame", "peak", "--workers", 1) == 0
+    assert call("clips-to-images", clips, "--out", out, "--frame", "peak", "--workers", 1) == 0
     assert str(out) in capsys.readouterr().out
     assert call("info", out) == 0
     printed = capsys.readouterr().out
@@ -211,7 +211,7 @@ def test_preview_writes_a_picture(clips, tmp_path, capsys):
         ),
         (("select", "{images}", "--out", "{out}", "--min-height-mm", "7"), "next: add --contact"),
         (("select", "{images}", "--out", "{out}", "--as-recorded"), "next: add --contact"),
-        (("to-single", "{images}", "--out", "{out}"), "holds single images already"),
+        (("clips-to-images", "{images}", "--out", "{out}"), "holds single images already"),
         (("verify", "{out}/nothing"), "does not exist"),
     ],
 )

@@ -52,7 +52,7 @@ def make_sets(folder: Path) -> None:
     rounds = [factories.make_round(index, 3, (64, 48), (5, 7)) for index in range(2)]
     source = folder / "published" / "clips"
     factories.write_set(source, {"train": factories.seq_rows(rounds)}, "seq")
-    realtouch.to_single(str(source), folder / "images")
+    realtouch.clips_to_images(str(source), folder / "images")
     realtouch.resize(str(source), folder / "clips", width=48, height=36)
     (folder / "mesh").mkdir()
     mesh = mnist3d.load(str(folder / "digits"), split="test")[0].mesh

@@ -36,7 +36,7 @@ def features_of(folder: Path) -> Features:
 def test_single_images_of_clips(seq_folder: Path, truth: list[RoundTruth], tmp_path: Path) -> None:
     for method in ("contact_end", "contact_start", "peak"):
         out = tmp_path / method
-        manifest = realtouch.to_single(str(seq_folder), str(out), method)
+        manifest = realtouch.clips_to_images(str(seq_folder), str(out), method)
         assert manifest.complete
         assert {split: entry["rows"] for split, entry in manifest.split_table().items()} == {
             "train": 3,
@@ -72,8 +72,8 @@ def test_nested_and_ragged_sources_give_the_same_images(
     other = factories.write_set(
         tmp_path / "other", {"train": factories.seq_rows(truth, layout)}, "seq", layout
     )
-    realtouch.to_single(str(seq_folder), str(tmp_path / "a"), "peak")
-    realtouch.to_single(str(other), str(tmp_path / "b"), "peak")
+    realtouch.clips_to_images(str(seq_folder), str(tmp_path / "a"), "peak")
+    realtouch.clips_to_images(str(other), str(tmp_path / "b"), "peak")
     for one, two in zip(
         realtouch.load(tmp_path / "a", "train"), realtouch.load(tmp_path / "b", "train"), strict=True
     ):
@@ -254,7 +254,7 @@ def test_pictures_are_resumed_and_started_again(single_folder: Path, tmp_path: P
 
 
 def conversions(source: str, out: str, runner: Any) -> None:
-    realtouch.to_single(source, out, workers=runner)
+    realtouch.clips_to_images(source, out, workers=runner)
 
 
 def test_workers_and_interruptions_change_no_byte(
@@ -273,19 +273,21 @@ def test_workers_and_interruptions_change_no_byte(
             raise StoppedError
 
     with pytest.raises(StoppedError):
-        realtouch.to_single(str(seq_folder), str(tmp_path / "c"), on_progress=stop)
+        realtouch.clips_to_images(str(seq_folder), str(tmp_path / "c"), on_progress=stop)
     assert not json.loads((tmp_path / "c" / "manifest.json").read_text())["complete"]
     done: list[int] = []
-    realtouch.to_single(str(seq_folder), str(tmp_path / "c"), on_progress=lambda p: done.append(p.total))
+    realtouch.clips_to_images(
+        str(seq_folder), str(tmp_path / "c"), on_progress=lambda p: done.append(p.total)
+    )
     assert done[0] == 2  # two of four rounds were kept
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "c")
 
 
 def test_another_option_is_refused(seq_folder: Path, tmp_path: Path) -> None:
-    realtouch.to_single(str(seq_folder), str(tmp_path / "a"), limit=1)
+    realtouch.clips_to_images(str(seq_folder), str(tmp_path / "a"), limit=1)
     with pytest.raises(SpecMismatchError, match="frame is 'contact_end' there, 'peak' was asked for"):
-        realtouch.to_single(str(seq_folder), str(tmp_path / "a"), "peak", limit=1)
-    realtouch.to_single(str(seq_folder), str(tmp_path / "a"), "peak", limit=1, overwrite=True)
+        realtouch.clips_to_images(str(seq_folder), str(tmp_path / "a"), "peak", limit=1)
+    realtouch.clips_to_images(str(seq_folder), str(tmp_path / "a"), "peak", limit=1, overwrite=True)
     assert len(realtouch.load(tmp_path / "a", "train")) == 1
 
 
@@ -299,11 +301,11 @@ def test_what_cannot_be_converted_is_said(
     bare = Layout(leave_out=(position, "gel_pose_cell_frame_seq.quaternion"))
     factories.write_set(tmp_path / "bare", {"train": seq_rows}, "seq", bare)
     with pytest.raises(InputError, match=f"the source has no column '{position}'"):
-        realtouch.to_single(tmp_path / "bare", out)
+        realtouch.clips_to_images(tmp_path / "bare", out)
     with pytest.raises(InputError, match="holds single images already"):
-        realtouch.to_single(str(single_folder), out)
+        realtouch.clips_to_images(str(single_folder), out)
     with pytest.raises(InputError, match="unknown frame method 'finest'"):
-        realtouch.to_single(str(seq_folder), out, "finest")
+        realtouch.clips_to_images(str(seq_folder), out, "finest")
     with pytest.raises(InputError, match="size 0 x 64"):
         realtouch.resize(str(single_folder), out, 0, 64)
     with pytest.raises(InputError, match="no picture format 'gif'"):
@@ -321,7 +323,7 @@ def test_damaged_rounds_are_left_out_and_listed(seq_rows: list[dict], tmp_path: 
             row["sensor_video"] = [{**blob, "bytes": blob["bytes"][:-9]} for blob in row["sensor_video"]]
 
     source = factories.write_set(tmp_path / "source", {"train": seq_rows}, "seq", Layout(edit=cut))
-    manifest = realtouch.to_single(str(source), str(tmp_path / "out"))
+    manifest = realtouch.clips_to_images(str(source), str(tmp_path / "out"))
     assert manifest.skipped_reasons() == {"damaged": 1}
     skipped = manifest.shards[0].skipped[0]
     assert skipped.id == 1
@@ -339,7 +341,7 @@ def test_the_fingerprint_names_no_place(single_folder: Path) -> None:
 
 
 def test_the_card_lets_datasets_find_the_splits(seq_folder: Path, tmp_path: Path) -> None:
-    realtouch.to_single(str(seq_folder), str(tmp_path / "single"), "peak")
+    realtouch.clips_to_images(str(seq_folder), str(tmp_path / "single"), "peak")
     realtouch.resize(str(seq_folder), str(tmp_path / "seq"), 48, 36, limit=1)
     for name in ("single", "seq"):
         card = (tmp_path / name / "README.md").read_text()

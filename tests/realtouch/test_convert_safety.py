@@ -110,11 +110,11 @@ def test_a_conversion_that_fails_gives_the_finished_set_back(
     assert folder_bytes(small) == before
 
 
-@pytest.mark.parametrize("name", ["resize", "frames", "frames-jpeg", "to_single"])
+@pytest.mark.parametrize("name", ["resize", "frames", "frames-jpeg", "clips_to_images"])
 def test_nothing_is_left_of_a_source_in_which_all_is_damaged(
     name: str, single_rows: list[dict], seq_rows: list[dict], tmp_path: Path
 ) -> None:
-    kind, rows = ("seq", seq_rows) if name == "to_single" else ("single", single_rows)
+    kind, rows = ("seq", seq_rows) if name == "clips_to_images" else ("single", single_rows)
     source = edited(tmp_path / "source", rows, kind, cut_pictures(0, 1, 2))
     options = {"resize": (32, 24), "frames-jpeg": ("jpeg",)}.get(name, ())
     with pytest.raises(IntegrityError, match=r"no row is left.* row 0, touch 3, field 'sensor_"):
@@ -155,7 +155,7 @@ def test_rounds_with_too_few_or_many_pictures_are_left_out(
         "frames": lambda out: realtouch.frames(source, out),
     }
     if kind == "seq":
-        conversions["single"] = lambda out: realtouch.to_single(source, out)
+        conversions["single"] = lambda out: realtouch.clips_to_images(source, out)
     for name, convert in conversions.items():
         (skipped,) = [each for record in convert(tmp_path / name).shards for each in record.skipped]
         assert skipped.id == 1, name
@@ -163,7 +163,7 @@ def test_rounds_with_too_few_or_many_pictures_are_left_out(
         assert realtouch.verify(tmp_path / name).ok
 
 
-@pytest.mark.parametrize("name", ["frames", "to_single"])
+@pytest.mark.parametrize("name", ["frames", "clips_to_images"])
 def test_a_damaged_frame_does_not_pass_through(name: str, seq_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", seq_rows, "seq", spoil_last_contact)
     manifest = getattr(realtouch, name)(source, tmp_path / "out")
@@ -227,11 +227,11 @@ def test_a_folder_of_pictures_becomes_another_set(
     (out / "mine.txt").write_text("mine")
     before = folder_bytes(out)
     with pytest.raises(InputError, match=r"found 'mine\.txt'\); nothing was changed"):
-        realtouch.to_single(seq_folder, out, overwrite=True)
+        realtouch.clips_to_images(seq_folder, out, overwrite=True)
     assert folder_bytes(out) == before
     (out / "mine.txt").unlink()
-    realtouch.to_single(seq_folder, out, overwrite=True)
-    realtouch.to_single(seq_folder, fresh)
+    realtouch.clips_to_images(seq_folder, out, overwrite=True)
+    realtouch.clips_to_images(seq_folder, fresh)
     assert folder_bytes(out) == folder_bytes(fresh)
     realtouch.frames(single_folder, out, overwrite=True)
     assert realtouch.verify(out).ok

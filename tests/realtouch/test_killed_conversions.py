@@ -19,7 +19,7 @@ from tests.processes import children, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes
 
 CONVERSIONS: dict[str, tuple[str, str, dict[str, Any]]] = {
-    "to-single": ("to_single", "seq", {"frame": "peak"}),
+    "to-single": ("clips_to_images", "seq", {"frame": "peak"}),
     "resize": ("resize", "seq", {"width": 48, "height": 36}),
     "frames": ("frames", "single", {"kind": "png"}),
     "select": ("select", "single", {"contact": True}),

@@ -257,7 +257,7 @@ def test_touches_and_conversions_import_no_geometry(seq_folder: Path, tmp_path: 
         "import sys, realtouch\n"
         "touch = realtouch.load(sys.argv[1], 'train').touches()[0]\n"
         "touch.image, touch.label\n"
-        "realtouch.to_single(sys.argv[1], sys.argv[2])\n"
+        "realtouch.clips_to_images(sys.argv[1], sys.argv[2])\n"
         "assert 'scipy' not in sys.modules\n"
         "touch.gel_pose\n"
         "assert 'scipy.spatial' in sys.modules"

@@ -58,7 +58,7 @@ def test_it_stays_through_further_conversions(source: Path, tmp_path: Path) -> N
     realtouch.resize(tmp_path / "some", tmp_path / "small", 48, 36)
     folders = [tmp_path / "again", tmp_path / "small"]
     if source.name.startswith("seq"):
-        realtouch.to_single(tmp_path / "some", tmp_path / "images", "peak")
+        realtouch.clips_to_images(tmp_path / "some", tmp_path / "images", "peak")
         folders.append(tmp_path / "images")
     stored = realtouch.load(tmp_path / "some", "train").column("plate_z_m")
     for folder in folders:

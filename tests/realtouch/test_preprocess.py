@@ -103,7 +103,7 @@ def test_the_best_frame_lies_in_the_contact_and_is_the_deepest(seq_folder: Path,
 def test_contacts_of_clips_and_of_images(seq_folder: Path, single_folder: Path):
     rule = realtouch.ContactRule(min_area_px=4, crop=1.0)
     touches = realtouch.load(seq_folder, split="train").touches()
-    found = realtouch.find_contacts(touches, rule, threads=3)
+    found = realtouch.contacts_by_image(touches, rule, threads=3)
     assert len(found) == len(touches)
     assert found.contact.all()
     for index in (0, 7):
@@ -114,11 +114,11 @@ def test_contacts_of_clips_and_of_images(seq_folder: Path, single_folder: Path):
             score.intensity,
         )
         assert (found.picture(index) == touches[index].clip[frame]).all()
-    backwards = realtouch.find_contacts(touches[::-1], rule)
+    backwards = realtouch.contacts_by_image(touches[::-1], rule)
     assert (backwards.area_px[::-1] == found.area_px).all()
 
     images = realtouch.load(single_folder, split="train").touches()
-    found = realtouch.find_contacts(images, rule)
+    found = realtouch.contacts_by_image(images, rule)
     base = realtouch.background(images[:5])
     score = realtouch.contact_score(images.images(slice(5)), base, rule)
     assert (found.area_px[:5] == score.area_px).all()
@@ -143,7 +143,7 @@ def test_the_selection_of_a_known_consumer_by_plain_numpy(tmp_path: Path):
     rounds[1] = replace(rounds[1], touches=still)
     factories.write_set(tmp_path / "clips", {"train": factories.seq_rows(rounds)}, "seq")
     touches = realtouch.load(tmp_path / "clips", split="train").touches()
-    found = realtouch.find_contacts(touches, threads=2)
+    found = realtouch.contacts_by_image(touches, threads=2)
     for index, touch in enumerate(touches):
         frames = np.asarray(touch.clip.frames()).astype(int)
         change = np.abs(frames - np.floor(np.median(frames, axis=0)).astype(int))[:, 18:54, 24:72]
@@ -202,7 +202,7 @@ def test_pictures_of_differences(seq_folder: Path, single_folder: Path, tmp_path
         assert (np.array(Image.open(file)) == expected).all()
     with pytest.raises(InputError, match="no difference 'signed' that a picture can show"):
         realtouch.frames(single_folder, tmp_path / "no", difference="signed")
-    single = realtouch.to_single(seq_folder, tmp_path / "single", "best", split="train")
+    single = realtouch.clips_to_images(seq_folder, tmp_path / "single", "best", split="train")
     assert single.split_table()["train"]["rows"] == 3
     best = realtouch.load(tmp_path / "single", split="train")[1].sensor_image[2]
     assert (best == clip[clip.contact_index("best")]).all()
@@ -220,7 +220,7 @@ def test_clips_of_several_sizes_have_no_background(seq_folder: Path, tmp_path: P
     both = realtouch.load(seq_folder, split="train") + realtouch.load(tmp_path / "small", split="train")
     with pytest.raises(InputError, match="96 x 72 and of 48 x 36 pixels have no common background"):
         realtouch.background(both)
-    assert len(realtouch.find_contacts(both.touches()[10:20])) == 10
+    assert len(realtouch.contacts_by_image(both.touches()[10:20])) == 10
 
 
 def test_what_cannot_be_used_is_named(single_folder: Path):
@@ -234,7 +234,7 @@ def test_what_cannot_be_used_is_named(single_folder: Path):
         (lambda: realtouch.difference(pictures, pictures[0], "colour"), "no difference 'colour'"),
         (lambda: realtouch.contact_score(pictures, pictures[0, :3]), r"expected \(4, 4, 3\)"),
         (lambda: realtouch.best_frame(pictures[:0]), "no frame"),
-        (lambda: realtouch.find_contacts(touches.dataset), "of a TouchSingleDataset; expected touches"),
+        (lambda: realtouch.contacts_by_image(touches.dataset), "of a TouchSingleDataset; expected touches"),
         (lambda: realtouch.ContactRule(crop=0), "crop of the contact rule is 0"),
         (lambda: realtouch.ContactRule(min_change=float("nan")), "min_change of the contact rule is nan"),
         (lambda: touches.sample(no_contact_fraction=1), "no_contact_fraction is 1; expected 0 to below 1"),

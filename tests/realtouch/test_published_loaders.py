@@ -108,7 +108,7 @@ def test_torchcodec_reads_a_clip(published: Any, seq_folder: Path) -> None:
 
 def test_contact_frames_read_alike(published: Any, seq_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "single"
-    realtouch.to_single(str(seq_folder), str(out), "peak")
+    realtouch.clips_to_images(str(seq_folder), str(out), "peak")
     theirs = published.TouchSingleDataset(hub_dataset(out))
     ours = realtouch.load(out, "train")
     for row in range(len(ours)):

@@ -274,7 +274,7 @@ def test_a_clip_that_refers_to_something_else_is_damaged(
             use()
     for quick in (True, False):
         assert found_in(folder, quick=quick) == [(1, 2, "sensor_video")]
-    manifest = realtouch.to_single(folder, tmp_path / "single")
+    manifest = realtouch.clips_to_images(folder, tmp_path / "single")
     assert [each.id for shard in manifest.shards for each in shard.skipped] == [1]
 
 

@@ -11,20 +11,22 @@ from tactile_sim.spec import PairsSpec, TrainConfig
 
 
 @pytest.mark.parametrize(
-    ("former", "name"),
+    ("package", "former", "name"),
     [
-        ("press", "render_touch"),
-        ("as_sensor", "full_view"),
-        ("as_environment", "center_view"),
-        ("GivenTouches", "TouchTable"),
+        (tactile_sim, "press", "render_touch"),
+        (tactile_sim, "as_sensor", "full_view"),
+        (tactile_sim, "as_environment", "center_view"),
+        (tactile_sim, "GivenTouches", "TouchTable"),
+        (realtouch, "to_single", "clips_to_images"),
+        (realtouch, "find_contacts", "contacts_by_image"),
     ],
 )
-def test_a_public_name(former, name):
-    message = f"'tactile_sim.{former}' is deprecated; use 'tactile_sim.{name}'"
+def test_a_public_name(package, former, name):
+    message = f"'{package.__name__}.{former}' is deprecated; use '{package.__name__}.{name}'"
     with pytest.warns(DeprecationWarning, match=message) as found:
-        assert getattr(tactile_sim, former) is getattr(tactile_sim, name)
+        assert getattr(package, former) is getattr(package, name)
     assert found[0].filename == __file__
-    assert former not in dir(tactile_sim)
+    assert former not in dir(package)
 
 
 @pytest.mark.parametrize(

@@ -109,7 +109,7 @@ def data_sets(folder: Path) -> dict[str, Any]:
     rounds = [make_round(index, 6, (64, 48), (12, 16)) for index in range(3)]
     clips = str(write_set(folder / "clips", {"train": seq_rows(rounds)}, "seq"))
     images = str(write_set(folder / "images", {"train": single_rows(rounds)}, "single"))
-    realtouch.to_single(clips, folder / "to-single", frame="peak")
+    realtouch.clips_to_images(clips, folder / "to-single", frame="peak")
     realtouch.resize(clips, folder / "resized-clips", width=48, height=36)
     realtouch.resize(images, folder / "resized-images", width=48, height=36)
     realtouch.select(images, folder / "selected", contact=True)

@@ -101,7 +101,7 @@ def test_every_kind_of_touches_is_read(tmp_path):
     clips = str(write_set(tmp_path / "clips", {"train": seq_rows(rounds)}, "seq"))
     images = str(write_set(tmp_path / "images", {"train": single_rows(rounds)}, "single"))
     realtouch.resize(clips, tmp_path / "small-clips", width=48, height=36)
-    realtouch.to_single(clips, tmp_path / "single", frame="peak")
+    realtouch.clips_to_images(clips, tmp_path / "single", frame="peak")
     realtouch.select(images, tmp_path / "selected", contact=True)
     realtouch.frames(clips, tmp_path / "frames")
     for name in ("small-clips", "single", "selected", "frames"):
