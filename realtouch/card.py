@@ -15,19 +15,7 @@ from realtouch.images import contact_sheet, evenly_spaced
 from realtouch.kind import KIND
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from realtouch.touch import Touch
-from tactile_toolkit.cards.card import (
-    Column,
-    between,
-    bibtex,
-    card_words,
-    field_table,
-    json_block,
-    made_by,
-    markdown_table,
-    megabytes,
-    skipped_text,
-    write_card_files,
-)
+from tactile_toolkit.cards.card import Card, Column, between, bibtex, card_words
 from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, folder_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.pictures.writing import png_bytes
@@ -39,7 +27,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import ContactHeight, missed_text
 from tactile_toolkit.touch.jpeg import Pixels, decode_image
 from tactile_toolkit.touch.schema import Kind, is_rendered, kind_of
-from tactile_toolkit.wording import markdown_text
 
 Origin = Literal["real", "synthetic", "imported"]
 """Where touches are from; manifests of conversions state it as the option ``touches``."""
@@ -52,7 +39,6 @@ _ROUNDS_SEEN = 4
 
 _CELL = "m, cell frame"
 _WINDOW = "18.88 x 14.16 mm of gel"
-_FAMILIES: dict[str, Column] = {"info.": ("", "metadata of the round, as recorded")}
 
 COLUMNS: dict[str, Column] = {
     "id": ("", "name of the round, unique over all splits"),
@@ -79,6 +65,7 @@ COLUMNS: dict[str, Column] = {
     "info.object_pose.quaternion": ("x, y, z, w", "its orientation"),
     "info.touched_object_pose.position": (_CELL, "position of the object while it is touched"),
     "info.touched_object_pose.quaternion": ("x, y, z, w", "its orientation then"),
+    "info.": ("", "metadata of the round, as recorded"),
 }
 
 _PLAIN_COLUMNS: dict[str, Column] = {
@@ -117,10 +104,11 @@ class _Content:
 
     words: dict[str, Any]
     columns: dict[str, Column]
-    limits: list[str]
-    split_table: str
+    nouns: str
     pictures: Iterable[Pixels | None]
     values: dict[str, str]
+    limits: list[str]
+    figures: dict[str, list[str]]
 
 
 def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
@@ -149,38 +137,44 @@ def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
         heights = [of_origin.get("drift"), words["plates"][rule.plate]]
     cell = words["frames"]["cell"].replace("$window", of_origin.get("window", _WINDOW))
     in_cell = " ".join(filter(None, [cell, *heights]))
-    limits = [*of_origin["limits"], *(content.words.get("limits", ()) if origin == "real" else ())]
-    title = f"{of_origin['title']} {content.words['title']}"
     is_clips = template == "seq"
-    caption = "Some touches, each at the end of contact" if is_clips else "Some touches"
-    values = {
-        **content.values,
-        "title": title,
-        "rounds": f"{facts.rows:,}",
-        "made": _made(manifest),
-        "split_table": content.split_table,
-        "contact_rule": str(rule),
-        "field_table": field_table(facts, content.columns, _FAMILIES),
-        "frames": of_origin.get("frames", in_cell),
-        "limits": "\n".join(f"- {line}" for line in [*limits, *content.limits]),
-        "printability": of_origin["printability"],
-        "licence_text": licence_text,
-        "citation_text": of_origin["citation_text"],
-        "bibtex": bibtex(*of_origin["cited"]) if of_origin["cited"] else "",
-    }
-    write_card_files(
-        folder,
-        facts,
-        manifest,
-        KIND.card_template.format(template),
-        values,
-        ("touches.png", _sheet(content.pictures), caption),
-        license=of_origin["licence"],
-        pretty_name=title,
-        task_categories=["robotics", "image-classification"],
-        task_ids=["multi-class-image-classification"],
+    unknown = {} if manifest is not None else {"made": words["made"]["unknown"]}
+    Card(
+        template=KIND.card_template.format(template),
+        title=f"{of_origin['title']} {content.words['title']}",
+        columns=content.columns,
+        picture=(
+            "touches.png",
+            lambda _facts: _sheet(content.pictures),
+            "Some touches, each at the end of contact" if is_clips else "Some touches",
+        ),
+        licence=of_origin["licence"],
         tags=[*of_origin["tags"], *(["video"] if is_clips else [])],
-    )
+        nouns=content.nouns,
+        tasks={
+            "task_categories": ["robotics", "image-classification"],
+            "task_ids": ["multi-class-image-classification"],
+        },
+        figures=content.figures,
+        made=[] if manifest is None else _made(manifest),
+        limits=[
+            *of_origin["limits"],
+            *(content.words.get("limits", ()) if origin == "real" else ()),
+            *content.limits,
+        ],
+        spec=None if manifest is None else manifest.spec["options"],
+        values={
+            **content.values,
+            **unknown,
+            "rounds": f"{facts.rows:,}",
+            "contact_rule": str(rule),
+            "frames": of_origin.get("frames", in_cell),
+            "printability": of_origin["printability"],
+            "licence_text": licence_text,
+            "citation_text": of_origin["citation_text"],
+            "bibtex": bibtex(*of_origin["cited"]) if of_origin["cited"] else "",
+        },
+    ).write(folder, manifest, KIND, facts)
 
 
 def _plain_content(
@@ -192,16 +186,9 @@ def _plain_content(
     placeholders = ("layout_text", "content_text", "size_note", "loading")
     texts = {name: of_layout.get(name, "") for name in placeholders}
     texts["loading"] = texts["loading"].replace("$first_split", facts.splits[0].split)
-    header = ("split", "rounds" if layout == "lerobot" else "pictures", "shards", "Parquet", "unpacked")
-    rows = [(markdown_text(split.split), f"{split.rows:,}", *_sizes(split)) for split in facts.splits]
-    return _Content(
-        of_layout,
-        _PLAIN_COLUMNS,
-        missed_text(None, 0),
-        markdown_table(header, rows),
-        _plain_pictures(folder, facts),
-        texts,
-    )
+    nouns = "rounds" if layout == "lerobot" else "pictures"
+    pictures = _plain_pictures(folder, facts)
+    return _Content(of_layout, _PLAIN_COLUMNS, nouns, pictures, texts, missed_text(None, 0), {})
 
 
 def _plain_pictures(folder: DataFolder, facts: FolderFacts) -> Iterator[Pixels | None]:
@@ -224,17 +211,29 @@ def _stored_content(
     counts = [figure.touches for figure in figures if figure.touches is not None]
     sizes = (_or_none(record._picture_size, 0) for record in _first_rounds(facts, kind))
     size = next(filter(None, sizes), None)
+    left_out = {} if manifest is None else manifest.split_table()
     return _Content(
         words,
         dict(COLUMNS),
-        _missed(figures, rule),
-        _split_table(facts, figures, manifest),
+        "rounds",
         _stored_pictures(facts, kind),
         {
             "touches": f"{sum(counts):,}" if len(counts) == len(figures) else "an unknown number of",
             "size_text": f", {size[0]} x {size[1]} pixels" if size else "",
         },
+        _missed(figures, rule),
+        {
+            "touches": [_text("{:,}", each.touches) for each in figures],
+            "per round": ["-" if each.per_round is None else between(*each.per_round) for each in figures],
+            "objects": [_text("{:,}", each.objects) for each in figures],
+            "contact": [_text("{:.1%}", each.contact_share).replace("%", " %") for each in figures],
+            "left out": [_text("{}", left_out.get(s.split, {}).get("skipped")) for s in facts.splits],
+        },
     )
+
+
+def _text(form: str, figure: float | None) -> str:
+    return "-" if figure is None else form.format(figure)
 
 
 def _stored_pictures(facts: FolderFacts, kind: Kind) -> list[Pixels | None]:
@@ -305,45 +304,11 @@ def _missed(figures: list[_SplitFigures], rule: ContactHeight) -> list[str]:
     return missed_text(touches - in_contact, touches, is_estimated=rule.plate == "estimated")
 
 
-def _made(manifest: Manifest | None) -> str:
-    if manifest is None:
-        return (
-            "Not made by this toolkit: the folder has no `manifest.json`, and its files are described as "
-            "they are. The schema is that of the data sets that the authors of the paper published."
-        )
-    source = manifest.spec["source"]
+def _made(manifest: Manifest) -> list[tuple[str, str]]:
+    operation, source = manifest.spec["operation"], manifest.spec["source"]
     files = ", ".join(f"{split}: {len(names)}" for split, names in source.items())
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in names):,}" for split, names in source.items())
     found = f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"
-    if manifest.spec["operation"] == "import":
+    if operation == "import":
         found = f"images {rows}; `manifest.json` has the checksum of their list"
-    lines = [
-        made_by(manifest),
-        ("command", f"`realtouch {manifest.spec['operation']}`"),
-        ("source", found),
-        ("rounds left out", skipped_text(manifest)),
-    ]
-    return markdown_table(("", ""), lines) + "\n\nOptions:\n\n" + json_block(manifest.spec["options"])
-
-
-def _sizes(split: SplitFacts) -> tuple[object, ...]:
-    return len(split.paths), megabytes(split.file_bytes), megabytes(split.unpacked_bytes)
-
-
-def _split_table(facts: FolderFacts, figures: list[_SplitFigures], manifest: Manifest | None) -> str:
-    left_out = {} if manifest is None else manifest.split_table()
-    header = ("split", "rounds", "touches", "per round", "objects", "contact", "left out")
-    cells = [
-        (
-            markdown_text(s.split),
-            f"{s.rows:,}",
-            "-" if figure.touches is None else f"{figure.touches:,}",
-            "-" if figure.per_round is None else between(*figure.per_round),
-            "-" if figure.objects is None else f"{figure.objects:,}",
-            "-" if figure.contact_share is None else f"{100 * figure.contact_share:.1f} %",
-            str(left_out[s.split]["skipped"]) if s.split in left_out else "-",
-            *_sizes(s),
-        )
-        for s, figure in zip(facts.splits, figures, strict=True)
-    ]
-    return markdown_table((*header, "shards", "Parquet", "unpacked"), cells)
+    return [("command", f"`{KIND.command} {operation}`"), ("source", found)]

@@ -99,26 +99,53 @@ class Card:
     spec: Any = None
     values: Mapping[str, str] = field(default_factory=dict)
 
-    def write(self, folder: DataFolder, manifest: Manifest, kind: DatasetKind) -> None:
-        """Write ``README.md``, its picture and ``croissant.json``; IntegrityError for a damaged shard."""
-        facts = folder_facts(folder, manifest)
+    def write(
+        self,
+        folder: DataFolder,
+        manifest: Manifest | None,
+        kind: DatasetKind,
+        facts: FolderFacts | None = None,
+    ) -> None:
+        """Write ``README.md``, its picture and ``croissant.json``; what is as it should be is left alone.
+
+        A copy of a published set has no manifest. ``facts`` are those of the folder, where they are known.
+        Raises IntegrityError for a damaged shard.
+        """
+        facts = facts or folder_facts(folder, manifest)
         name, draw, caption = self.picture
-        spec = json_block(self.spec or manifest.spec)
-        made = [made_by(manifest), *self.made, ("left out", skipped_text(manifest))]
         values = {
             "title": markdown_text(self.title),
             "noun": kind.noun,
             "nouns": kind.nouns,
-            "spec": spec,
-            "made": f"{markdown_table(('', ''), made)}\n\n{spec}",
-            "skipped": skipped_text(manifest),
+            "rows": f"{facts.rows:,}",
+            "first_split": facts.splits[0].split,
+            "picture": "There is nothing to draw.",
+            "bibtex": bibtex("tactile_mnist"),
             "split_table": split_table(facts, self.nouns or kind.nouns, self.figures),
             "field_table": field_table(facts, self.columns),
             "limits": "\n".join(f"- {line}" for line in self.limits),
-            **self.values,
         }
+        if manifest is not None:
+            spec, skipped = json_block(self.spec or manifest.spec), skipped_text(manifest)
+            by = f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
+            made = markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
+            values |= {
+                "spec": spec,
+                "made": f"{made}\n\n{spec}",
+                "skipped": skipped,
+                "version": manifest.toolkit_version,
+                "schema_version": str(manifest.schema_version),
+            }
+        content = draw(facts)
+        if content is not None:
+            path = f"{PREVIEW_FOLDER}/{name}"
+            values["picture"] = f"![{caption}]({path})\n\n*{caption}*"
+            _write_changed(folder, path, content)
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
-        write_card_files(folder, facts, manifest, self.template, values, (name, draw(facts), caption), **head)
+        body = printable(render_card(self.template, {**values, **self.values}), keep="\n")
+        text = head_text(card_head(facts, **head)) + "\n" + body
+        _write_changed(folder, CARD_FILE, text.encode())
+        _write_changed(folder, CROISSANT_FILE, croissant_text(facts, manifest, head, body).encode())
 
 
 def write_table_card(
@@ -199,41 +226,6 @@ def split_table(facts: FolderFacts, nouns: str, figures: Mapping[str, Sequence[o
     return markdown_table(("split", nouns, *figures, "shards", "Parquet", "unpacked"), rows)
 
 
-def write_card_files(
-    folder: DataFolder,
-    facts: FolderFacts,
-    manifest: Manifest | None,
-    template: str,
-    values: Mapping[str, str],
-    picture: tuple[str, bytes | None, str],
-    **head: Any,
-) -> None:
-    """Write card, picture and ``croissant.json`` of a folder; what is as it should be is left alone.
-
-    ``values`` fill the template of ``data_cards`` with what facts and manifest do not say. ``picture`` is a
-    file name, its PNG (None where there are no rows to draw) and a caption. ``head`` are the fields of the
-    YAML head that do not follow from the folder.
-    """
-    name, content, caption = picture
-    path = f"{PREVIEW_FOLDER}/{name}"
-    common = {
-        "rows": f"{facts.rows:,}",
-        "first_split": facts.splits[0].split,
-        "picture": "There is nothing to draw.",
-        "bibtex": bibtex("tactile_mnist"),
-    }
-    if manifest is not None:
-        common["version"] = manifest.toolkit_version
-        common["schema_version"] = str(manifest.schema_version)
-    if content is not None:
-        common["picture"] = f"![{caption}]({path})\n\n*{caption}*"
-        _write_changed(folder, path, content)
-    body = printable(render_card(template, {**common, **values}), keep="\n")
-    text = head_text(card_head(facts, **head)) + "\n" + body
-    _write_changed(folder, CARD_FILE, text.encode())
-    _write_changed(folder, CROISSANT_FILE, croissant_text(facts, manifest, head, body).encode())
-
-
 def _write_changed(folder: DataFolder, path: str, content: bytes) -> None:
     if not folder.exists(path) or folder.read_bytes(path) != content:
         folder.write_bytes(path, content)
@@ -274,20 +266,17 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> s
     )
 
 
-def field_table(
-    facts: FolderFacts, known: Mapping[str, Column], families: Mapping[str, Column] | None = None
-) -> str:
+def field_table(facts: FolderFacts, known: Mapping[str, Column]) -> str:
     """Lay out the columns of a folder: name, type as stored, shape and unit, meaning.
 
-    Only columns that it has are listed, and all of them; ``known`` is by name, ``families`` by how it begins.
+    Only columns that it has are listed, and all of them. ``known`` is by name; a name that ends with a dot
+    stands for all fields of a struct.
     """
     rows = []
     for entry in _flat(facts.features):
         name = entry["name"]
-        family = (column for start, column in (families or {}).items() if name.startswith(start))
-        rows.append(
-            (markdown_code(name), column_type_text(entry), *(known.get(name) or next(family, _UNKNOWN)))
-        )
+        column = known.get(name) or known.get(f"{name.partition('.')[0]}.", _UNKNOWN)
+        rows.append((markdown_code(name), column_type_text(entry), *column))
     return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
 
 
@@ -320,11 +309,6 @@ def column_type_text(entry: Any) -> str:
 def json_block(values: Any) -> str:
     """Lay out JSON values as a block of code."""
     return f"```json\n{printable_json(values)}\n```"
-
-
-def made_by(manifest: Manifest) -> tuple[str, str]:
-    """Return a line of a table: which version made a folder, in which schema."""
-    return "made by", f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
 
 
 def megabytes(size: int) -> str:
