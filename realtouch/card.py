@@ -37,6 +37,7 @@ _TILE_WIDTH = 96
 # Each is a block to unpack: of a damaged set a card should not try them all.
 _ROUNDS_SEEN = 4
 
+_COMMANDS = {"to-single": "clips-to-images"}  # manifests of all versions have the former name
 _CELL = "m, cell frame"
 _WINDOW = "18.88 x 14.16 mm of gel"
 
@@ -311,4 +312,4 @@ def _made(manifest: Manifest) -> list[tuple[str, str]]:
     found = f"files {files}; rounds {rows}; `manifest.json` names and fingerprints each file"
     if operation == "import":
         found = f"images {rows}; `manifest.json` has the checksum of their list"
-    return [("command", f"`{KIND.command} {operation}`"), ("source", found)]
+    return [("command", f"`{KIND.command} {_COMMANDS.get(operation, operation)}`"), ("source", found)]
