@@ -7,6 +7,7 @@ import subprocess
 import sys
 import textwrap
 import time
+from contextlib import suppress
 from pathlib import Path
 
 PATIENCE_S = 3_600
@@ -97,3 +98,13 @@ def wait_until_gone(processes: list[int]) -> None:
     while any(alive(pid) for pid in processes) and time.monotonic() < deadline_s:
         time.sleep(0.02)
     assert not [pid for pid in processes if alive(pid)]
+
+
+def records_so_far(folder: Path) -> list[str]:
+    """Return the names of the records of finished shards of an unfinished set.
+
+    ``Path.glob`` fails where the folder of them goes away in between, as it may while a set is made.
+    """
+    with suppress(FileNotFoundError):
+        return [path.name for path in (folder / ".pending").iterdir() if path.suffix == ".json"]
+    return []

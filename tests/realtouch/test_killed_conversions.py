@@ -15,7 +15,7 @@ import pytest
 import realtouch
 from tactile_toolkit.errors import InputError
 from tests.forked import run_forked, start_forked
-from tests.processes import children, wait_until_gone
+from tests.processes import children, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes
 
 CONVERSIONS: dict[str, tuple[str, str, dict[str, Any]]] = {
@@ -119,7 +119,7 @@ def test_killed_with_its_workers_at_work(
     out = tmp_path / "out"
     code = "import sys, realtouch; realtouch.resize(sys.argv[1], sys.argv[2], 48, 36, workers=2)"
     process = start_forked(code, seq_folder, out)
-    while not list(out.glob(".pending/*.json")) and process.is_running:
+    while not records_so_far(out) and process.is_running:
         time.sleep(0.002)
     workers = children(process.pid)
     process.end(signal.SIGKILL)

@@ -26,7 +26,7 @@ from tactile_toolkit.run import InlineRunner, RayRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan
-from tests.processes import alive, children, printed_by, wait_until_gone
+from tests.processes import alive, children, printed_by, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 F = TypeVar("F", bound=Callable[..., None])
@@ -216,7 +216,7 @@ def test_a_stopped_driver_leaves_nothing_at_work_and_a_killed_node_nothing_undon
     gate = tmp_path / "gate"
     for how in (signal.SIGKILL, signal.SIGINT):
         driver = cluster.start(DRIVER, tmp_path / "set", gate)
-        wait_for(lambda: list((tmp_path / "set").glob(".pending/train*")), driver)
+        wait_for(lambda: records_so_far(tmp_path / "set"), driver)
         wait_for(cluster.working, driver)
         workers = cluster.working()
         driver.send_signal(how)
@@ -331,7 +331,7 @@ def test_other_versions_are_refused_by_name(cluster: Cluster, tmp_path: Path) ->
     information.mkdir(parents=True)
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: pyarrow\nVersion: 0.0.1\n")
     running = cluster.start(DRIVER, tmp_path / "late", tmp_path / "never")
-    wait_for(lambda: list((tmp_path / "late").glob(".pending/*.json")), running)
+    wait_for(lambda: records_so_far(tmp_path / "late"), running)
     different = cluster.add(PYTHONPATH=str(information.parent))
     try:
         # A node that comes later gets a task, which it refuses.

@@ -24,7 +24,7 @@ from tactile_toolkit.store.folder import TEMPORARY, DataFolder
 from tactile_toolkit.store.job import inspect_job
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
-from tests.processes import children, wait_until_gone
+from tests.processes import children, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 
@@ -207,7 +207,7 @@ def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, sh
         [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
         cwd=Path(__file__).resolve().parents[3],
     )
-    while len(list((tmp_path / "set" / ".pending").glob("t*.json"))) < shards:
+    while len(records_so_far(tmp_path / "set")) < shards:
         assert process.poll() is None
         time.sleep(0.002)
     process.send_signal(signal.SIGSTOP)
@@ -341,10 +341,10 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
             [sys.executable, "-c", textwrap.dedent(script), str(target)],
             cwd=Path(__file__).resolve().parents[3],
         )
-        seen = len(list((target / ".pending").glob("t*.json"))) if target.exists() else 0
+        seen = len(records_so_far(target))
         deadline_s = time.monotonic() + 120
         while process.poll() is None and time.monotonic() < deadline_s:
-            if len(list((target / ".pending").glob("t*.json"))) > seen:
+            if len(records_so_far(target)) > seen:
                 workers_left = children(process.pid)
                 process.send_signal(signal.SIGKILL)
                 break
