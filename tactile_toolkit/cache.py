@@ -20,13 +20,7 @@ from threading import RLock
 from typing import IO, Any, Generic, TypeVar
 
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.store.files import (
-    TEMPORARY_PREFIX,
-    atomic_file,
-    expanded,
-    remove_abandoned,
-    resource_shortage,
-)
+from tactile_toolkit.store.files import expanded, resource_shortage, write_file
 
 LOCKS = "locks"
 """Folder of the cache whose files processes hold while they write others."""
@@ -105,8 +99,7 @@ class DiskCache:
             path.parent.mkdir(parents=True, exist_ok=True)
             if _CHANCE.random() * self.limit_bytes < size_bytes * _LOOKED_THROUGH_AFTER:
                 self._make_room(path.parent, size_bytes)
-            with atomic_file(path, durable=self.durable) as stream:
-                fill(stream)
+            write_file(path, fill, durable=self.durable)
         except OSError as error:
             if resource_shortage(error) is not None:
                 return False
@@ -122,15 +115,14 @@ class DiskCache:
     def _make_room(self, folder: Path, needed_bytes: int) -> None:
         """Remove what was used longest ago where the limit is passed.
 
-        Open maps stay valid, and what is being written stays.
+        Open maps stay valid, and what is being written, by whom it may be, is written again.
         """
-        remove_abandoned(folder)
         files = sorted(_files(folder))
         excess = sum(size for _, size, _ in files) + needed_bytes - self.limit_bytes
         if excess > 0:
             excess += max(0, self.limit_bytes // _ROOM_MADE - needed_bytes)
             for _, size, path in files:
-                if excess > 0 and not path.name.startswith(TEMPORARY_PREFIX):
+                if excess > 0:
                     self.drop(path)
                     excess -= size
 
@@ -160,12 +152,12 @@ def cached_files() -> dict[str, list[tuple[Path, int, float]]]:
 def prune_cache(unused_days: float = 0.0) -> list[Path]:
     """Remove cached files that were not used for so many days, and return them; locks stay.
 
-    All of them can be made again. Open maps stay valid, and what is being written stays.
+    All of them can be made again. Open maps stay valid, and what is being written is written again.
     """
     removed = []
     for name, files in cached_files().items():
         for path, _, days in files if name != LOCKS else ():
-            if days >= unused_days and not path.name.startswith(TEMPORARY_PREFIX):
+            if days >= unused_days:
                 with contextlib.suppress(OSError):
                     path.unlink()
                     removed.append(path)

@@ -117,19 +117,14 @@ class Task:
 
     def make(self) -> ShardContent:
         """Make the rows; items that give none are listed instead."""
-        rows, skipped = _made(self.making, self.shard.split, self.items)
+        rows: list[Any] = []
+        skipped: list[Skipped] = []
+        for each in self.making.make(self.shard.split, self.items):
+            (skipped if isinstance(each, Skipped) else rows).append(each)
         with without_collecting():
             table = table_of(rows, self.making.schema(self.shard.split))
         report, statistics = self.making.report(self.shard, rows), self.making.statistics(rows)
         return ShardContent(table, tuple(skipped), report, statistics)
-
-
-def _made(making: Making, split: str, items: Sequence[Any]) -> tuple[list[Any], list[Skipped]]:
-    rows: list[Any] = []
-    skipped: list[Skipped] = []
-    for each in making.make(split, items):
-        (skipped if isinstance(each, Skipped) else rows).append(each)
-    return rows, skipped
 
 
 def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan:
@@ -293,16 +288,15 @@ def _sample(making: Making, plan: BuildPlan) -> tuple[int, float, float]:
     """Make a few rows; return how many, and bytes and seconds of one."""
     tasks, skipped = [task for task in plan.tasks if isinstance(task, Task)], list[Skipped]()
     # The first row pays for imports and for what is kept in memory.
-    _made(making, tasks[0].shard.split, tasks[0].items[:1])
+    replace(tasks[0], items=tasks[0].items[:1]).make()
     for task in tasks[:_SHARDS_TRIED]:
-        items = task.items[: making.layout().sampled]
+        few = replace(task, items=task.items[: making.layout().sampled])
         start_s = time.perf_counter()
-        rows, without = _made(making, task.shard.split, items)
-        skipped += without
-        if rows:
-            size = len(encode_parquet(table_of(rows, making.schema(task.shard.split)), plan.style))
-            elapsed_s = time.perf_counter() - start_s
-            return len(rows), size / len(rows), elapsed_s / len(items)
+        content = few.make()
+        if rows := len(content.table):
+            size_bytes = len(encode_parquet(content.table, plan.style))
+            return rows, size_bytes / rows, (time.perf_counter() - start_s) / few.size
+        skipped += content.skipped
     raise InputError(
         f"none of {counted(len(skipped), making.kind.nouns)} that were tried could be made; the first: "
         f"{skipped[0].message}; nothing was written",

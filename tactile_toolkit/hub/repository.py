@@ -26,7 +26,7 @@ from tactile_toolkit.hub.calls import (
     is_unanswered,
     not_cached,
 )
-from tactile_toolkit.store.files import atomic_file
+from tactile_toolkit.store.files import write_file
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import names_inside, problem_of_name
 from tactile_toolkit.store.origin import DIGEST, HubFile, has_digest
@@ -89,8 +89,8 @@ def commit_of(repo_id: str, revision: str) -> str | None:
 def remember_commit(repo_id: str, revision: str, commit: str) -> None:
     """Note which commit a revision names; a cache that cannot be written is not an error."""
     if commit_of(repo_id, revision) not in (commit, revision) and not problem_of_name(revision):
-        with contextlib.suppress(OSError), atomic_file(_folder(repo_id) / "refs" / revision) as stream:
-            stream.write(commit.encode())
+        with contextlib.suppress(OSError):
+            write_file(_folder(repo_id) / "refs" / revision, lambda stream: stream.write(commit.encode()))
 
 
 def _folder(repo_id: str) -> Path:

@@ -19,7 +19,7 @@ from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, as_mesh, joined
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.store.files import atomic_file, named_failures
+from tactile_toolkit.store.files import named_failures, write_file
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
@@ -105,8 +105,7 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     data = pack_mesh(as_mesh(mesh), file_ending(path))
     with named_failures(str(path)):
         path.parent.stat()  # a folder that is mistyped is refused, not made
-        with atomic_file(path) as stream:
-            stream.write(data)
+        write_file(path, lambda stream: stream.write(data))
 
 
 def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:

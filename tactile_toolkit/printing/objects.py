@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import IO, TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
@@ -28,7 +28,7 @@ from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
 from tactile_toolkit.printing.simulator import model_files
 from tactile_toolkit.printing.spec import MODELS, Physics
 from tactile_toolkit.run.processes import runner_for
-from tactile_toolkit.store.files import atomic_file, named_failures, remove_abandoned
+from tactile_toolkit.store.files import named_failures, remove_drafts, write_file
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.wording import class_name
 
@@ -108,11 +108,15 @@ def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None
 
 def _write(path: Path, content: bytes) -> None:
     """Write a file and give it its name only when it reads back from disk as it was written."""
-    with named_failures(str(path)), atomic_file(path) as stream:
+
+    def write(stream: IO[bytes]) -> None:
         stream.write(content)
         stream.flush()  # it is read by its name
-        if content_of(Path(stream.name)) != content:
+        if Path(stream.name).read_bytes() != content:
             raise ItemError(CHANGED, "it reads back from disk with other bytes; the file was removed")
+
+    with named_failures(str(path)):
+        write_file(path, write)
 
 
 def content_of(path: Path) -> bytes | None:
@@ -216,7 +220,7 @@ def export(
     """
     write = _Export(local_folder(out), only_look=False)
     DataFolder(out).require_folder()
-    remove_abandoned(write.folder)  # of killed exports
+    remove_drafts(write.folder)  # of killed exports
     # What was looked at is not made a second time: the convex parts of a body take longer than its file.
     found: dict[str, Any] = {} if overwrite else {**require_free(products, out, workers)}
     left = [product for product in products if product.name not in found]

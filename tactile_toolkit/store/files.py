@@ -1,7 +1,6 @@
 """Single local files: locked, written completely or not at all, and what the system says in words.
 
-A temporary file or folder outside a data set is held by who writes it: what is not held is removed by the
-next one who comes by. No other module of the project imports what only some systems have, but for signals.
+No other module of the project imports what only some systems have, but for signals.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import errno
 import math
 import os
 import re
-import shutil
 import stat
 import tempfile
 import time
@@ -19,7 +17,7 @@ import uuid
 from collections.abc import Callable, Iterator
 from importlib import import_module
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 
@@ -28,8 +26,9 @@ TEMPORARY_PREFIX = ".writing-"
 LOCK_FILE = ".lock"
 """Is in a folder while a process holds it where the system or the file system knows no locks of folders."""
 
+T = TypeVar("T")
+
 _LOOK_AGAIN_S = 0.02
-_SCRATCH_PREFIX = "tactile-toolkit-"
 _TRIES = 10
 _UNIQUE = re.compile("[0-9a-f]{32}-")
 """Follows the prefix: what has none may be any user's."""
@@ -187,28 +186,6 @@ def _lock_file(path: Path) -> Iterator[None]:
         path.unlink(missing_ok=True)
 
 
-@contextlib.contextmanager
-def _held(path: Path, *, wait: bool = True) -> Iterator[bool]:
-    """Hold a file or folder that only one process uses, so that others see it; yield whether this one does.
-
-    Without ``wait``, one that a user holds is left to them, as is one that cannot be locked, and folders on
-    Windows, where an open file cannot be removed anyway. Raises OSError.
-    """
-    fcntl = _module("fcntl")
-    if fcntl is None:
-        yield wait or not path.is_dir()
-        return
-    handle = os.open(path, os.O_RDONLY)
-    try:
-        is_ours = wait
-        with contextlib.suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            is_ours = True
-        yield is_ours
-    finally:
-        os.close(handle)
-
-
 def _module(name: str) -> Any:
     """Return a module of Python's that this system may not have."""
     try:
@@ -248,67 +225,55 @@ def new_file(path: Path) -> IO[bytes]:
     return path.open("xb")
 
 
-@contextlib.contextmanager
-def temporary(
-    folder: Path, name: str, make: Callable[[Path], object], prefix: str = TEMPORARY_PREFIX
-) -> Iterator[Path]:
-    """Make a temporary file or folder, and hold it until it has been moved, or is removed."""
-    with contextlib.ExitStack() as stack:
-        while True:
-            path = folder / f"{prefix}{uuid.uuid4().hex}-{name}"
-            stack.callback(_remove, path)
-            make(path)
-            # Another program may have come by before it was held.
-            with contextlib.suppress(FileNotFoundError):
-                stack.enter_context(_held(path))
-                if path.exists():
-                    break
-        yield path
+def write_file(
+    path: Path,
+    fill: Callable[[IO[bytes]], T],
+    draft: Path | None = None,
+    *,
+    durable: bool = True,
+    publish: Callable[[Path, Path], object] = Path.replace,
+) -> T:
+    """Write a local file, which appears under its name when all of it is there, or never.
 
-
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path, ignore_errors=True)
-    else:
-        path.unlink(missing_ok=True)
-
-
-def remove_abandoned(folder: Path, prefix: str = TEMPORARY_PREFIX) -> None:
-    """Remove the temporary files and folders directly in a local folder that are not held any more."""
-    for path in folder.glob(f"{prefix}*"):
-        with contextlib.suppress(OSError):  # of other users it stays
-            if _UNIQUE.match(path.name, len(prefix)):
-                with _held(path, wait=False) as is_ours:
-                    if is_ours:
-                        _remove(path)
-
-
-@contextlib.contextmanager
-def atomic_file(path: Path, *, durable: bool = True) -> Iterator[IO[bytes]]:
-    """Open a local file for writing that appears under its name when all of it is on the disk, or never.
-
-    Folders are made. What is not ``durable`` is not flushed: a power cut may leave damaged content under the
-    name. Raises OSError as the file system does; nothing is left behind.
+    ``fill`` writes to a stream, and what it returns is returned. Any program may remove the temporary file,
+    ``draft``: it is written again. Folders are made. What is not ``durable`` is not flushed: a power cut may
+    leave damaged content under the name. Raises OSError as the file system does; nothing is left behind but
+    by a process that is killed.
     """
-    with temporary(path.parent, path.name, lambda made: new_file(made).close()) as made:
-        with made.open("wb") as stream:
-            yield stream
-            if durable:
+    draft = draft or path.with_name(f"{TEMPORARY_PREFIX}{uuid.uuid4().hex}-{path.name}")
+    for tries_left in reversed(range(_TRIES)):
+        try:
+            with new_file(draft) as stream:
+                filled = fill(stream)
                 stream.flush()
-                os.fsync(stream.fileno())
-        made.replace(path)
+                if durable:
+                    os.fsync(stream.fileno())
+            make_folder(path.parent)
+            publish(draft, path)
+            break
+        except FileNotFoundError:
+            if not tries_left:
+                raise
+        finally:
+            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
+                draft.unlink()
     if durable:
         sync_folder(path.parent)
+    return filled
+
+
+def remove_drafts(folder: Path) -> None:
+    """Remove the temporary files directly in a local folder; one that is being written is written again."""
+    for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
+        with contextlib.suppress(OSError):  # of other users it stays
+            if _UNIQUE.match(path.name, len(TEMPORARY_PREFIX)):
+                path.unlink()
 
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Make a folder in ``$TMPDIR`` that goes at the end, with those that killed processes left there."""
-    place = Path(tempfile.gettempdir())
-    remove_abandoned(place, _SCRATCH_PREFIX)
+    """Make a folder in ``$TMPDIR`` that goes at the end."""
     with contextlib.ExitStack() as stack:
-        with named_failures(str(place)):
-            folder = stack.enter_context(
-                temporary(place, "scratch", lambda path: path.mkdir(mode=0o700), _SCRATCH_PREFIX)
-            )
-        yield folder
+        with named_failures(tempfile.gettempdir()):
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-toolkit-"))
+        yield Path(folder)

@@ -17,6 +17,7 @@ import math
 import os
 import shutil
 import stat
+import tempfile
 import uuid
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -31,11 +32,11 @@ from tactile_toolkit.store.files import (
     locked,
     make_folder,
     named_failures,
-    new_file,
     open_regular,
     readable,
     scratch_folder,
     sync_folder,
+    write_file,
 )
 from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
 from tactile_toolkit.store.remote import ask_store, client_of, has_buckets, open_in_store
@@ -54,7 +55,6 @@ VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created", "LastModi
 
 _READ_AT_ONCE = 16
 """Small files that are asked for at a time: a network file system or store answers many as fast as one."""
-_TRIES = 10
 
 T = TypeVar("T")
 
@@ -226,26 +226,17 @@ class DataFolder:
         the temporary file. What goes to a store is put together in ``$TMPDIR`` first. Raises StorageError for
         a path that leads out of the folder, and where the file system refuses; then nothing is left behind.
         """
-        for tries_left in reversed(range(_TRIES)):
-            try:
-                with named_failures(self.address(path)), self._temporary(path) as stream:
-                    filled = fill(stream)
-                    self._publish(stream, path, Path.replace)
-                    return filled
-            except StorageError as error:
-                if not tries_left or not isinstance(error.__cause__, FileNotFoundError):
-                    raise
-        raise AssertionError
+        return self._write(path, fill, Path.replace)
 
-    def _publish(self, stream: IO[bytes], path: str, publish: Callable[[Path, Path], object]) -> None:
-        """Give a temporary file its name, once its content is on the disk."""
-        stream.flush()
-        os.fsync(stream.fileno())
-        stream.close()  # Windows moves no open file
-        target = self.place(path)
-        make_folder(target.parent)
-        publish(Path(stream.name), target)
-        sync_folder(target.parent)
+    def _write(self, path: str, fill: Callable[[IO[bytes]], T], publish: Callable[[Path, Path], object]) -> T:
+        place = self.place(path)
+        draft = self.place(f"{PENDING_FOLDER}/{TEMPORARY}{uuid.uuid4().hex}")
+        try:
+            with named_failures(self.address(path)):
+                return write_file(place, fill, draft, publish=publish)
+        finally:
+            with contextlib.suppress(OSError):  # something else is in it
+                draft.parent.rmdir()
 
     def write_bytes(self, path: str, content: bytes) -> None:
         """Write a file in one step, so that readers see all of it or nothing; raises as :meth:`write`."""
@@ -275,23 +266,7 @@ class DataFolder:
                 if not target.exists():
                     temporary.replace(target)  # a file system without links
 
-        with named_failures(self.address(path)), self._temporary(path) as stream:
-            stream.write(content)
-            self._publish(stream, path, link)
-
-    @contextlib.contextmanager
-    def _temporary(self, path: str) -> Iterator[IO[bytes]]:
-        """Open a new temporary file for one of that path, and remove it at the end unless it was moved."""
-        self.place(path)
-        temporary = self.place(f"{PENDING_FOLDER}/{TEMPORARY}{uuid.uuid4().hex}")
-        try:
-            with new_file(temporary) as stream:
-                yield stream
-        finally:
-            with contextlib.suppress(FileNotFoundError, NotADirectoryError):
-                temporary.unlink()
-            with contextlib.suppress(OSError):  # something else is in it
-                temporary.parent.rmdir()
+        self._write(path, lambda stream: stream.write(content), link)
 
     def download(self, path: str, target: Path) -> None:
         """Copy a file to a local one; FileNotFoundError where there is none."""
@@ -340,7 +315,7 @@ class DataFolder:
             if self.exists() and self._problem():
                 raise InputError(self._problem(), next="choose another path (--out or OUT)")
             make_folder(Path(self.root))
-            with self._temporary(""):
+            with tempfile.TemporaryFile(dir=self.root):
                 pass
 
     def refresh(self, folder: str) -> None:

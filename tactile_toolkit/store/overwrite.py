@@ -18,20 +18,14 @@ from tactile_toolkit.store.files import TEMPORARY_PREFIX
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import BuildPlan, refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
-from tactile_toolkit.store.names import decode, names_inside
+from tactile_toolkit.store.names import decode
 from tactile_toolkit.store.origin import RECORD_FILE
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
-_PROMOTION = f"{NEXT_FOLDER}/promotion.json"
+_PROMOTION = f"{NEXT_FOLDER}/.promotion.json"
+"""Lists the files of the former data set that the next one lacks."""
 _PATIENCE_S = 60.0
 _OURS = ("reports/*.parquet", "previews/*.png", "README.md", "croissant.json", RECORD_FILE, MANIFEST_FILE)
-
-
-class _Promotion(msgspec.Struct):
-    """What takes the place of what: paths in the folder."""
-
-    arrive: list[str]
-    leave: list[str]
 
 
 def require_replaceable(folder: DataFolder) -> list[str]:
@@ -135,25 +129,29 @@ def promote(folder: DataFolder) -> None:
     Raises InputError where the folder holds more than a data set by now, and nothing was touched.
     """
     leave = require_replaceable(folder)
-    arrive = [path for path in DataFolder(folder.address(NEXT_FOLDER)).walk() if not path.startswith(".")]
-    promotion = _Promotion(arrive, sorted({*leave} - {*arrive}))
-    folder.write_bytes(_PROMOTION, msgspec.json.encode(promotion))  # from here on it can only be completed
+    former = sorted({*leave}.difference(_arriving(folder)))
+    folder.write_bytes(_PROMOTION, msgspec.json.encode(former))  # from here on it can only be completed
     _move_files(folder)
 
 
+def _arriving(folder: DataFolder) -> list[str]:
+    """Return the files of the next data set that were not moved yet."""
+    return [path for path in DataFolder(folder.address(NEXT_FOLDER)).walk() if not path.startswith(".")]
+
+
 def _move_files(folder: DataFolder) -> None:
-    promotion = decode(folder.read_bytes(_PROMOTION), _Promotion, folder.address(_PROMOTION))
+    leave = decode(folder.read_bytes(_PROMOTION), list[str], folder.address(_PROMOTION))
     after = DataFolder(folder.address(NEXT_FOLDER))
     manifest = read_manifest(after)
     if manifest is not None:  # it is the last file to move
         write_manifest(folder, replace(manifest, complete=False))
         # The list may be any user's, of a folder that was given to us.
         every = _extra_files()
-        for path in promotion.leave:
+        for path in leave:
             if _is_ours(path, every):
                 folder.remove(path)
-        for path in names_inside(promotion.arrive, repr(folder.address(_PROMOTION))):
-            if path != MANIFEST_FILE and after.exists(path):
+        for path in _arriving(folder):
+            if path != MANIFEST_FILE:
                 folder.move(f"{NEXT_FOLDER}/{path}", path)
         sizes = folder.sizes(DATA_FOLDER)
         missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
@@ -165,7 +163,7 @@ def _move_files(folder: DataFolder) -> None:
                 next="run the same command again without --overwrite",
             )
         folder.move(f"{NEXT_FOLDER}/{MANIFEST_FILE}", MANIFEST_FILE)
-    for path in promotion.leave:
+    for path in leave:
         while path := path.rpartition("/")[0]:
             folder.remove_empty(path)
     folder.remove_tree(NEXT_FOLDER)

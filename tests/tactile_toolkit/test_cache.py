@@ -25,7 +25,6 @@ from tactile_toolkit.cache import (
     prune_cache,
 )
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.files import atomic_file
 from tactile_toolkit.store.folder import DataFolder
 from tests.forked import run_forked, start_forked
 
@@ -84,15 +83,31 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path):
     assert put(cache, "x", 10)
 
 
-def test_stale_temporary_files_go(tmp_path):
-    (tmp_path / ".writing-0123456789abcdef0123456789abcdef-x").write_bytes(bytes(10))
-    with atomic_file(tmp_path / "z"):
-        assert put(DiskCache(tmp_path, 1000), "y", 100)
-        assert names(tmp_path)[0].endswith("-z")
-        assert names(tmp_path)[1:] == ["y"]
+def test_stale_temporary_files_leave_as_others_do(tmp_path):
+    """What a killed writer left counts, and leaves first because it was used longest ago."""
+    left = tmp_path / ".writing-0123456789abcdef0123456789abcdef-x"
+    left.write_bytes(bytes(600))
+    os.utime(left, (1, 1))
+    assert put(DiskCache(tmp_path, 1000), "y", 600)
+    assert names(tmp_path) == ["y"]
 
 
-def test_making_room_leaves_what_another_thread_is_writing(tmp_path):
+def test_what_is_removed_while_it_is_written_is_written_again(tmp_path):
+    cache, calls = DiskCache(tmp_path, 1000), []
+
+    def fill(stream):
+        calls.append(stream.write(bytes(600)))
+        if len(calls) == 1:
+            for path in tmp_path.iterdir():
+                path.unlink()
+
+    assert cache.write("slow", 600, fill)
+    assert cache.path("slow").stat().st_size == 600
+    assert len(calls) == 2
+    assert names(tmp_path) == ["slow"]
+
+
+def test_making_room_while_another_thread_is_writing(tmp_path):
     cache, begun, full, written = DiskCache(tmp_path, 1000), threading.Event(), threading.Event(), []
 
     def fill(stream):
@@ -123,7 +138,7 @@ def _write_slowly(folder: Path, go: Path) -> bool:
     return DiskCache(folder, 1000).write("slow", 600, fill)
 
 
-def test_making_room_leaves_what_another_process_is_writing(tmp_path):
+def test_making_room_while_another_process_is_writing(tmp_path):
     cache, go = tmp_path / "cache", tmp_path / "go"
     writer = start_forked(_write_slowly, cache, go)
     while not (tmp_path / "begun").exists():
