@@ -231,7 +231,7 @@ def write_file(
     draft: Path | None = None,
     *,
     durable: bool = True,
-    publish: Callable[[Path, Path], object] = Path.replace,
+    publish: Callable[[Path, Path], object] = lambda draft, path: draft.replace(path),
 ) -> T:
     """Write a local file, which appears under its name when all of it is there, or never.
 
