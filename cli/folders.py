@@ -320,19 +320,21 @@ def cache(
 def print_sets(sink: Sink, kind: DatasetKind) -> None:
     """Print the published data sets: what they hold, their terms, what is here, and how large they are."""
     from tactile_toolkit.catalog.locate import states
+    from tactile_toolkit.store.shards import shard_files
 
     documents, rows = [], []
     for state in states(kind.published):
-        known, here, size = state.published, "-", "?"
-        facts = {name: getattr(state, name) for name in ("licence", "hub_bytes", "local_bytes")}
+        known, local, on_hub = state.published, state.here, state.on_hub
+        licence = known.licence or (on_hub.licence if on_hub else None)
+        size = on_hub.size_bytes if on_hub else None
+        local_bytes = local.size_bytes if local else 0
+        splits = list(dict.fromkeys(file.split for file in shard_files(local.remote if local else ())))
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
-        splits = list(state.local_splits)
-        documents.append({**names, "citation": known.citation, **facts, "local_splits": splits})
-        if state.local_bytes:
-            here = f"{bytes_text(state.local_bytes)} ({', '.join(splits)})"
-        if state.hub_bytes is not None:
-            size = bytes_text(state.hub_bytes)
-        rows.append((known.name, known.content, state.licence or "see its card", size, here))
+        facts = {"licence": licence, "hub_bytes": size, "local_bytes": local_bytes, "local_splits": splits}
+        documents.append({**names, "citation": known.citation, **facts})
+        here = f"{bytes_text(local_bytes)} ({', '.join(splits)})" if local_bytes else "-"
+        there = "?" if size is None else bytes_text(size)
+        rows.append((known.name, known.content, licence or "see its card", there, here))
     sink.document(documents)
     if not rows:
         lists = f"`{kind.package} list` lists what else {kind.package} opens"

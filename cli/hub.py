@@ -16,7 +16,7 @@ from tactile_toolkit.catalog.spec import REVISION
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, kinds
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -85,13 +85,13 @@ def download(
 
     After an interruption, the same command continues. `list` names the published data sets.
     """
-    from tactile_toolkit.catalog.locate import kind_that_published
+    from tactile_toolkit.catalog.locate import published_set
     from tactile_toolkit.exchange.download import download as carry_out
     from tactile_toolkit.exchange.download import plan_download
 
     _quiet_client(is_all=True)
     # The repository of a published set holds no manifest.
-    known = kind_that_published(name) or kind
+    known = next((each for each in kinds() if published_set(name) in each.published), kind)
     if known is not kind:
         raise InputError(
             f"{name!r} is a data set of `{known.command}`", next=f"{known.command} download {name}"

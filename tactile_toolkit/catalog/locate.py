@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.hub.calls import hub_failures, not_cached
@@ -23,7 +23,7 @@ from tactile_toolkit.store.files import expanded, path_exists, readable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, without_collecting
-from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
+from tactile_toolkit.store.names import damaged, is_remote, normalize_uri, scheme_of
 from tactile_toolkit.store.origin import read_record
 from tactile_toolkit.store.overwrite import resume_promotion
 from tactile_toolkit.store.shards import (
@@ -35,6 +35,9 @@ from tactile_toolkit.store.shards import (
     unknown_split,
 )
 from tactile_toolkit.wording import did_you_mean
+
+_Splits: TypeAlias = tuple[tuple[str, ...], Callable[[str], tuple[Shard, ...]]]
+"""The splits of a data set, and what finds the shards of one of them."""
 
 _LONGEST_SHOWN = 200
 _USUAL_SPLIT = "train"
@@ -54,21 +57,49 @@ def find_shards(
     have remote addresses that are read piece by piece. Raises InputError (no such folder or split),
     IntegrityError (a damaged manifest, an interrupted run) or HubError.
     """
+    splits, shards_of = _open(name, revision, streaming)
+    if split is None:
+        split, *further = splits or [_USUAL_SPLIT]
+        if further:
+            raise InputError(
+                f"{_shown(name)} has the splits {', '.join(splits)}; expected one of them",
+                next=f"name it, split={split!r} (in a shell --split {split})",
+            )
+    return shards_of(split)
+
+
+def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
+    """List the splits of a data set by its name; InputError where it holds no Parquet files."""
+    splits, _ = _open(name, revision)
+    if not splits:
+        raise unknown_split("", (), name)
+    return splits
+
+
+def _open(name: str, revision: str | None, streaming: bool = False) -> _Splits:
+    """Return the splits of a data set by its name, and what finds the shards of one of them."""
     place = _found_here(name) or _named_on_hub(name, revision)
     if isinstance(place, DataFolder):
-        with without_collecting():
-            return _folder_shards(place, split)
+        return _open_folder(place)
     if isinstance(place, str) or _is_file(place):
-        # `train` may be what is asked for by default: a file named alone is opened then, whatever its split.
-        found = _split_in_name(place)
-        if split not in (None, found or split, _USUAL_SPLIT):
-            raise unknown_split(str(split), (str(found),), name)
-        return find_files([name], revision=revision, streaming=streaming)
+        shard = ShardName.parse(name.rpartition("/")[2])
+        stated = None if shard is None else shard.split
+
+        def file_of(split: str) -> tuple[Shard, ...]:
+            # `train` may be what is asked for by default: a file named alone is opened then, whatever it is.
+            if split not in (stated or split, _USUAL_SPLIT):
+                raise unknown_split(split, (str(stated),), name)
+            return find_files([name], revision=revision, streaming=streaming)
+
+        return (stated or _USUAL_SPLIT,), file_of
     repository = open_repository(place.repo_id, place.revision)
     files = repository_shards(repository, place.path)
-    chosen = _split_of([file.split for file in files], split, name)
-    paths = [file.path for file in hub_split(repository, files, chosen)]
-    return _hub_shards(repository, paths, streaming)
+
+    def fetched(split: str) -> tuple[Shard, ...]:
+        paths = [file.path for file in hub_split(repository, files, split)]
+        return _hub_shards(repository, paths, streaming)
+
+    return _splits_in(files), fetched
 
 
 def find_files(
@@ -78,13 +109,11 @@ def find_files(
     if not names:
         raise InputError("no files given; expected Parquet files of one data set")
     shards: list[Shard] = []
-    repositories: dict[tuple[str, str | None], HubRepository] = {}  # one each: its files are of one commit
+    opened = functools.cache(open_repository)  # one each: its files are of one commit
     for name in names:
         place = _found_here(name) or hub_name(name, revision)
         if isinstance(place, HubName) and _is_file(place):
-            key = place.repo_id, place.revision
-            repositories[key] = repositories.get(key) or open_repository(*key)
-            shards += _hub_shards(repositories[key], [place.path], streaming)
+            shards += _hub_shards(opened(place.repo_id, place.revision), [place.path], streaming)
         elif isinstance(place, str):
             shards.append(Shard(place))
         else:
@@ -93,8 +122,12 @@ def find_files(
 
 
 def repository_named(name: str, revision: str | None = None) -> HubName:
-    """Return the repository that a name means; InputError for other names, and for a part of one."""
-    named = _named_on_hub(name, revision)
+    """Return the repository that a name, or the short name of a published set, means.
+
+    Raises InputError for other names, and for a part of a repository.
+    """
+    known = published_set(name)
+    named = _named_on_hub(known.repo_id if known else name, revision)
     if named.path:
         raise InputError(
             f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
@@ -158,25 +191,6 @@ def _is_file(named: HubName) -> bool:
     return named.path.endswith(_PARQUET)
 
 
-def _split_in_name(place: str | HubName) -> str | None:
-    """Return the split that the name of a file states, such as ``test-00000-of-00002.parquet``."""
-    shard = ShardName.parse(Path(place.path if isinstance(place, HubName) else place).name)
-    return None if shard is None else shard.split
-
-
-def _split_of(known: Sequence[str], split: str | None, name: str) -> str:
-    """Return the split that was named, or else the only one; InputError where there are several."""
-    if split is not None:
-        return split
-    only, *further = dict.fromkeys(known or [_USUAL_SPLIT])
-    if further:
-        raise InputError(
-            f"{_shown(name)} has the splits {', '.join([only, *further])}; expected one of them",
-            next=f"name it, split={only!r} (in a shell --split {only})",
-        )
-    return only
-
-
 def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool) -> tuple[Shard, ...]:
     if not streaming:
         return tuple(Shard(str(place)) for place in repository.fetch(paths))
@@ -207,60 +221,53 @@ def repository_shards(repository: HubRepository, folder: str = "") -> list[Shard
     return [file for file in files if file.path in listed]
 
 
-def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
-    """List the splits of a data set by its name; InputError where it holds no Parquet files."""
-    place = _found_here(name) or _named_on_hub(name, revision)
-    if isinstance(place, DataFolder):
-        splits = available_splits(place)
-    elif isinstance(place, str) or _is_file(place):
-        splits = (_split_in_name(place) or _USUAL_SPLIT,)
-    else:
-        files = repository_shards(open_repository(place.repo_id, place.revision), place.path)
-        splits = tuple(dict.fromkeys(file.split for file in files))
-    if not splits:
-        raise unknown_split("", (), name)
-    return splits
-
-
 def available_splits(folder: DataFolder) -> tuple[str, ...]:
     """List the splits of a folder: those of its manifest, or else those its file names state."""
+    return _open_folder(folder)[0]
+
+
+def _open_folder(folder: DataFolder) -> _Splits:
+    resume_promotion(folder)  # files of two sets lie in one that is being replaced
     manifest = read_manifest(folder)
     if manifest is not None:
-        return manifest.splits
-    return tuple(dict.fromkeys(file.split for file in _folder_files(folder)))
+        return manifest.splits, functools.partial(_recorded_shards, folder, manifest)
+    files = _folder_files(folder)
+
+    def shards_of(split: str) -> tuple[Shard, ...]:
+        return tuple(Shard(folder.address(each.path)) for each in files_of_split(files, split, folder.root))
+
+    return _splits_in(files), shards_of
 
 
-def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
-    resume_promotion(folder)  # files of two sets lie in one that is being replaced
-    manifest, root = read_manifest(folder), folder.address()
-    if manifest is None:
-        found = _folder_files(folder)
-        chosen = _split_of([file.split for file in found], split, root)
-        return tuple(Shard(folder.address(file.path)) for file in files_of_split(found, chosen, root))
-    chosen = _split_of(manifest.splits, split, root)
-    records = manifest.shards_of(chosen)
+def _splits_in(files: Iterable[ShardFile]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(file.split for file in files))
+
+
+def _recorded_shards(folder: DataFolder, manifest: Manifest, split: str) -> tuple[Shard, ...]:
+    root, records = folder.address(), manifest.shards_of(split)
     if not records or len(records) != records[0].shard.count:
-        there = [file.path for file in _folder_files(folder) if file.split == chosen]
+        there = [file.path for file in _folder_files(folder) if file.split == split]
         if not (records or there) and manifest.complete:
-            raise unknown_split(chosen, manifest.splits, root)
+            raise unknown_split(split, manifest.splits, root)
         raise IntegrityError(
-            f"the run that makes {root!r} is not finished ({len(there)} shards of split {chosen!r} are "
+            f"the run that makes {root!r} is not finished ({len(there)} shards of split {split!r} are "
             f"there, {MANIFEST_FILE} lists {len(records)} of them)",
             next="run the same command again, it continues, or download the data set again",
         )
     small: list[tuple[Shard, str] | None] = [None] * len(records)
-    for file in small_files(manifest, chosen):
+    for file in small_files(manifest, split):
         if file.path in (manifest.files or ()):
             first = file.records[0].shard.index
             entry = (Shard(folder.address(file.path), file.rows), file.made_of)
             small[first : first + len(file.records)] = [entry] * len(file.records)
     # Names were checked when the manifest was read: address(PATH) would do so again for each of 50,000.
-    return tuple(
-        [
-            Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry, size_bytes=record.bytes)
-            for record, entry in zip(records, small, strict=True)
-        ]
-    )
+    with without_collecting():
+        return tuple(
+            [
+                Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry, size_bytes=record.bytes)
+                for record, entry in zip(records, small, strict=True)
+            ]
+        )
 
 
 def _folder_files(folder: DataFolder) -> list[ShardFile]:
@@ -319,7 +326,7 @@ def require_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest:
     manifest = finished_manifest(kind, folder)
     if manifest is None:
         raise InputError(
-            f"{folder.missing_message(MANIFEST_FILE)}",
+            folder.missing_message(MANIFEST_FILE),
             next=f"give the folder of a data set, such as one made by `{kind.made_by}`",
         )
     return manifest
@@ -331,11 +338,8 @@ def specification_read(where: str) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, AttributeError) as error:
-        raise IntegrityError(
-            f"the specification in {where!r} is not that of a data set of this kind ({type(error).__name__}: "
-            f"{error})",
-            next="download or generate the data set again",
-        ) from error
+        problem = f"its specification is not that of this kind of data set ({type(error).__name__}: {error})"
+        raise damaged(where, problem) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -357,7 +361,7 @@ def local_sets(folder: Path) -> list[LocalSet]:
     """
     if not folder.is_dir():
         raise InputError(
-            f"{DataFolder(str(folder)).missing_message('data sets')}",
+            DataFolder(str(folder)).missing_message("data sets"),
             next="give a folder with data set folders",
         )
     found = []
@@ -381,12 +385,6 @@ def published_set(name: str) -> PublishedSet | None:
     return next((each for each in entries if name in (each.name, each.repo_id, *each.aliases)), None)
 
 
-def kind_that_published(name: str) -> DatasetKind | None:
-    """Return the kind of a published set, by its short name or its repository; None for any other name."""
-    entry = published_set(name)
-    return next((kind for kind in kinds() if entry in kind.published), None)
-
-
 def place_of(name: str | os.PathLike[str]) -> str:
     """Return the repository of a short name, unless there is a file or a data set folder of that name.
 
@@ -405,33 +403,24 @@ def place_of(name: str | os.PathLike[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class SetState:
-    """A published set, what of it is in the Hub's cache, and how large it is on the Hub, if that says.
+    """A published set: what the Hub says of it, and what its cache has of the commit last looked at.
 
-    ``local_splits`` have files in the cache, at the commit last looked at; the licence is as its publishers
-    state it, or else as its card on the Hub does.
+    ``on_hub`` is None where the Hub gives no answer, ``here`` where nothing is in the cache.
     """
 
     published: PublishedSet
-    local_bytes: int
-    local_splits: tuple[str, ...]
-    hub_bytes: int | None
-    licence: str | None
+    on_hub: HubRepository | None
+    here: HubRepository | None
 
 
 def states(sets: Sequence[PublishedSet]) -> list[SetState]:
-    """Look up what is local and, for all sets at once, ask the Hub for sizes."""
-    return list(in_threads(_state, sets, _THREADS))
+    """Look up what is local and, for all sets at once, ask the Hub."""
 
+    def state(entry: PublishedSet) -> SetState:
+        found = None
+        with suppress(ToolkitError):
+            found = open_repository(entry.repo_id)
+        on_hub = None if found is None or found.is_cache else found
+        return SetState(entry, on_hub, find_cached(entry.repo_id))
 
-def _state(entry: PublishedSet) -> SetState:
-    size_bytes, licence = None, entry.licence
-    with suppress(ToolkitError):
-        found = open_repository(entry.repo_id)
-        if not found.is_cache:
-            size_bytes = sum(file.size_bytes for file in found.remote.values())
-            licence = licence or found.licence
-    cached = find_cached(entry.repo_id)
-    here = cached.remote if cached else {}
-    splits = tuple(dict.fromkeys(file.split for file in shard_files(here)))
-    local_bytes = sum(file.size_bytes for file in here.values())
-    return SetState(entry, local_bytes, splits, size_bytes, licence)
+    return list(in_threads(state, sets, _THREADS))

@@ -23,7 +23,7 @@ from tactile_toolkit.hub.calls import (
     TooLargeError,
     call_with_retry,
     counting_options,
-    is_unanswered,
+    has_answered,
     not_cached,
 )
 from tactile_toolkit.store.files import atomic_file
@@ -72,28 +72,23 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
     return HubName(match["repo"], named or revision, match["path"] or "")
 
 
-def snapshot_folder(repo_id: str, commit: str) -> Path:
-    """Return the folder of a commit's files, which are links to their contents where the system has links."""
-    return _folder(repo_id) / "snapshots" / commit
-
-
 def commit_of(repo_id: str, revision: str) -> str | None:
     """Return the commit that a revision named when it was last looked at; None when it never was."""
     found = revision
     if not _COMMIT.fullmatch(revision) and not problem_of_name(revision):
         with contextlib.suppress(OSError, UnicodeDecodeError):
-            found = (_folder(repo_id) / "refs" / revision).read_text().strip()
+            found = (_cache_of(repo_id) / "refs" / revision).read_text().strip()
     return found if _COMMIT.fullmatch(found) else None
 
 
 def remember_commit(repo_id: str, revision: str, commit: str) -> None:
     """Note which commit a revision names; a cache that cannot be written is not an error."""
     if commit_of(repo_id, revision) not in (commit, revision) and not problem_of_name(revision):
-        with contextlib.suppress(OSError), atomic_file(_folder(repo_id) / "refs" / revision) as stream:
+        with contextlib.suppress(OSError), atomic_file(_cache_of(repo_id) / "refs" / revision) as stream:
             stream.write(commit.encode())
 
 
-def _folder(repo_id: str) -> Path:
+def _cache_of(repo_id: str) -> Path:
     from huggingface_hub import constants
 
     # The layout of the Hub's own client, so that either finds what the other has fetched.
@@ -176,13 +171,17 @@ class HubRepository:
     is_private: bool = False
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
 
+    @property
+    def folder(self) -> Path:
+        """Where the cache has files of the commit, as links to their contents where the system has links."""
+        return _cache_of(self.repo_id) / "snapshots" / self.commit
+
     @cached_property
     def manifest(self) -> Manifest | None:
         """The manifest of a data set made by the toolkit; None of any other, or IntegrityError."""
         if MANIFEST_FILE not in self.remote:
             return None
-        (place,) = self.fetch((MANIFEST_FILE,))
-        text = place.read_text(encoding="utf-8", errors="replace")
+        text = self.fetch((MANIFEST_FILE,))[0].read_text(encoding="utf-8", errors="replace")
         try:
             values = json.loads(text)
         except ValueError:
@@ -196,11 +195,14 @@ class HubRepository:
         """What the manifest states of its shards, and of other files of the commit, by path."""
         if self.manifest is None:
             return {}
-        listed = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards}
-        for path, sha256 in (self.manifest.files or {}).items():
-            if path in self.remote:
-                listed[path] = HubFile(path, self.remote[path].size_bytes, sha256)
-        return listed
+        digests = {path: each for path, each in self.manifest.files.items() if path in self.remote}
+        shards = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards}
+        return shards | {path: HubFile(path, self.remote[path].size_bytes, digests[path]) for path in digests}
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of all files that are known."""
+        return sum(file.size_bytes for file in self.remote.values())
 
     def files(self) -> list[str]:
         """List the paths of all files; without the Hub, those in the cache and in a cached manifest."""
@@ -240,16 +242,13 @@ class HubRepository:
 
         It has the size that is expected and, with ``check``, the content.
         """
-        wanted, file = self.file(path), self._place(path)
+        wanted, file = self.file(path), self.folder / path
         is_here = file.is_file() and file.stat().st_size == wanted.size_bytes
         if is_here and check and wanted.digest is not None:
             is_here = has_digest(file, wanted.digest)
         return file if is_here else None
 
-    def _place(self, path: str) -> Path:
-        return snapshot_folder(self.repo_id, self.commit) / path
-
-    def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[Path]:
+    def fetch(self, paths: Sequence[str]) -> list[Path]:
         """Bring files into the Hub's cache, unless it has them, and return their local paths.
 
         What arrives has the digest of the manifest, where there is one, and else that of the Hub. Raises
@@ -258,9 +257,9 @@ class HubRepository:
         """
         for path in paths:
             self.file(path)  # what cannot be had is reported before anything is fetched
-        together = transfers or Transfers()
-        together.each(lambda path: self.cached(path) or self.download(path, together), paths)
-        return [self._place(path) for path in paths]
+        transfers = Transfers()
+        transfers.each(lambda path: self.cached(path) or self.download(path, transfers), paths)
+        return [self.folder / path for path in paths]
 
     def download(self, path: str, transfers: Transfers, folder: Path | None = None) -> Path:
         """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
@@ -271,7 +270,7 @@ class HubRepository:
             raise not_cached(self.repo_id, repr(path))
         options = {"repo_type": "dataset", "revision": commit, "local_dir": folder}
         options |= counting_options(functools.partial(transfers.count, wanted))
-        for force in (folder is None and self._place(path).exists(), True):
+        for force in (folder is None and (self.folder / path).exists(), True):
             fetch = functools.partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
             doing = f"fetching {path!r} of"
             file = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
@@ -308,7 +307,7 @@ def open_repository(
     try:
         found = call_with_retry(ask, repo_id, waits_s=waits_s, on_wait=on_wait)
     except HubError as error:
-        if cached is None or not is_unanswered(error):
+        if cached is None or has_answered(error):
             raise
         found = cached
     remember_commit(repo_id, revision or _MAIN, found.commit)
@@ -336,12 +335,13 @@ def listing(repo_id: str, revision: str | None = None) -> HubRepository:
 
 def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | None:
     """Return what the cache has of the commit that a revision named last; None where it has nothing."""
-    commit = commit_of(repo_id, revision or _MAIN)
-    root = snapshot_folder(repo_id, str(commit))
-    files = {}
-    for file in sorted(file for file in root.rglob("*") if file.is_file()):
+    commit, files = commit_of(repo_id, revision or _MAIN), {}
+    if commit is None:
+        return None
+    found = HubRepository(repo_id, revision, commit, {}, is_cache=True)
+    for file in sorted(file for file in found.folder.rglob("*") if file.is_file()):
         # A blob is named by the digest of its content; a cache without links has no blobs.
-        path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
+        path, blob = file.relative_to(found.folder).as_posix(), Path(os.path.realpath(file)).name
         is_named = file.is_symlink() and DIGEST.fullmatch(blob)
         files[path] = HubFile(path, file.stat().st_size, blob if is_named else None)
-    return HubRepository(repo_id, revision, commit, files, is_cache=True) if commit and files else None
+    return replace(found, remote=files) if files else None
