@@ -73,15 +73,13 @@ def choose_rows(
     classes, of these the first ``per_class`` of each class, and of what is left the first ``limit`` of each
     split. Raises InputError where an id or a class is not there, no id of a range is, or nothing is left.
     """
-    ranges = None if ids is None else [entry if isinstance(entry, tuple) else (entry, entry) for entry in ids]
-    seen = np.zeros(len(ranges or ()), bool)
-    found = []
+    ranges = [each if isinstance(each, tuple) else (each, each) for each in ids or ()]
+    seen, found = np.zeros(len(ranges), bool), []
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
-        if ranges is not None:
+        if ranges:
             inside = [(rows.ids >= low) & (rows.ids <= high) for low, high in ranges]
-            wanted = np.any(inside, axis=0)
-            seen |= np.any(inside, axis=1)
+            wanted, seen = np.any(inside, axis=0), seen | np.any(inside, axis=1)
         if labels is not None:
             classes = list(rows.label_names)
             unknown = [label for label in labels if label not in classes]
@@ -96,13 +94,14 @@ def choose_rows(
             kept = [chosen[kinds == label][:per_class] for label in np.unique(kinds)]
             chosen = np.sort(np.concatenate([chosen[:0], *kept]))
         found.append((split, rows, chosen[:limit]))
-    for (low, high), is_there in zip(ranges or (), seen, strict=True):
-        if not is_there:
-            what = f"id {low}" if low == high else f"an id from {low} to {high}"
-            raise InputError(
-                f"no object with {what} in what was chosen",
-                next="look at the ids of the split, or name another --split",
-            )
+    absent = [ranges[index] for index in np.flatnonzero(~seen)]
+    if absent:
+        low, high = absent[0]
+        what = f"id {low}" if low == high else f"an id from {low} to {high}"
+        raise InputError(
+            f"no object with {what} in what was chosen",
+            next="look at the ids of the split, or name another --split",
+        )
     if not any(len(chosen) for _, _, chosen in found):
         raise InputError(
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"

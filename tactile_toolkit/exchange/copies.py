@@ -31,7 +31,6 @@ from tactile_toolkit.store.parquet import (
     encode_parquet,
     named_damage,
     open_checked,
-    open_parquet,
     sha256_hex,
 )
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
@@ -72,17 +71,16 @@ class _TakeRows:
         """Read them; IntegrityError where a page or the footer does not match its checksum."""
         import pyarrow as pa
 
-        folder, name = split_uri(self.source.path)
         if self.rows is None:
+            folder, name = split_uri(self.source.path)
             content = folder.read_bytes(name)
             with named_damage(self.source.path):
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)
             return ShardContent(table, encoded=content)
-        parquet, tables = open_parquet(folder, name), []
+        tables = []
         for index, (start, stop) in enumerate(pairwise(self.source.group_starts)):
             chosen = self.rows[(self.rows >= start) & (self.rows < stop)] - start
-            with named_damage(self.source.path):
-                tables.append(parquet.read_row_group(index, use_threads=False).take(chosen))
+            tables.append(self.source.read(groups=[index]).take(chosen))
         return ShardContent(pa.concat_tables(tables).combine_chunks())
 
 
@@ -156,13 +154,11 @@ def divide(
     """
     datasets = {split: kind.load(name, split) for split in splits_of(name)}
     if not fractions:
-        among = {"split": None, **chosen}
-        only = among.pop("split")
-        some = choose_rows([(only, datasets[only])] if only in datasets else datasets.items(), **among)
-        first = {split: np.zeros(0, np.int64) for split in datasets} | {
-            split: rows for split, _, rows in some
-        }
-        return [first, {each: np.setdiff1d(np.arange(len(datasets[each])), first[each]) for each in first}]
+        among = dict(chosen)
+        only = among.pop("split", None)
+        some = choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
+        taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
+        return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]
     parts: list[dict[str, NDArray[np.int64]]] = [{} for _ in fractions]
     for split, rows in datasets.items():
         # Doubles of this generator are the same in every version of numpy; shuffles need not be.
