@@ -82,7 +82,7 @@ def _open(name: str, revision: str | None, streaming: bool = False) -> _Splits:
     if isinstance(place, DataFolder):
         return _open_folder(place)
     if isinstance(place, str) or _is_file(place):
-        shard = ShardName.parse(name.rpartition("/")[2])
+        shard = ShardName.parse(Path(place if isinstance(place, str) else place.path).name)
         stated = None if shard is None else shard.split
 
         def file_of(split: str) -> tuple[Shard, ...]:
@@ -159,12 +159,12 @@ def folder_named(name: str) -> DataFolder | None:
 
 def _found_here(name: str) -> str | DataFolder | None:
     """Return a Parquet file by its path or a folder, local or in an object store; None for anything else."""
+    if scheme_of(name) == "hf":
+        return None
     if is_remote(name):
-        if scheme_of(name) == "hf":
-            return None
-        if name.endswith(_PARQUET):
-            return normalize_uri(name)
         folder = DataFolder(name)
+        if name.endswith(_PARQUET):
+            return folder.root
         if not folder.exists():
             raise InputError(
                 f"{folder.missing_message('data set')}; expected the folder of a data set, or a Parquet file",
@@ -176,11 +176,10 @@ def _found_here(name: str) -> str | DataFolder | None:
     except InputError:  # an unknown user's home
         return None
     with readable(name):
-        if not path_exists(place):
-            return None
-    if place.is_dir():
+        is_there = path_exists(place)
+    if is_there and place.is_dir():
         return DataFolder(str(place))
-    return str(place) if place.is_file() else None
+    return str(place) if is_there and place.is_file() else None
 
 
 def _shown(name: str) -> str:
@@ -193,7 +192,7 @@ def _is_file(named: HubName) -> bool:
 
 def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool) -> tuple[Shard, ...]:
     if not streaming:
-        return tuple(Shard(str(place)) for place in repository.fetch(paths))
+        return tuple(Shard(str(place)) for place in repository.local_paths(paths))
     for path in paths:
         repository.file(path)  # a file that is not there is named now, not when it is read
     failures = functools.partial(hub_failures, repository.repo_id, "streaming")

@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import Any
 
 import msgspec
@@ -21,9 +21,8 @@ from tactile_toolkit.cards.facts import card_head, folder_facts, viewer_files, w
 from tactile_toolkit.catalog.locate import hub_split, repository_named, repository_shards
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.hub.calls import not_cached
-from tactile_toolkit.hub.repository import HubRepository, Transfers, open_repository
+from tactile_toolkit.hub.repository import HubRepository, open_repository
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
@@ -56,6 +55,8 @@ class DownloadPlan:
         Splits that will be there.
     missing : tuple of HubFile
         Files that are to be fetched.
+    leftover : list of str
+        Files of an earlier download that the repository has no more; they are removed.
     is_done : bool
         Whether there is nothing to do at all.
     record : DownloadRecord
@@ -69,16 +70,10 @@ class DownloadPlan:
     folder: DataFolder | None
     splits: tuple[str, ...]
     missing: tuple[HubFile, ...]
+    leftover: list[str]
     is_done: bool
     record: DownloadRecord
     earlier: DownloadRecord | None
-
-    @property
-    def leftover(self) -> list[str]:
-        """Files of an earlier download that the repository has no more; they are removed."""
-        return [
-            path for path in (self.earlier.files if self.earlier else ()) if path not in self.record.files
-        ]
 
     @property
     def missing_bytes(self) -> int:
@@ -127,13 +122,9 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
     names = names_inside(dict.fromkeys(paths), f"Hub data set {repository.repo_id!r}")
     files = {path: repository.file(path) for path in names}
 
-    def is_here(file: HubFile) -> bool:
-        if folder is None:
-            return repository.cached(file.path, check=True) is not None
-        return _is_intact(folder, file, earlier)
-
-    here = in_threads(is_here, files.values(), _THREADS)
-    missing = tuple(file for file, is_intact in zip(files.values(), here, strict=True) if not is_intact)
+    is_intact = partial(_is_intact, folder or repository.folder, earlier)
+    here = in_threads(is_intact, files.values(), _THREADS)
+    missing = tuple(file for file, is_here in zip(files.values(), here, strict=True) if not is_here)
     commit, revision = repository.commit, repository.revision
     record = DownloadRecord(repository.repo_id, commit, revision, files, all_splits, metadata)
     is_done = not missing
@@ -149,16 +140,18 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
         is_done = is_done and same and _is_described(folder, metadata)
     elif missing and repository.is_cache:
         raise not_cached(repository.repo_id, repr(missing[0].path))
-    return DownloadPlan(repository, folder, chosen, missing, is_done, record, earlier)
+    leftover = [path for path in recorded if path not in files]
+    return DownloadPlan(repository, folder, chosen, missing, leftover, is_done, record, earlier)
 
 
-def _is_intact(folder: DataFolder, file: HubFile, earlier: DownloadRecord | None) -> bool:
+def _is_intact(folder: DataFolder, earlier: DownloadRecord | None, file: HubFile) -> bool:
     """Return whether a file of a folder is intact; it is read, as a flipped bit changes no time."""
     path, digest = file.path, file.digest
-    if digest is None or not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
+    if not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
         return False
     # A store changes no bit by itself: what a finished download wrote there is known by its size.
-    if not folder.is_local and earlier and earlier.finished and earlier.files.get(path) == file:
+    is_known = not folder.is_local and earlier and earlier.finished and earlier.files.get(path) == file
+    if is_known or digest is None:
         return True
     with folder.open(path) as stream:
         return digest_like(stream, digest) == digest
@@ -185,18 +178,17 @@ def _earlier_record(folder: DataFolder, repository: HubRepository) -> DownloadRe
 def _accompanying_files(
     repository: HubRepository, splits: Sequence[str], metadata: Iterable[str]
 ) -> list[str]:
-    """Return what goes with the shards of some splits: small files, and pictures where the set has any."""
+    """Return what goes with the shards of some splits: small files, and pictures where the set has any.
+
+    Of cards and manifest these ``metadata``, which are taken as they are.
+    """
     manifest = repository.manifest
     # Data sets of plain pictures name them in their rows: without the files, those are names of nothing.
     pictures = [f"{_PICTURE_FOLDER}/{split}/" for split in splits if manifest is not None]
     folders = (*_EXTRA_FOLDERS, *pictures)
-    listed = {*_EXTRA_FILES, *(manifest.files if manifest else ())} - _shown(manifest)
-    fitted = {*_METADATA_FILES} - {*metadata}
-    return [
-        path
-        for path in repository.files()
-        if (path.startswith(folders) or path in listed or path in metadata) and path not in fitted
-    ]
+    listed = {*_EXTRA_FILES, *(manifest.files if manifest else ())} - {*_METADATA_FILES, *_shown(manifest)}
+    wanted = {*listed, *metadata}
+    return [path for path in repository.files() if path in wanted or path.startswith(folders)]
 
 
 def _shown(manifest: Manifest | None) -> set[str]:
@@ -220,10 +212,9 @@ def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambd
     or StorageError.
     """
     repository, folder = plan.repository, plan.folder
-    transfers = Transfers(lambda done: on_progress(done, plan.missing_bytes))
     if folder is None:
-        transfers.each(lambda file: repository.download(file.path, transfers), plan.missing)
-        return str(repository.folder)
+        repository.fetch(plan.missing, on_bytes=lambda done: on_progress(done, plan.missing_bytes))
+        return repository.folder.address()
     if not plan.is_done:
         folder.require_folder()
         with contextlib.ExitStack() as stack:
@@ -235,11 +226,11 @@ def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambd
             if read_record(folder) != plan.earlier:  # another download was here, maybe of other splits
                 plan = _plan(repository, plan.splits, folder)
             if not plan.is_done:
-                _execute(plan, folder, transfers)
+                _execute(plan, folder, on_progress)
     return folder.address()
 
 
-def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
+def _execute(plan: DownloadPlan, folder: DataFolder, on_progress: Callable[[int, int], None]) -> None:
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
     repository, record, leftover = plan.repository, plan.record, plan.leftover
     manifest = repository.manifest
@@ -256,18 +247,7 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
     # Before the first new file comes: old and new ones next to each other would pass for one set.
     for path in (*leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
-
-    with contextlib.ExitStack() as stack:
-        stage = Path(folder.address()) if folder.is_local else stack.enter_context(scratch_folder())
-
-        def fetch_file(file: HubFile) -> None:
-            """Bring one file into the folder; the client copies it where its cache has it."""
-            place = repository.download(file.path, transfers, stage)
-            if not folder.is_local:
-                folder.upload(file.path, place)
-                place.unlink()
-
-        transfers.each(fetch_file, plan.missing)
+    repository.fetch(plan.missing, folder, lambda done: on_progress(done, plan.missing_bytes))
     _write_metadata(plan, folder, manifest)
     write_record(folder, record)
     if folder.is_local:
@@ -278,7 +258,7 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
 def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
     """Write manifest and cards, fitted to the splits of the folder."""
     names = plan.record.metadata_files
-    found = [place.read_bytes() for place in plan.repository.fetch(names)]
+    found = [place.read_bytes() for place in plan.repository.local_paths(names)]
     contents, shown = dict(zip(names, found, strict=True)), _shown(manifest)
     is_part, fitted = set(plan.splits) < set(plan.record.splits), manifest
     if manifest is not None and (is_part or shown):

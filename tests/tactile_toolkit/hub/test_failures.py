@@ -274,7 +274,7 @@ from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.hub.repository import open_repository
 repository = open_repository('someone/set')
 try:
-    print(repository.fetch({paths!r}))
+    print(repository.local_paths({paths!r}))
 except ToolkitError as error:
     print(error.exit_code, type(error).__name__, error)
 """
