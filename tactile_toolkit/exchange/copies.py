@@ -77,11 +77,18 @@ class _TakeRows:
             with named_damage(self.source.path):
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)
             return ShardContent(table, encoded=content)
-        tables = []
-        for index, (start, stop) in enumerate(pairwise(self.source.group_starts)):
-            chosen = self.rows[(self.rows >= start) & (self.rows < stop)] - start
-            tables.append(self.source.read(groups=[index]).take(chosen))
+        groups = enumerate(_in_parts(self.rows, self.source.group_starts))
+        tables = [self.source.read(groups=[index]).take(rows) for index, rows in groups]
         return ShardContent(pa.concat_tables(tables).combine_chunks())
+
+
+def _in_parts(rows: NDArray[np.int64], starts: Sequence[int]) -> list[NDArray[np.int64]]:
+    """Divide row numbers, in order, by the parts that hold them, and count from the start of each.
+
+    ``starts`` ends with the number of all rows.
+    """
+    parts = np.split(rows, np.searchsorted(rows, starts[1:-1]))
+    return [part - start for part, start in zip(parts, starts, strict=False)]
 
 
 @dataclass(frozen=True)
@@ -197,9 +204,7 @@ def _build(
         shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
         parts: list[tuple[Shard, Any]] = [(shard, None) for shard in shards]
         if rows is not None:
-            starts = list(accumulate(map(len, shards), initial=0))
-            cuts = pairwise(np.searchsorted(rows[split], starts).tolist())
-            held = [rows[split][low:high] - start for start, (low, high) in zip(starts, cuts, strict=False)]
+            held = _in_parts(rows[split], list(accumulate(map(len, shards), initial=0)))
             parts = [(shard, part) for shard, part in zip(shards, held, strict=True) if len(part)]
         tasks += [_TakeRows(ShardName(split, index, len(parts)), *part) for index, part in enumerate(parts)]
     if not tasks:
@@ -301,11 +306,6 @@ def forecast_tables(plan: BuildPlan, out: str, *, overwrite: bool = False) -> tu
     tasks = [task for task in plan.tasks if isinstance(task, _WriteTable)]
     sample, rows = tasks[0].rows[:_SAMPLED], sum(task.size for task in tasks)
     return rows, round(rows * len(encode_parquet(flat_table(sample), _STYLE)) / len(sample))
-
-
-def export_tables(kind: DatasetKind, plan: BuildPlan, out: str, **run: Unpack[RunOptions]) -> Manifest:
-    """Write planned tables; ``run`` are options of ``build``. Raises as all makers of folders do."""
-    return build(DataFolder(out), plan, write_card=kind.write_card, **run)
 
 
 def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:
