@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -283,10 +283,8 @@ def list_sets(
         print_sets(sink, kind)
         return
     found = local_sets(local_place(folder))
-    sink.document([asdict(each) for each in found])
-    rows = [
-        (each.name, each.kind, each.splits, each.rows, bytes_text(each.bytes), each.state) for each in found
-    ]
+    sink.document(found)
+    rows = [list({**each, "bytes": bytes_text(each["bytes"])}.values()) for each in found]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
     sink.line(f"{counted(len(found), 'data sets')} in {folder}")
 
@@ -323,8 +321,7 @@ def print_sets(sink: Sink, kind: DatasetKind) -> None:
     from tactile_toolkit.store.shards import shard_files
 
     documents, rows = [], []
-    for state in states(kind.published):
-        known, local, on_hub = state.published, state.here, state.on_hub
+    for known, (on_hub, local) in zip(kind.published, states(kind.published), strict=True):
         licence = known.licence or (on_hub.licence if on_hub else None)
         size = on_hub.size_bytes if on_hub else None
         local_bytes = local.size_bytes if local else 0

@@ -6,7 +6,6 @@ import functools
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -341,22 +340,11 @@ def specification_read(where: str) -> Iterator[None]:
         raise damaged(where, problem) from error
 
 
-@dataclass(frozen=True, slots=True)
-class LocalSet:
-    """A data set folder, as its manifest states it; ``state`` is finished, unfinished, or what is wrong."""
+def local_sets(folder: Path) -> list[dict[str, Any]]:
+    """Return the data sets in a folder, and itself where it is one, by name, as JSON values.
 
-    name: str
-    kind: str
-    splits: str
-    rows: int
-    bytes: int
-    state: str
-
-
-def local_sets(folder: Path) -> list[LocalSet]:
-    """Return the data sets in a folder, and itself where it is one, by name; InputError where there is none.
-
-    Reads manifests only.
+    Their ``state`` is finished, unfinished, or what is wrong. Reads manifests only. Raises InputError where
+    there is no such folder.
     """
     if not folder.is_dir():
         raise InputError(
@@ -365,16 +353,18 @@ def local_sets(folder: Path) -> list[LocalSet]:
         )
     found = []
     for name in [".", *sorted(each.name for each in folder.iterdir() if each.is_dir())]:
+        kind, table, state = "", dict[str, dict[str, int]](), ""
         try:
             manifest = manifest_so_far(DataFolder(str(folder / name)))
         except ToolkitError as error:
-            found.append(LocalSet(name, "", "", 0, 0, str(error)))
-            continue
-        if manifest is not None:
-            table = manifest.split_table()
-            rows, size = (sum(held[each] for held in table.values()) for each in ("rows", "bytes"))
+            state = str(error)
+        else:
+            if manifest is None:
+                continue
+            kind, table = manifest.kind, manifest.split_table()
             state = "finished" if manifest.complete else "unfinished"
-            found.append(LocalSet(name, manifest.kind, ", ".join(table), rows, size, state))
+        sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
+        found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
     return found
 
 
@@ -400,26 +390,16 @@ def place_of(name: str | os.PathLike[str]) -> str:
     return name if is_data else found.repo_id
 
 
-@dataclass(frozen=True, slots=True)
-class SetState:
-    """A published set: what the Hub says of it, and what its cache has of the commit last looked at.
+def states(sets: Iterable[PublishedSet]) -> Iterator[tuple[HubRepository | None, HubRepository | None]]:
+    """Ask the Hub for all sets at once; yield what it says of each, and what its cache has.
 
-    ``on_hub`` is None where the Hub gives no answer, ``here`` where nothing is in the cache.
+    None where the Hub gives no answer, and where nothing of the commit last looked at is in the cache.
     """
 
-    published: PublishedSet
-    on_hub: HubRepository | None
-    here: HubRepository | None
-
-
-def states(sets: Sequence[PublishedSet]) -> list[SetState]:
-    """Look up what is local and, for all sets at once, ask the Hub."""
-
-    def state(entry: PublishedSet) -> SetState:
+    def state(entry: PublishedSet) -> tuple[HubRepository | None, HubRepository | None]:
         found = None
         with suppress(ToolkitError):
             found = open_repository(entry.repo_id)
-        on_hub = None if found is None or found.is_cache else found
-        return SetState(entry, on_hub, find_cached(entry.repo_id))
+        return None if found is None or found.is_cache else found, find_cached(entry.repo_id)
 
-    return list(in_threads(state, sets, _THREADS))
+    return in_threads(state, sets, _THREADS)

@@ -90,7 +90,7 @@ def _other_files(
 
     What former uploads made for the Hub's page goes, and all others with ``delete``.
     """
-    kept, removed = [], []
+    kept, removed = list[str](), list[str]()
     for path in sorted(held.remote.keys() - set(paths) - _WRITTEN_BY_HUB) if held else ():
         folder, _, name = path.rpartition("/")
         is_for_page = folder == VIEWER_FOLDER and ShardName.parse(name) is not None
