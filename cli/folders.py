@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -283,10 +283,8 @@ def list_sets(
         print_sets(sink, kind)
         return
     found = local_sets(local_place(folder))
-    sink.document([asdict(each) for each in found])
-    rows = [
-        (each.name, each.kind, each.splits, each.rows, bytes_text(each.bytes), each.state) for each in found
-    ]
+    sink.document(found)
+    rows = [list({**each, "bytes": bytes_text(each["bytes"])}.values()) for each in found]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
     sink.line(f"{counted(len(found), 'data sets')} in {folder}")
 
@@ -320,19 +318,20 @@ def cache(
 def print_sets(sink: Sink, kind: DatasetKind) -> None:
     """Print the published data sets: what they hold, their terms, what is here, and how large they are."""
     from tactile_toolkit.catalog.locate import states
+    from tactile_toolkit.store.shards import shard_files
 
     documents, rows = [], []
-    for state in states(kind.published):
-        known, here, size = state.published, "-", "?"
-        facts = {name: getattr(state, name) for name in ("licence", "hub_bytes", "local_bytes")}
+    for known, (on_hub, local) in zip(kind.published, states(kind.published), strict=True):
+        licence = known.licence or (on_hub.licence if on_hub else None)
+        size = on_hub.size_bytes if on_hub else None
+        local_bytes = local.size_bytes if local else 0
+        splits = list(dict.fromkeys(file.split for file in shard_files(local.remote if local else ())))
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
-        splits = list(state.local_splits)
-        documents.append({**names, "citation": known.citation, **facts, "local_splits": splits})
-        if state.local_bytes:
-            here = f"{bytes_text(state.local_bytes)} ({', '.join(splits)})"
-        if state.hub_bytes is not None:
-            size = bytes_text(state.hub_bytes)
-        rows.append((known.name, known.content, state.licence or "see its card", size, here))
+        facts = {"licence": licence, "hub_bytes": size, "local_bytes": local_bytes, "local_splits": splits}
+        documents.append({**names, "citation": known.citation, **facts})
+        here = f"{bytes_text(local_bytes)} ({', '.join(splits)})" if local_bytes else "-"
+        there = "?" if size is None else bytes_text(size)
+        rows.append((known.name, known.content, licence or "see its card", there, here))
     sink.document(documents)
     if not rows:
         lists = f"`{kind.package} list` lists what else {kind.package} opens"

@@ -16,7 +16,7 @@ from tactile_toolkit.catalog.spec import REVISION
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, kinds
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def upload(
     result = None
     if not dry_run:
         # Even where all files are there, a branch to make is a change that may not be meant.
-        is_change = not (prepared.plan.is_done and prepared.branch.exists)
+        is_change = not (prepared.plan.is_done and prepared.has_branch)
         if is_change and not yes:
             refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
             next_step = "add --yes, or look first with --dry-run"
@@ -85,13 +85,13 @@ def download(
 
     After an interruption, the same command continues. `list` names the published data sets.
     """
-    from tactile_toolkit.catalog.locate import kind_that_published
+    from tactile_toolkit.catalog.locate import published_set
     from tactile_toolkit.exchange.download import download as carry_out
     from tactile_toolkit.exchange.download import plan_download
 
     _quiet_client(is_all=True)
     # The repository of a published set holds no manifest.
-    known = kind_that_published(name) or kind
+    known = next((each for each in kinds() if published_set(name) in each.published), kind)
     if known is not kind:
         raise InputError(
             f"{name!r} is a data set of `{known.command}`", next=f"{known.command} download {name}"
@@ -135,21 +135,21 @@ def _listed(paths: Sequence[str]) -> str:
 
 
 def _print_upload_plan(sink: Sink, prepared: PreparedUpload) -> None:
-    plan, branch, where = prepared.plan, prepared.branch, _where(prepared)
+    plan, held, where = prepared.plan, prepared.held, _where(prepared)
     for paths, words in (
         (prepared.left_out, "left out, no part of the data set: {}"),
         (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes it)"),
     ):
         if paths:
             sink.info(words.format(_listed(paths)))
-    if branch.held is None:
+    if held is None:
         visible = "private" if prepared.options.private else "public"
         sink.line(f"{visible} repository to create: {where}")
-    elif not branch.exists:
-        sink.line(f"branch to create at the head of main: {prepared.branch_name}")
+    elif not prepared.has_branch:
+        sink.line(f"branch to create at the head of main: {prepared.options.branch}")
     if plan.is_done:
         return
-    there = branch.held.remote if branch.held else {}
+    there = held.remote if held else {}
     rows = [
         (file.path, bytes_text(file.size), "changed" if file.path in there else "new")
         for file in plan.to_send
@@ -169,8 +169,8 @@ def _print_upload_plan(sink: Sink, prepared: PreparedUpload) -> None:
 def _print_upload(
     sink: Sink, kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None
 ) -> None:
-    plan, held, where = prepared.plan, prepared.branch.held, _where(prepared)
-    name = prepared.branch_name
+    plan, held, where = prepared.plan, prepared.held, _where(prepared)
+    name, tag = prepared.options.branch, prepared.options.tag
     pull = result.pull if result else None
     address = prepared.page if name == MAIN_BRANCH else f"{prepared.page}/tree/{name}"
     if pull:  # its branch (refs/pr/N) has no page that can be merged from
@@ -194,7 +194,7 @@ def _print_upload(
             "to_remove": plan.removed,
             "kept": plan.kept,
             "left_out": prepared.left_out,
-            "tags": prepared.tags,
+            "tags": [tag] if tag else [],
             "commit": result.commit if result else None,
             "pull_request": pull,
             "sent": result.sent if result else [],
@@ -212,13 +212,13 @@ def _print_upload(
             f"{len(prepared.files):,} compared by checksum"
         )
     if result is not None:
-        if result.tags:
-            sink.line(f"tags set: {', '.join(result.tags)}")
+        if result.tag:
+            sink.line(f"tag set: {result.tag}")
         sink.line("\n  ".join([address, *lines]))
 
 
 def _where(prepared: PreparedUpload) -> str:
-    name = prepared.branch_name
+    name = prepared.options.branch
     return prepared.repo_id if name == MAIN_BRANCH else f"{prepared.repo_id} ({name})"
 
 

@@ -291,7 +291,9 @@ def _export_files(
 def _export_flat(
     sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], out: str, job: Job
 ) -> None:
-    from tactile_toolkit.exchange.copies import export_tables, forecast_tables, plan_tables
+    from tactile_toolkit.exchange.copies import forecast_tables, plan_tables
+    from tactile_toolkit.store.build import build
+    from tactile_toolkit.store.folder import DataFolder
 
     plan = plan_tables(kind, name, choices, some, out)
     if job.dry_run:
@@ -300,7 +302,8 @@ def _export_flat(
         made = f"{counted(rows, kind.nouns)} to {out}, about {bytes_text(size)}"
         sink.line(f"would write {made}; nothing was written")
         return
-    make, work = partial(export_tables, kind, plan, out), Work(job.workers, overwrite=job.overwrite)
+    make = partial(build, DataFolder(out), plan, write_card=kind.write_card)
+    work = Work(job.workers, overwrite=job.overwrite)
     make_with_progress(sink, "writing", kind, make, work, out, print_set)
 
 

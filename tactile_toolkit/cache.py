@@ -13,7 +13,7 @@ import stat
 import time
 import warnings
 from collections import OrderedDict
-from collections.abc import Callable, Hashable, Iterator
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from pathlib import Path
 from threading import RLock
@@ -68,7 +68,7 @@ class DiskCache:
 
     def path(self, name: str) -> Path:
         """Return where a file of that name is, or would be."""
-        return (self.folder if isinstance(self.folder, Path) else cache_folder() / self.folder) / name
+        return cache_folder() / self.folder / name  # what is a full path already stays as it is
 
     def mark_used(self, path: Path) -> None:
         """Note that a file was used now; one that is gone, or in a read-only folder, is passed over."""
@@ -117,36 +117,34 @@ class DiskCache:
 
         Open maps stay valid, and what is being written, by whom it may be, is written again.
         """
-        files = sorted(_files(folder))
+        files = _files(folder)
         excess = sum(size for _, size, _ in files) + needed_bytes - self.limit_bytes
         if excess > 0:
             excess += max(0, self.limit_bytes // _ROOM_MADE - needed_bytes)
-            for _, size, path in files:
-                if excess > 0:
-                    self.drop(path)
-                    excess -= size
+        for _, size, path in files:
+            if excess > 0:
+                self.drop(path)
+                excess -= size
 
 
-def _files(folder: Path) -> Iterator[tuple[float, int, Path]]:
-    """Yield the files in a folder: seconds since the epoch at their last use, bytes, and path."""
+def _files(folder: Path) -> list[tuple[float, int, Path]]:
+    """Return the files in a folder by their last use: seconds since the epoch, bytes, path."""
+    files = []
     for path in folder.rglob("*"):
         with contextlib.suppress(OSError):  # other processes may remove some meanwhile
             found = path.lstat()
             if stat.S_ISREG(found.st_mode):
                 # File systems are mounted without access times: mark_used sets them, and a file never used
                 # again has that of its writing.
-                yield max(found.st_atime, found.st_mtime), found.st_size, path
+                files.append((max(found.st_atime, found.st_mtime), found.st_size, path))
+    return sorted(files)
 
 
-def cached_files() -> dict[str, list[tuple[Path, int, float]]]:
-    """Return the files of each folder in the cache folder: path, bytes, and days since their last use."""
-    now_s = time.time()
+def cached_files() -> dict[str, list[tuple[float, int, Path]]]:
+    """Return the files of each folder in the cache folder: seconds of their last use, bytes, path."""
     # The variable may name a folder that holds other things, too.
-    return {
-        name: sorted((path, size, (now_s - used_s) / 86_400) for used_s, size, path in _files(folder))
-        for name in _FOLDERS
-        if (folder := cache_folder() / name).is_dir()
-    }
+    folders = {name: cache_folder() / name for name in _FOLDERS}
+    return {name: _files(folder) for name, folder in folders.items() if folder.is_dir()}
 
 
 def prune_cache(unused_days: float = 0.0) -> list[Path]:
@@ -154,13 +152,14 @@ def prune_cache(unused_days: float = 0.0) -> list[Path]:
 
     All of them can be made again. Open maps stay valid, and what is being written is written again.
     """
-    removed = []
-    for name, files in cached_files().items():
-        for path, _, days in files if name != LOCKS else ():
-            if days >= unused_days:
-                with contextlib.suppress(OSError):
-                    path.unlink()
-                    removed.append(path)
+    removed, latest_s = [], time.time() - unused_days * 86_400
+    for used_s, _, path in (
+        file for name, files in cached_files().items() if name != LOCKS for file in files
+    ):
+        if used_s <= latest_s:
+            with contextlib.suppress(OSError):
+                path.unlink()
+                removed.append(path)
     return removed
 
 
@@ -195,14 +194,11 @@ class MemoryCache(Generic[K, V]):
         """Return what is kept under a key, or None."""
         # Without the lock, which takes a third of the time of a mesh: each of the two calls is one step for
         # other threads, and between them the value may leave.
-        kept = self._kept.get(key)
-        if kept is None:
-            return None
         try:
             self._kept.move_to_end(key)
+            return self._kept[key][0]
         except KeyError:
-            return kept[0]
-        return kept[0]
+            return None
 
     def put(self, key: K, value: V) -> V:
         """Keep a value, and let go of those used longest ago while there are too many; returns it."""

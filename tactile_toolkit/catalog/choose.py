@@ -73,15 +73,13 @@ def choose_rows(
     classes, of these the first ``per_class`` of each class, and of what is left the first ``limit`` of each
     split. Raises InputError where an id or a class is not there, no id of a range is, or nothing is left.
     """
-    ranges = None if ids is None else [entry if isinstance(entry, tuple) else (entry, entry) for entry in ids]
-    seen = np.zeros(len(ranges or ()), bool)
-    found = []
+    ranges = [each if isinstance(each, tuple) else (each, each) for each in ids or ()]
+    seen, found = np.zeros(len(ranges), bool), []
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
-        if ranges is not None:
+        if ranges:
             inside = [(rows.ids >= low) & (rows.ids <= high) for low, high in ranges]
-            wanted = np.any(inside, axis=0)
-            seen |= np.any(inside, axis=1)
+            wanted, seen = np.any(inside, axis=0), seen | np.any(inside, axis=1)
         if labels is not None:
             classes = list(rows.label_names)
             unknown = [label for label in labels if label not in classes]
@@ -96,13 +94,14 @@ def choose_rows(
             kept = [chosen[kinds == label][:per_class] for label in np.unique(kinds)]
             chosen = np.sort(np.concatenate([chosen[:0], *kept]))
         found.append((split, rows, chosen[:limit]))
-    for (low, high), is_there in zip(ranges or (), seen, strict=True):
-        if not is_there:
-            what = f"id {low}" if low == high else f"an id from {low} to {high}"
-            raise InputError(
-                f"no object with {what} in what was chosen",
-                next="look at the ids of the split, or name another --split",
-            )
+    absent = [ranges[index] for index in np.flatnonzero(~seen)]
+    if absent:
+        low, high = absent[0]
+        what = f"id {low}" if low == high else f"an id from {low} to {high}"
+        raise InputError(
+            f"no object with {what} in what was chosen",
+            next="look at the ids of the split, or name another --split",
+        )
     if not any(len(chosen) for _, _, chosen in found):
         raise InputError(
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
@@ -166,15 +165,15 @@ def check_rows(
     only the first ``limit`` rows of each split, where given. ``on_progress`` is called with rows done and in
     all.
     """
-    parts: list[_Part] = []
+    parts: list[tuple[int, str, Shard, int, int]] = []
     left = dict.fromkeys((split for split, _ in shards), math.inf if limit is None else limit)
     for split, shard in shards:
         for group, (start, stop) in enumerate(pairwise(shard.group_starts)):
             rows = int(min(stop - start, left[split]))
             left[split] -= rows
             if rows:
-                parts.append(_Part(len(parts), split, shard, group, rows))
-    total, done = sum(part.rows for part in parts), 0
+                parts.append((len(parts), split, shard, group, rows))
+    total, done = sum(rows for *_, rows in parts), 0
     results: dict[int, list[CheckedRow[T]]] = {}
     for number, found in runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
         results[number] = found
@@ -183,30 +182,21 @@ def check_rows(
     return [row for number in sorted(results) for row in results[number]]
 
 
-@dataclass(frozen=True, slots=True)
-class _Part:
-    """The first rows of one row group: small and picklable."""
-
-    number: int
-    split: str
-    shard: Shard
-    group: int
-    rows: int
-
-
 def _check_part(
-    check: Callable[[Row], T], columns: Sequence[str], part: _Part
+    check: Callable[[Row], T], columns: Sequence[str], part: tuple[int, str, Shard, int, int]
 ) -> tuple[int, list[CheckedRow[T]]]:
-    file = Path(part.shard.path).name
+    """Check the first rows of a row group; return its number with what was found."""
+    number, split, shard, group, rows = part
+    file = Path(shard.path).name
     checked: list[CheckedRow[T]] = []
-    for block in part.shard.blocks(part.group):
+    for block in shard.blocks(group):
         nulls = null_fields(block.table, columns)
-        for index, row_id in enumerate(block.table["id"].to_pylist()[: part.rows - len(checked)]):
+        for index, row_id in enumerate(block.table["id"].to_pylist()[: rows - len(checked)]):
             # In data sets of others it may be null, or a text.
             known_id = row_id if isinstance(row_id, int) else None
             found = None if index in nulls else check(Row(block, index))
             row, null_field = block.first_row + index, nulls.get(index, "")
-            checked.append(CheckedRow(part.split, file, row, known_id, found, null_field))
-        if len(checked) == part.rows:
+            checked.append(CheckedRow(split, file, row, known_id, found, null_field))
+        if len(checked) == rows:
             break
-    return part.number, checked
+    return number, checked

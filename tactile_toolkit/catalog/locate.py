@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.hub.calls import hub_failures, not_cached
@@ -23,7 +22,7 @@ from tactile_toolkit.store.files import expanded, path_exists, readable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, without_collecting
-from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
+from tactile_toolkit.store.names import damaged, is_remote, normalize_uri, scheme_of
 from tactile_toolkit.store.origin import read_record
 from tactile_toolkit.store.overwrite import resume_promotion
 from tactile_toolkit.store.shards import (
@@ -35,6 +34,9 @@ from tactile_toolkit.store.shards import (
     unknown_split,
 )
 from tactile_toolkit.wording import did_you_mean
+
+_Splits: TypeAlias = tuple[tuple[str, ...], Callable[[str], tuple[Shard, ...]]]
+"""The splits of a data set, and what finds the shards of one of them."""
 
 _LONGEST_SHOWN = 200
 _USUAL_SPLIT = "train"
@@ -54,21 +56,49 @@ def find_shards(
     have remote addresses that are read piece by piece. Raises InputError (no such folder or split),
     IntegrityError (a damaged manifest, an interrupted run) or HubError.
     """
+    splits, shards_of = _open(name, revision, streaming)
+    if split is None:
+        split, *further = splits or [_USUAL_SPLIT]
+        if further:
+            raise InputError(
+                f"{_shown(name)} has the splits {', '.join(splits)}; expected one of them",
+                next=f"name it, split={split!r} (in a shell --split {split})",
+            )
+    return shards_of(split)
+
+
+def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
+    """List the splits of a data set by its name; InputError where it holds no Parquet files."""
+    splits, _ = _open(name, revision)
+    if not splits:
+        raise unknown_split("", (), name)
+    return splits
+
+
+def _open(name: str, revision: str | None, streaming: bool = False) -> _Splits:
+    """Return the splits of a data set by its name, and what finds the shards of one of them."""
     place = _found_here(name) or _named_on_hub(name, revision)
     if isinstance(place, DataFolder):
-        with without_collecting():
-            return _folder_shards(place, split)
+        return _open_folder(place)
     if isinstance(place, str) or _is_file(place):
-        # `train` may be what is asked for by default: a file named alone is opened then, whatever its split.
-        found = _split_in_name(place)
-        if split not in (None, found or split, _USUAL_SPLIT):
-            raise unknown_split(str(split), (str(found),), name)
-        return find_files([name], revision=revision, streaming=streaming)
+        shard = ShardName.parse(Path(place if isinstance(place, str) else place.path).name)
+        stated = None if shard is None else shard.split
+
+        def file_of(split: str) -> tuple[Shard, ...]:
+            # `train` may be what is asked for by default: a file named alone is opened then, whatever it is.
+            if split not in (stated or split, _USUAL_SPLIT):
+                raise unknown_split(split, (str(stated),), name)
+            return find_files([name], revision=revision, streaming=streaming)
+
+        return (stated or _USUAL_SPLIT,), file_of
     repository = open_repository(place.repo_id, place.revision)
     files = repository_shards(repository, place.path)
-    chosen = _split_of([file.split for file in files], split, name)
-    paths = [file.path for file in hub_split(repository, files, chosen)]
-    return _hub_shards(repository, paths, streaming)
+
+    def fetched(split: str) -> tuple[Shard, ...]:
+        paths = [file.path for file in hub_split(repository, files, split)]
+        return _hub_shards(repository, paths, streaming)
+
+    return _splits_in(files), fetched
 
 
 def find_files(
@@ -78,13 +108,11 @@ def find_files(
     if not names:
         raise InputError("no files given; expected Parquet files of one data set")
     shards: list[Shard] = []
-    repositories: dict[tuple[str, str | None], HubRepository] = {}  # one each: its files are of one commit
+    opened = functools.cache(open_repository)  # one each: its files are of one commit
     for name in names:
         place = _found_here(name) or hub_name(name, revision)
         if isinstance(place, HubName) and _is_file(place):
-            key = place.repo_id, place.revision
-            repositories[key] = repositories.get(key) or open_repository(*key)
-            shards += _hub_shards(repositories[key], [place.path], streaming)
+            shards += _hub_shards(opened(place.repo_id, place.revision), [place.path], streaming)
         elif isinstance(place, str):
             shards.append(Shard(place))
         else:
@@ -93,8 +121,12 @@ def find_files(
 
 
 def repository_named(name: str, revision: str | None = None) -> HubName:
-    """Return the repository that a name means; InputError for other names, and for a part of one."""
-    named = _named_on_hub(name, revision)
+    """Return the repository that a name, or the short name of a published set, means.
+
+    Raises InputError for other names, and for a part of a repository.
+    """
+    known = published_set(name)
+    named = _named_on_hub(known.repo_id if known else name, revision)
     if named.path:
         raise InputError(
             f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
@@ -126,12 +158,12 @@ def folder_named(name: str) -> DataFolder | None:
 
 def _found_here(name: str) -> str | DataFolder | None:
     """Return a Parquet file by its path or a folder, local or in an object store; None for anything else."""
+    if scheme_of(name) == "hf":
+        return None
     if is_remote(name):
-        if scheme_of(name) == "hf":
-            return None
-        if name.endswith(_PARQUET):
-            return normalize_uri(name)
         folder = DataFolder(name)
+        if name.endswith(_PARQUET):
+            return folder.root
         if not folder.exists():
             raise InputError(
                 f"{folder.missing_message('data set')}; expected the folder of a data set, or a Parquet file",
@@ -143,11 +175,10 @@ def _found_here(name: str) -> str | DataFolder | None:
     except InputError:  # an unknown user's home
         return None
     with readable(name):
-        if not path_exists(place):
-            return None
-    if place.is_dir():
+        is_there = path_exists(place)
+    if is_there and place.is_dir():
         return DataFolder(str(place))
-    return str(place) if place.is_file() else None
+    return str(place) if is_there and place.is_file() else None
 
 
 def _shown(name: str) -> str:
@@ -158,28 +189,9 @@ def _is_file(named: HubName) -> bool:
     return named.path.endswith(_PARQUET)
 
 
-def _split_in_name(place: str | HubName) -> str | None:
-    """Return the split that the name of a file states, such as ``test-00000-of-00002.parquet``."""
-    shard = ShardName.parse(Path(place.path if isinstance(place, HubName) else place).name)
-    return None if shard is None else shard.split
-
-
-def _split_of(known: Sequence[str], split: str | None, name: str) -> str:
-    """Return the split that was named, or else the only one; InputError where there are several."""
-    if split is not None:
-        return split
-    only, *further = dict.fromkeys(known or [_USUAL_SPLIT])
-    if further:
-        raise InputError(
-            f"{_shown(name)} has the splits {', '.join([only, *further])}; expected one of them",
-            next=f"name it, split={only!r} (in a shell --split {only})",
-        )
-    return only
-
-
 def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool) -> tuple[Shard, ...]:
     if not streaming:
-        return tuple(Shard(str(place)) for place in repository.fetch(paths))
+        return tuple(Shard(str(place)) for place in repository.local_paths(paths))
     for path in paths:
         repository.file(path)  # a file that is not there is named now, not when it is read
     failures = functools.partial(hub_failures, repository.repo_id, "streaming")
@@ -207,60 +219,53 @@ def repository_shards(repository: HubRepository, folder: str = "") -> list[Shard
     return [file for file in files if file.path in listed]
 
 
-def splits_of(name: str, *, revision: str | None = None) -> tuple[str, ...]:
-    """List the splits of a data set by its name; InputError where it holds no Parquet files."""
-    place = _found_here(name) or _named_on_hub(name, revision)
-    if isinstance(place, DataFolder):
-        splits = available_splits(place)
-    elif isinstance(place, str) or _is_file(place):
-        splits = (_split_in_name(place) or _USUAL_SPLIT,)
-    else:
-        files = repository_shards(open_repository(place.repo_id, place.revision), place.path)
-        splits = tuple(dict.fromkeys(file.split for file in files))
-    if not splits:
-        raise unknown_split("", (), name)
-    return splits
-
-
 def available_splits(folder: DataFolder) -> tuple[str, ...]:
     """List the splits of a folder: those of its manifest, or else those its file names state."""
+    return _open_folder(folder)[0]
+
+
+def _open_folder(folder: DataFolder) -> _Splits:
+    resume_promotion(folder)  # files of two sets lie in one that is being replaced
     manifest = read_manifest(folder)
     if manifest is not None:
-        return manifest.splits
-    return tuple(dict.fromkeys(file.split for file in _folder_files(folder)))
+        return manifest.splits, functools.partial(_recorded_shards, folder, manifest)
+    files = _folder_files(folder)
+
+    def shards_of(split: str) -> tuple[Shard, ...]:
+        return tuple(Shard(folder.address(each.path)) for each in files_of_split(files, split, folder.root))
+
+    return _splits_in(files), shards_of
 
 
-def _folder_shards(folder: DataFolder, split: str | None) -> tuple[Shard, ...]:
-    resume_promotion(folder)  # files of two sets lie in one that is being replaced
-    manifest, root = read_manifest(folder), folder.address()
-    if manifest is None:
-        found = _folder_files(folder)
-        chosen = _split_of([file.split for file in found], split, root)
-        return tuple(Shard(folder.address(file.path)) for file in files_of_split(found, chosen, root))
-    chosen = _split_of(manifest.splits, split, root)
-    records = manifest.shards_of(chosen)
+def _splits_in(files: Iterable[ShardFile]) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(file.split for file in files))
+
+
+def _recorded_shards(folder: DataFolder, manifest: Manifest, split: str) -> tuple[Shard, ...]:
+    root, records = folder.address(), manifest.shards_of(split)
     if not records or len(records) != records[0].shard.count:
-        there = [file.path for file in _folder_files(folder) if file.split == chosen]
+        there = [file.path for file in _folder_files(folder) if file.split == split]
         if not (records or there) and manifest.complete:
-            raise unknown_split(chosen, manifest.splits, root)
+            raise unknown_split(split, manifest.splits, root)
         raise IntegrityError(
-            f"the run that makes {root!r} is not finished ({len(there)} shards of split {chosen!r} are "
+            f"the run that makes {root!r} is not finished ({len(there)} shards of split {split!r} are "
             f"there, {MANIFEST_FILE} lists {len(records)} of them)",
             next="run the same command again, it continues, or download the data set again",
         )
     small: list[tuple[Shard, str] | None] = [None] * len(records)
-    for file in small_files(manifest, chosen):
+    for file in small_files(manifest, split):
         if file.path in (manifest.files or ()):
             first = file.records[0].shard.index
             entry = (Shard(folder.address(file.path), file.rows), file.made_of)
             small[first : first + len(file.records)] = [entry] * len(file.records)
     # Names were checked when the manifest was read: address(PATH) would do so again for each of 50,000.
-    return tuple(
-        [
-            Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry, size_bytes=record.bytes)
-            for record, entry in zip(records, small, strict=True)
-        ]
-    )
+    with without_collecting():
+        return tuple(
+            [
+                Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry, size_bytes=record.bytes)
+                for record, entry in zip(records, small, strict=True)
+            ]
+        )
 
 
 def _folder_files(folder: DataFolder) -> list[ShardFile]:
@@ -319,7 +324,7 @@ def require_manifest(kind: DatasetKind, folder: DataFolder) -> Manifest:
     manifest = finished_manifest(kind, folder)
     if manifest is None:
         raise InputError(
-            f"{folder.missing_message(MANIFEST_FILE)}",
+            folder.missing_message(MANIFEST_FILE),
             next=f"give the folder of a data set, such as one made by `{kind.made_by}`",
         )
     return manifest
@@ -331,47 +336,35 @@ def specification_read(where: str) -> Iterator[None]:
     try:
         yield
     except (KeyError, TypeError, AttributeError) as error:
-        raise IntegrityError(
-            f"the specification in {where!r} is not that of a data set of this kind ({type(error).__name__}: "
-            f"{error})",
-            next="download or generate the data set again",
-        ) from error
+        problem = f"its specification is not that of this kind of data set ({type(error).__name__}: {error})"
+        raise damaged(where, problem) from error
 
 
-@dataclass(frozen=True, slots=True)
-class LocalSet:
-    """A data set folder, as its manifest states it; ``state`` is finished, unfinished, or what is wrong."""
+def local_sets(folder: Path) -> list[dict[str, Any]]:
+    """Return the data sets in a folder, and itself where it is one, by name, as JSON values.
 
-    name: str
-    kind: str
-    splits: str
-    rows: int
-    bytes: int
-    state: str
-
-
-def local_sets(folder: Path) -> list[LocalSet]:
-    """Return the data sets in a folder, and itself where it is one, by name; InputError where there is none.
-
-    Reads manifests only.
+    Their ``state`` is finished, unfinished, or what is wrong. Reads manifests only. Raises InputError where
+    there is no such folder.
     """
     if not folder.is_dir():
         raise InputError(
-            f"{DataFolder(str(folder)).missing_message('data sets')}",
+            DataFolder(str(folder)).missing_message("data sets"),
             next="give a folder with data set folders",
         )
     found = []
     for name in [".", *sorted(each.name for each in folder.iterdir() if each.is_dir())]:
+        kind, table, state = "", dict[str, dict[str, int]](), ""
         try:
             manifest = manifest_so_far(DataFolder(str(folder / name)))
         except ToolkitError as error:
-            found.append(LocalSet(name, "", "", 0, 0, str(error)))
-            continue
-        if manifest is not None:
-            table = manifest.split_table()
-            rows, size = (sum(held[each] for held in table.values()) for each in ("rows", "bytes"))
+            state = str(error)
+        else:
+            if manifest is None:
+                continue
+            kind, table = manifest.kind, manifest.split_table()
             state = "finished" if manifest.complete else "unfinished"
-            found.append(LocalSet(name, manifest.kind, ", ".join(table), rows, size, state))
+        sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
+        found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
     return found
 
 
@@ -379,12 +372,6 @@ def published_set(name: str) -> PublishedSet | None:
     """Return a published set by its short name or its repository; None for any other name."""
     entries = (entry for kind in kinds() for entry in kind.published)
     return next((each for each in entries if name in (each.name, each.repo_id, *each.aliases)), None)
-
-
-def kind_that_published(name: str) -> DatasetKind | None:
-    """Return the kind of a published set, by its short name or its repository; None for any other name."""
-    entry = published_set(name)
-    return next((kind for kind in kinds() if entry in kind.published), None)
 
 
 def place_of(name: str | os.PathLike[str]) -> str:
@@ -403,35 +390,16 @@ def place_of(name: str | os.PathLike[str]) -> str:
     return name if is_data else found.repo_id
 
 
-@dataclass(frozen=True, slots=True)
-class SetState:
-    """A published set, what of it is in the Hub's cache, and how large it is on the Hub, if that says.
+def states(sets: Iterable[PublishedSet]) -> Iterator[tuple[HubRepository | None, HubRepository | None]]:
+    """Ask the Hub for all sets at once; yield what it says of each, and what its cache has.
 
-    ``local_splits`` have files in the cache, at the commit last looked at; the licence is as its publishers
-    state it, or else as its card on the Hub does.
+    None where the Hub gives no answer, and where nothing of the commit last looked at is in the cache.
     """
 
-    published: PublishedSet
-    local_bytes: int
-    local_splits: tuple[str, ...]
-    hub_bytes: int | None
-    licence: str | None
+    def state(entry: PublishedSet) -> tuple[HubRepository | None, HubRepository | None]:
+        found = None
+        with suppress(ToolkitError):
+            found = open_repository(entry.repo_id)
+        return None if found is None or found.is_cache else found, find_cached(entry.repo_id)
 
-
-def states(sets: Sequence[PublishedSet]) -> list[SetState]:
-    """Look up what is local and, for all sets at once, ask the Hub for sizes."""
-    return list(in_threads(_state, sets, _THREADS))
-
-
-def _state(entry: PublishedSet) -> SetState:
-    size_bytes, licence = None, entry.licence
-    with suppress(ToolkitError):
-        found = open_repository(entry.repo_id)
-        if not found.is_cache:
-            size_bytes = sum(file.size_bytes for file in found.remote.values())
-            licence = licence or found.licence
-    cached = find_cached(entry.repo_id)
-    here = cached.remote if cached else {}
-    splits = tuple(dict.fromkeys(file.split for file in shard_files(here)))
-    local_bytes = sum(file.size_bytes for file in here.values())
-    return SetState(entry, local_bytes, splits, size_bytes, licence)
+    return in_threads(state, sets, _THREADS)

@@ -31,7 +31,6 @@ from tactile_toolkit.store.parquet import (
     encode_parquet,
     named_damage,
     open_checked,
-    open_parquet,
     sha256_hex,
 )
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
@@ -72,18 +71,24 @@ class _TakeRows:
         """Read them; IntegrityError where a page or the footer does not match its checksum."""
         import pyarrow as pa
 
-        folder, name = split_uri(self.source.path)
         if self.rows is None:
+            folder, name = split_uri(self.source.path)
             content = folder.read_bytes(name)
             with named_damage(self.source.path):
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)
             return ShardContent(table, encoded=content)
-        parquet, tables = open_parquet(folder, name), []
-        for index, (start, stop) in enumerate(pairwise(self.source.group_starts)):
-            chosen = self.rows[(self.rows >= start) & (self.rows < stop)] - start
-            with named_damage(self.source.path):
-                tables.append(parquet.read_row_group(index, use_threads=False).take(chosen))
+        groups = enumerate(_in_parts(self.rows, self.source.group_starts))
+        tables = [self.source.read(groups=[index]).take(rows) for index, rows in groups]
         return ShardContent(pa.concat_tables(tables).combine_chunks())
+
+
+def _in_parts(rows: NDArray[np.int64], starts: Sequence[int]) -> list[NDArray[np.int64]]:
+    """Divide row numbers, in order, by the parts that hold them, and count from the start of each.
+
+    ``starts`` ends with the number of all rows.
+    """
+    parts = np.split(rows, np.searchsorted(rows, starts[1:-1]))
+    return [part - start for part, start in zip(parts, starts, strict=False)]
 
 
 @dataclass(frozen=True)
@@ -156,13 +161,11 @@ def divide(
     """
     datasets = {split: kind.load(name, split) for split in splits_of(name)}
     if not fractions:
-        among = {"split": None, **chosen}
-        only = among.pop("split")
-        some = choose_rows([(only, datasets[only])] if only in datasets else datasets.items(), **among)
-        first = {split: np.zeros(0, np.int64) for split in datasets} | {
-            split: rows for split, _, rows in some
-        }
-        return [first, {each: np.setdiff1d(np.arange(len(datasets[each])), first[each]) for each in first}]
+        among = dict(chosen)
+        only = among.pop("split", None)
+        some = choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
+        taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
+        return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]
     parts: list[dict[str, NDArray[np.int64]]] = [{} for _ in fractions]
     for split, rows in datasets.items():
         # Doubles of this generator are the same in every version of numpy; shuffles need not be.
@@ -201,9 +204,7 @@ def _build(
         shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
         parts: list[tuple[Shard, Any]] = [(shard, None) for shard in shards]
         if rows is not None:
-            starts = list(accumulate(map(len, shards), initial=0))
-            cuts = pairwise(np.searchsorted(rows[split], starts).tolist())
-            held = [rows[split][low:high] - start for start, (low, high) in zip(starts, cuts, strict=False)]
+            held = _in_parts(rows[split], list(accumulate(map(len, shards), initial=0)))
             parts = [(shard, part) for shard, part in zip(shards, held, strict=True) if len(part)]
         tasks += [_TakeRows(ShardName(split, index, len(parts)), *part) for index, part in enumerate(parts)]
     if not tasks:
@@ -305,11 +306,6 @@ def forecast_tables(plan: BuildPlan, out: str, *, overwrite: bool = False) -> tu
     tasks = [task for task in plan.tasks if isinstance(task, _WriteTable)]
     sample, rows = tasks[0].rows[:_SAMPLED], sum(task.size for task in tasks)
     return rows, round(rows * len(encode_parquet(flat_table(sample), _STYLE)) / len(sample))
-
-
-def export_tables(kind: DatasetKind, plan: BuildPlan, out: str, **run: Unpack[RunOptions]) -> Manifest:
-    """Write planned tables; ``run`` are options of ``build``. Raises as all makers of folders do."""
-    return build(DataFolder(out), plan, write_card=kind.write_card, **run)
 
 
 def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:

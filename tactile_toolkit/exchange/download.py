@@ -9,7 +9,8 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path, PurePosixPath
+from functools import partial
+from pathlib import PurePosixPath
 from typing import Any
 
 import msgspec
@@ -17,12 +18,11 @@ import msgspec
 from tactile_toolkit.cards.card import CARD_FILE
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
 from tactile_toolkit.cards.facts import card_head, folder_facts, viewer_files, with_head
-from tactile_toolkit.catalog.locate import hub_split, published_set, repository_named, repository_shards
+from tactile_toolkit.catalog.locate import hub_split, repository_named, repository_shards
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.hub.calls import not_cached
-from tactile_toolkit.hub.repository import HubRepository, Transfers, open_repository, snapshot_folder
+from tactile_toolkit.hub.repository import HubRepository, open_repository
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
@@ -33,7 +33,7 @@ from tactile_toolkit.store.shards import shard_files
 # What is fitted to the splits that a folder gets.
 _METADATA_FILES = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
 
-_EXTRA_FOLDERS = ("reports", "previews")
+_EXTRA_FOLDERS = ("reports/", "previews/")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
 _PICTURE_FOLDER = "images"
 # Where the Hub's client keeps what it has not fetched to the end.
@@ -55,6 +55,8 @@ class DownloadPlan:
         Splits that will be there.
     missing : tuple of HubFile
         Files that are to be fetched.
+    leftover : list of str
+        Files of an earlier download that the repository has no more; they are removed.
     is_done : bool
         Whether there is nothing to do at all.
     record : DownloadRecord
@@ -68,16 +70,10 @@ class DownloadPlan:
     folder: DataFolder | None
     splits: tuple[str, ...]
     missing: tuple[HubFile, ...]
+    leftover: list[str]
     is_done: bool
     record: DownloadRecord
     earlier: DownloadRecord | None
-
-    @property
-    def leftover(self) -> list[str]:
-        """Files of an earlier download that the repository has no more; they are removed."""
-        return [
-            path for path in (self.earlier.files if self.earlier else ()) if path not in self.record.files
-        ]
 
     @property
     def missing_bytes(self) -> int:
@@ -101,39 +97,36 @@ def plan_download(
     Raises InputError (not a repository, no such split, a user's own files in the folder),
     SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
     """
-    known = published_set(name)
-    named = repository_named(known.repo_id if known else name, revision)
+    named = repository_named(name, revision)
     repository = open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
     return _plan(repository, splits, None if out is None else DataFolder(out))
 
 
 def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder | None) -> DownloadPlan:
-    earlier = _earlier_record(folder, repository) if folder is not None else None
-    recorded = earlier.files if earlier else {}
+    earlier = None if folder is None else _earlier_record(folder, repository)
     if folder is not None and repository.is_cache:  # which may list a part of the files only
         raise not_cached(repository.repo_id, "the present list of files")
+    recorded = earlier.files if earlier else {}
     manifest, shards = repository.manifest, repository_shards(repository)
+    # Other tools write files of that name, too, which are not manifests.
+    metadata = tuple(
+        path for path in _METADATA_FILES if path in repository.remote and (path != MANIFEST_FILE or manifest)
+    )
     all_splits = manifest.splits if manifest else tuple(sorted({shard.split for shard in shards}))
     wanted = {*splits, *(shard.split for shard in shard_files(recorded))} if splits else set(all_splits)
     chosen = tuple(split for split in all_splits if split in wanted)
-    paths = _accompanying_files(repository, chosen, fitted=folder is None)
+    paths = _accompanying_files(repository, chosen, metadata if folder is None else ())
     # Of a repository without shards, the usual split is reported missing.
     for split in dict.fromkeys([*chosen, *splits] or ["train"]):
         paths += [file.path for file in hub_split(repository, shards, split)]
     names = names_inside(dict.fromkeys(paths), f"Hub data set {repository.repo_id!r}")
     files = {path: repository.file(path) for path in names}
 
-    def is_here(file: HubFile) -> bool:
-        if folder is None:
-            return repository.cached(file.path, check=True) is not None
-        return _is_intact(folder, file, earlier)
-
-    here = in_threads(is_here, files.values(), _THREADS)
-    missing = tuple(file for file, is_intact in zip(files.values(), here, strict=True) if not is_intact)
-    # Other tools write files of that name, too, which are not manifests.
-    metadata = tuple(
-        path for path in _METADATA_FILES if path in repository.remote and (path != MANIFEST_FILE or manifest)
-    )
+    is_intact = partial(_is_intact, folder or repository.folder, earlier)
+    here = in_threads(is_intact, files.values(), _THREADS)
+    missing = tuple(file for file, is_here in zip(files.values(), here, strict=True) if not is_here)
+    commit, revision = repository.commit, repository.revision
+    record = DownloadRecord(repository.repo_id, commit, revision, files, all_splits, metadata)
     is_done = not missing
     if folder is not None:
         own = [file.path for file in missing if file.path not in recorded and folder.exists(file.path)]
@@ -143,22 +136,22 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
                 "nothing was changed",
                 next="move it away, or choose another folder with --out",
             )
-        same = earlier is not None and earlier.finished and earlier.commit == repository.commit
-        is_done = same and not missing and recorded.keys() <= files.keys() and _is_described(folder, metadata)
+        same = earlier is not None and earlier == msgspec.structs.replace(record, revision=earlier.revision)
+        is_done = is_done and same and _is_described(folder, metadata)
     elif missing and repository.is_cache:
         raise not_cached(repository.repo_id, repr(missing[0].path))
-    commit, revision = repository.commit, repository.revision
-    record = DownloadRecord(repository.repo_id, commit, revision, files, all_splits, metadata)
-    return DownloadPlan(repository, folder, chosen, missing, is_done, record, earlier)
+    leftover = [path for path in recorded if path not in files]
+    return DownloadPlan(repository, folder, chosen, missing, leftover, is_done, record, earlier)
 
 
-def _is_intact(folder: DataFolder, file: HubFile, earlier: DownloadRecord | None) -> bool:
+def _is_intact(folder: DataFolder, earlier: DownloadRecord | None, file: HubFile) -> bool:
     """Return whether a file of a folder is intact; it is read, as a flipped bit changes no time."""
     path, digest = file.path, file.digest
-    if digest is None or not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
+    if not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
         return False
     # A store changes no bit by itself: what a finished download wrote there is known by its size.
-    if not folder.is_local and earlier and earlier.finished and earlier.files.get(path) == file:
+    is_known = not folder.is_local and earlier and earlier.finished and earlier.files.get(path) == file
+    if is_known or digest is None:
         return True
     with folder.open(path) as stream:
         return digest_like(stream, digest) == digest
@@ -182,26 +175,25 @@ def _earlier_record(folder: DataFolder, repository: HubRepository) -> DownloadRe
     return record
 
 
-def _accompanying_files(repository: HubRepository, splits: Sequence[str], *, fitted: bool) -> list[str]:
+def _accompanying_files(
+    repository: HubRepository, splits: Sequence[str], metadata: Iterable[str]
+) -> list[str]:
     """Return what goes with the shards of some splits: small files, and pictures where the set has any.
 
-    With ``fitted``, cards and manifest too, as they are.
+    Of cards and manifest these ``metadata``, which are taken as they are.
     """
     manifest = repository.manifest
-    listed = set(manifest.files or ()) if manifest is not None else set()
-    shown = {path for paths in viewer_files(manifest).values() for path in paths}
     # Data sets of plain pictures name them in their rows: without the files, those are names of nothing.
-    pictures = tuple(f"{_PICTURE_FOLDER}/{split}/" for split in splits if manifest is not None)
+    pictures = [f"{_PICTURE_FOLDER}/{split}/" for split in splits if manifest is not None]
+    folders = (*_EXTRA_FOLDERS, *pictures)
+    listed = {*_EXTRA_FILES, *(manifest.files if manifest else ())} - {*_METADATA_FILES, *_shown(manifest)}
+    wanted = {*listed, *metadata}
+    return [path for path in repository.files() if path in wanted or path.startswith(folders)]
 
-    def is_extra(path: str) -> bool:
-        if path in _METADATA_FILES:
-            return fitted
-        if path in shown:  # repeats the shards for the Hub's page
-            return False
-        is_small = path in listed or path in _EXTRA_FILES or PurePosixPath(path).parts[0] in _EXTRA_FOLDERS
-        return is_small or path.startswith(pictures)
 
-    return [path for path in repository.files() if is_extra(path)]
+def _shown(manifest: Manifest | None) -> set[str]:
+    """Return the files that repeat the shards for the Hub's page."""
+    return {path for paths in viewer_files(manifest).values() for path in paths}
 
 
 def _is_described(folder: DataFolder, metadata: Iterable[str]) -> bool:
@@ -220,10 +212,9 @@ def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambd
     or StorageError.
     """
     repository, folder = plan.repository, plan.folder
-    transfers = Transfers(lambda done: on_progress(done, plan.missing_bytes))
     if folder is None:
-        transfers.each(lambda file: repository.download(file.path, transfers), plan.missing)
-        return str(snapshot_folder(repository.repo_id, plan.record.commit))
+        repository.fetch(plan.missing, on_bytes=lambda done: on_progress(done, plan.missing_bytes))
+        return repository.folder.address()
     if not plan.is_done:
         folder.require_folder()
         with contextlib.ExitStack() as stack:
@@ -235,11 +226,11 @@ def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambd
             if read_record(folder) != plan.earlier:  # another download was here, maybe of other splits
                 plan = _plan(repository, plan.splits, folder)
             if not plan.is_done:
-                _execute(plan, folder, transfers)
+                _execute(plan, folder, on_progress)
     return folder.address()
 
 
-def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> None:
+def _execute(plan: DownloadPlan, folder: DataFolder, on_progress: Callable[[int, int], None]) -> None:
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
     repository, record, leftover = plan.repository, plan.record, plan.leftover
     manifest = repository.manifest
@@ -256,21 +247,7 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
     # Before the first new file comes: old and new ones next to each other would pass for one set.
     for path in (*leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
-
-    with contextlib.ExitStack() as stack:
-        stage = Path(folder.address()) if folder.is_local else stack.enter_context(scratch_folder())
-
-        def fetch_file(file: HubFile) -> None:
-            """Bring one file into the folder: a copy where the Hub's cache has it intact, or fetched."""
-            cached = repository.cached(file.path, check=True)
-            place = cached or repository.download(file.path, transfers, stage)
-            if cached is not None or not folder.is_local:
-                folder.upload(file.path, place)
-                transfers.count(file, file.size_bytes)
-            if cached is None and not folder.is_local:
-                place.unlink()
-
-        transfers.each(fetch_file, plan.missing)
+    repository.fetch(plan.missing, folder, lambda done: on_progress(done, plan.missing_bytes))
     _write_metadata(plan, folder, manifest)
     write_record(folder, record)
     if folder.is_local:
@@ -281,33 +258,30 @@ def _execute(plan: DownloadPlan, folder: DataFolder, transfers: Transfers) -> No
 def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
     """Write manifest and cards, fitted to the splits of the folder."""
     names = plan.record.metadata_files
-    found = [place.read_bytes() for place in plan.repository.fetch(names)]
-    contents = dict(zip(names, found, strict=True))
-    shown = {path for paths in viewer_files(manifest).values() for path in paths}
-    is_part = set(plan.splits) < set(plan.record.splits)
+    found = [place.read_bytes() for place in plan.repository.local_paths(names)]
+    contents, shown = dict(zip(names, found, strict=True)), _shown(manifest)
+    is_part, fitted = set(plan.splits) < set(plan.record.splits), manifest
+    if manifest is not None and (is_part or shown):
+        records = [record for record in manifest.shards if record.split in plan.splits]
+        files = {path: digest for path, digest in manifest.files.items() if path not in shown}
+        fitted = replace(manifest, shards=tuple(records), files=files)
+        contents[MANIFEST_FILE] = fitted.to_json().encode()
+    fits: dict[str, Callable[[str], str]] = {}
+    if is_part or shown:
+        fits[CARD_FILE] = partial(_fitted_card, plan, folder, is_part)
+    if fitted is not None:
+        fits[CROISSANT_FILE] = lambda text: croissant_again(text, folder_facts(folder, fitted))
     # In this order: the card is fitted to what the manifest lists, and Croissant describes both.
-    fitted = manifest
-    if manifest is not None:
-        if is_part or shown:
-            records = [record for record in manifest.shards if record.shard.split in plan.splits]
-            files = {path: digest for path, digest in (manifest.files or {}).items() if path not in shown}
-            fitted = replace(manifest, shards=tuple(records), files=files)
-            contents[MANIFEST_FILE] = fitted.to_json().encode()
-        folder.write_bytes(MANIFEST_FILE, contents[MANIFEST_FILE])
-    with contextlib.suppress(ToolkitError, ValueError, TypeError):  # one that cannot be read stays as it is
-        if CARD_FILE in contents and (is_part or shown):
-            contents[CARD_FILE] = _fitted_card(contents[CARD_FILE].decode(), plan, folder, is_part).encode()
-    with contextlib.suppress(ToolkitError, ValueError, RecursionError):
-        if CROISSANT_FILE in contents and manifest is not None:
-            facts = folder_facts(folder, fitted)
-            again = croissant_again(contents[CROISSANT_FILE].decode(), facts)
-            contents[CROISSANT_FILE] = again.encode()
-    for path in (CARD_FILE, CROISSANT_FILE):
+    for path in (MANIFEST_FILE, CARD_FILE, CROISSANT_FILE):
         if path in contents:
+            # One that cannot be read stays as it is.
+            with contextlib.suppress(ToolkitError, ValueError, TypeError, RecursionError):
+                if path in fits:
+                    contents[path] = fits[path](contents[path].decode()).encode()
             folder.write_bytes(path, contents[path])
 
 
-def _fitted_card(card: str, plan: DownloadPlan, folder: DataFolder, is_part: bool) -> str:
+def _fitted_card(plan: DownloadPlan, folder: DataFolder, is_part: bool, card: str) -> str:
     """Return a card whose YAML head names what is here, with a note in front of the text of a part.
 
     Shards and manifest must be in place.

@@ -25,7 +25,7 @@ class UploadOptions:
     message : str or None
         First line of the commit.
     tag : str or None
-        Name to give to the commit, next to that of the schema version; what is not merged yet gets none.
+        Name to give to the commit; what is not merged yet gets none.
     delete : bool
         Remove files from the repository that the folder does not have.
     viewer : bool
@@ -37,14 +37,17 @@ class UploadOptions:
     revision: str | None = text(metavar="BRANCH", help="Branch to write to; created if it does not exist.")
     create_pr: bool = switch(False, help="Open a pull request instead of writing to main.")
     message: str | None = text(metavar="TEXT", help="First line of the commit.")
-    tag: str | None = text(
-        metavar="NAME", help="Tag of this version, such as v1, in addition to that of the schema."
-    )
+    tag: str | None = text(metavar="NAME", help="Tag of this version, such as v1.")
     delete: bool = switch(False, help="Remove files from the repository that the folder does not have.")
     viewer: bool = switch(False, help="Also send each mesh as a file that the Hub shows in 3D.")
 
+    @property
+    def branch(self) -> str:
+        """Name of the branch, or of the pull request that is written to."""
+        return self.revision or MAIN_BRANCH
+
     def __post_init__(self) -> None:
-        if self.create_pr and (self.tag or self.revision not in (None, MAIN_BRANCH)):
+        if self.create_pr and (self.tag or self.branch != MAIN_BRANCH):
             raise InputError(
                 "--create-pr and another --revision or a --tag exclude each other",
                 next="leave one of them out",

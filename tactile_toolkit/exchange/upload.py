@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import warnings
 import weakref
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -60,19 +60,6 @@ class LocalFile:
 
 
 @dataclass(frozen=True, slots=True)
-class HubBranch:
-    """A branch of a data set repository as it is now, or a pull request.
-
-    ``held`` is what the commit holds that the branch points to, or that it will start at, the head of
-    ``main``; None where the repository does not exist. ``tags`` name commits.
-    """
-
-    held: HubRepository | None
-    tags: Mapping[str, str]
-    exists: bool
-
-
-@dataclass(frozen=True, slots=True)
 class UploadPlan:
     """The difference between a folder and a branch.
 
@@ -90,20 +77,25 @@ class UploadPlan:
 
 
 def compare(files: Iterable[LocalFile], held: HubRepository | None, *, delete: bool = False) -> UploadPlan:
-    """Compare all that is to be in a repository with what a commit holds, by path and checksum.
-
-    Of other files, those that former uploads made for the Hub's page go, and all others with ``delete``.
-    """
+    """Compare all that is to be in a repository with what a commit holds, by path and checksum."""
     local, remote = {file.path: file for file in files}, held.remote if held else {}
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
-    others = sorted(remote.keys() - local.keys() - _WRITTEN_BY_HUB)
-    kept = tuple(path for path in others if not (delete or _is_for_page(path)))
-    return UploadPlan(missing, kept, tuple(path for path in others if path not in kept))
+    return UploadPlan(missing, *_other_files(local, held, delete))
 
 
-def _is_for_page(path: str) -> bool:
-    folder, _, name = path.rpartition("/")
-    return folder == VIEWER_FOLDER and ShardName.parse(name) is not None
+def _other_files(
+    paths: Iterable[str], held: HubRepository | None, delete: bool
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return what a commit holds besides these files and stays, and what goes.
+
+    What former uploads made for the Hub's page goes, and all others with ``delete``.
+    """
+    kept, removed = list[str](), list[str]()
+    for path in sorted(held.remote.keys() - set(paths) - _WRITTEN_BY_HUB) if held else ():
+        folder, _, name = path.rpartition("/")
+        is_for_page = folder == VIEWER_FOLDER and ShardName.parse(name) is not None
+        (removed if delete or is_for_page else kept).append(path)
+    return tuple(kept), tuple(removed)
 
 
 def collect(root: Path, manifest: Manifest) -> list[str]:
@@ -122,14 +114,16 @@ def collect(root: Path, manifest: Manifest) -> list[str]:
 class PreparedUpload:
     """An upload that has been planned but not begun.
 
-    ``branch`` is what is there now under the name of the branch, ``plan`` the difference. ``left_out`` lies
-    in the folder and does not belong to the data set. ``scratch`` holds what was made for the upload as long
-    as this is kept. ``ask`` calls a function that asks the Hub, again where that may help.
+    ``held`` is what the branch holds, or what it will start at, the head of ``main``; None where there is no
+    repository. ``has_branch`` is whether the branch exists, ``plan`` the difference. ``left_out`` lies in the
+    folder and does not belong to the data set. ``scratch`` holds what was made for the upload as long as this
+    is kept. ``ask`` calls a function that asks the Hub, again where that may help.
     """
 
     repo_id: str
     options: UploadOptions
-    branch: HubBranch
+    held: HubRepository | None
+    has_branch: bool
     manifest: Manifest
     files: tuple[LocalFile, ...]
     plan: UploadPlan
@@ -138,27 +132,14 @@ class PreparedUpload:
     ask: Callable[..., Any] = field(repr=False)
 
     @property
-    def branch_name(self) -> str:
-        """Name of the branch, or of the pull request that is written to."""
-        return self.options.revision or MAIN_BRANCH
-
-    @property
     def page(self) -> str:
         """Address of the repository for people."""
         return page_of(self.repo_id)
 
-    @property
-    def tags(self) -> tuple[str, ...]:
-        """Names that the commit gets: the schema version's on the main branch, and the user's."""
-        # What is not merged yet may never be.
-        is_main = self.branch_name == MAIN_BRANCH and not self.options.create_pr
-        schema = [f"schema-{self.manifest.schema_version}"] if is_main else []
-        return tuple(dict.fromkeys([*schema, *([self.options.tag] if self.options.tag else [])]))
-
 
 @dataclass(frozen=True)
 class UploadResult:
-    """What an upload did: files sent and removed and names set by this call, and where the folder is now.
+    """What an upload did: files sent and removed and a name set by this call, and where the folder is now.
 
     ``pull`` is the pull request that holds the commit, if it is not on a branch.
     """
@@ -167,7 +148,7 @@ class UploadResult:
     pull: str | None = None
     sent: tuple[str, ...] = ()
     removed: tuple[str, ...] = ()
-    tags: tuple[str, ...] = ()
+    tag: str | None = None
 
 
 def check_folder(kind: DatasetKind, folder: DataFolder, workers: int = 1) -> Iterable[Finding]:
@@ -201,11 +182,8 @@ def prepare_upload(
     if hub_name(repo_id) != HubName(repo_id, None, ""):
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
     if manifest is None:
-        raise InputError(
-            f"{place.missing_message(MANIFEST_FILE)}: only data sets made by this toolkit can be checked "
-            "before they are sent",
-            next="give the folder of one",
-        )
+        message = place.missing_message(MANIFEST_FILE)
+        raise InputError(message, next="give the folder of a data set made by this toolkit")
     ask = partial(call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
     with contextlib.ExitStack() as stack:
         scratch = stack.enter_context(scratch_folder())
@@ -214,18 +192,21 @@ def prepare_upload(
         _require_sound(check(place) if check else verify(place, check_card=check_card).findings)
         if not dry_run:
             ask(HfApi().whoami)
-        branch = ask(partial(_branch, repo_id, chosen.revision or MAIN_BRANCH))
-        manifest, files = _files_to_send(place, manifest, repo_id, branch.held, chosen, scratch)
-        plan = compare(files, branch.held, delete=chosen.delete)
-        held, named = branch.held, branch.tags.get(chosen.tag or "")
+        held, tags, has_branch = ask(partial(_state, repo_id, chosen.branch))
+        manifest, files = _files_to_send(place, manifest, repo_id, held, chosen, scratch)
+        plan = compare(files, held, delete=chosen.delete)
         _refuse_public(repo_id, chosen, held)
+        named = tags.get(chosen.tag or "")
         if named and not (plan.is_done and held and held.commit == named):
             raise InputError(
                 f"tag {chosen.tag!r} of {repo_id!r} names commit {named[:12]} already; nothing was sent",
                 next="choose another --tag, or delete that one on the Hub",
             )
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
-        prepared = PreparedUpload(repo_id, chosen, branch, manifest, files, plan, left_out, scratch, ask)
+        options = replace(chosen, tag=None) if named else chosen
+        prepared = PreparedUpload(
+            repo_id, options, held, has_branch, manifest, files, plan, left_out, scratch, ask
+        )
         weakref.finalize(prepared, stack.pop_all().close)
     return prepared
 
@@ -239,8 +220,11 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: HubRepository | N
         )
 
 
-def _branch(repo_id: str, name: str) -> HubBranch:
-    """Look what a branch holds; a repository or branch that does not exist is not an error."""
+def _state(repo_id: str, branch: str) -> tuple[HubRepository | None, dict[str, str], bool]:
+    """Return what a branch holds, the commits that tags name, and whether the branch exists.
+
+    A repository that does not exist is not an error.
+    """
     from huggingface_hub import HfApi, errors
 
     try:
@@ -249,11 +233,11 @@ def _branch(repo_id: str, name: str) -> HubBranch:
         # To the client it is a kind of that, but such a repository exists.
         if isinstance(error, errors.GatedRepoError):
             raise
-        return HubBranch(None, {}, exists=False)
+        return None, {}, False
     tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
     # A pull request that is written to is not listed.
-    exists = name.startswith("refs/") or name in {ref.name for ref in refs.branches}
-    return HubBranch(listing(repo_id, name if exists else MAIN_BRANCH), tags, exists)
+    exists = branch.startswith("refs/") or branch in {ref.name for ref in refs.branches}
+    return listing(repo_id, branch if exists else MAIN_BRANCH), tags, exists
 
 
 def local_copy(folder: DataFolder, root: Path) -> DataFolder:
@@ -288,35 +272,32 @@ def _files_to_send(
     scratch: Path,
 ) -> tuple[Manifest, tuple[LocalFile, ...]]:
     """Collect the files, with the cards as they are to be on the Hub, checked as such."""
-    root, described, made = Path(place.address()), place.read_bytes(MANIFEST_FILE), dict[str, str]()
+    root, made = Path(place.address()), dict[str, str]()
     if options.viewer:
         from tactile_toolkit.exchange.copies import viewer_tables
 
         made = viewer_tables(place, manifest, scratch)
-        manifest = replace(manifest, files={**(manifest.files or {}), **made})
-        described = manifest.to_json().encode()
+        manifest = replace(manifest, files={**manifest.files, **made})
     paths, facts = collect(root, manifest), folder_facts(place, manifest)
-    kept = () if held is None or options.delete else held.remote.keys() - set(paths) - _WRITTEN_BY_HUB
-    others = sorted(path for path in kept if not _is_for_page(path))
     # Where the pattern of a split would take one of the others for its own, its files are named one by one.
-    wanted = configs(facts, others)
+    others, _ = _other_files(paths, held, options.delete)
     stored = with_repo_name(place.read_bytes(CARD_FILE).decode(), repo_id)
-    text = with_head(stored, lambda head: head.update(configs=wanted))
+    card = with_head(stored, lambda head: head.update(configs=configs(facts, others)))
     there = {*paths, *others}
     _require_sound(
         Finding(path, f"is shown by {CARD_FILE} and is not part of what is sent (previews/ is)")
-        for path in pictures_in(text)
+        for path in pictures_in(card)
         if normpath(path) not in there
     )
-    rendered = {CARD_FILE: text.encode(), MANIFEST_FILE: described}
+    rendered = {CARD_FILE: card}
+    if made:
+        rendered[MANIFEST_FILE] = manifest.to_json()
     if CROISSANT_FILE in paths:
         stored = place.read_bytes(CROISSANT_FILE).decode()
-        described_again = croissant_again(stored, facts, page_of(repo_id), others)
-        rendered[CROISSANT_FILE] = described_again.encode()
-    for path, content in rendered.items():
-        (scratch / path).write_bytes(content)
-    known = {record.shard.data_path: record.sha256 for record in manifest.shards}
-    known |= manifest.files or {}
+        rendered[CROISSANT_FILE] = croissant_again(stored, facts, page_of(repo_id), others)
+    for path, text in rendered.items():
+        (scratch / path).write_bytes(text.encode())
+    known = {record.file: record.sha256 for record in manifest.shards} | dict(manifest.files)
     places = {path: (scratch if path in made or path in rendered else root) / path for path in paths}
     return manifest, tuple(
         LocalFile(path, where, where.stat().st_size, known.get(path)) for path, where in places.items()
@@ -332,14 +313,14 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     """
     from huggingface_hub import HfApi
 
-    api, ask, options, branch = HfApi(), prepared.ask, prepared.options, prepared.branch
+    api, ask, options, held = HfApi(), prepared.ask, prepared.options, prepared.held
     here: dict[str, Any] = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
-    # exist_ok: another upload may have made them since they were looked for.
-    if branch.held is None:
+    # exist_ok: another upload may have made them since they were looked for, or an answer was lost.
+    if held is None:
         ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))
-    if not branch.exists and prepared.branch_name != MAIN_BRANCH:
-        start = branch.held.commit if branch.held else None
-        ask(partial(api.create_branch, **here, branch=prepared.branch_name, revision=start, exist_ok=True))
+    if not prepared.has_branch and options.branch != MAIN_BRANCH:
+        start = held.commit if held else None
+        ask(partial(api.create_branch, **here, branch=options.branch, revision=start, exist_ok=True))
     # A second try would open a second pull request where only the answer to the first was lost.
     commit, pull = ask(partial(_send, prepared), waits_s=() if options.create_pr else None)
     # By the digests that are known: HfApi.verify_repo_checksums (from 1.1 on) reads all of one folder again.
@@ -351,11 +332,10 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
             f"{paths[0]} differs ({len(paths)} such files)",
             next="run the same upload again, it sends what is missing",
         )
-    tags = tuple(tag for tag in prepared.tags if branch.tags.get(tag) != commit)
-    for tag in tags:
-        ask(partial(_set_tag, here, tag, commit))
+    if options.tag:
+        ask(partial(api.create_tag, **here, tag=options.tag, revision=commit, exist_ok=True))
     sent = tuple(file.path for file in prepared.plan.to_send)
-    return UploadResult(commit, pull, sent, prepared.plan.removed, tags)
+    return UploadResult(commit, pull, sent, prepared.plan.removed, options.tag)
 
 
 def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
@@ -367,7 +347,7 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
     options, manifest = prepared.options, prepared.manifest
-    held = _branch(prepared.repo_id, prepared.branch_name).held
+    held = _state(prepared.repo_id, options.branch)[0]
     _refuse_public(prepared.repo_id, options, held)  # another upload may have made it meanwhile
     plan = compare(prepared.files, held, delete=options.delete)
     if plan.is_done and held is not None:
@@ -383,17 +363,7 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
             ],
             repo_type="dataset",
             commit_message=options.message or message,
-            revision=None if options.create_pr else prepared.branch_name,
+            revision=None if options.create_pr else options.branch,
             create_pr=options.create_pr,
         )
     return str(made.oid), made.pr_revision
-
-
-def _set_tag(repository: Mapping[str, Any], tag: str, commit: str) -> None:
-    """Let a tag name a commit: the client moves none."""
-    from huggingface_hub import HfApi, errors
-
-    with contextlib.suppress(errors.RevisionNotFoundError):  # it is new, or an answer was lost
-        HfApi().delete_tag(**repository, tag=tag)
-    # exist_ok: another upload may set it at this moment.
-    HfApi().create_tag(**repository, tag=tag, revision=commit, exist_ok=True)

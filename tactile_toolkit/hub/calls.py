@@ -28,18 +28,20 @@ WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0)
 
 # Errors are known by what `_traits` says of them, as each major release of the client has another HTTP
 # library: RequestError is of httpx; Timeout and ChunkedEncodingError are of requests (clients before 1.0).
-_TRANSIENT = ("408", "425", "429", "500", "502", "503", "504")  # not 501: what is not offered will not be
-_BROKEN = re.compile(
-    r"\b(?:ConnectionResetError|BrokenPipeError|ConnectionAbortedError|RequestError|Timeout"
+_BUSY = r"\b(?:408|425|429|500|502|503|504)\b"  # not 501: what is not offered will not be
+# The Hub gave no answer of its own, so that its latest one still counts.
+_SILENT = re.compile(rf"{_BUSY}|\b(?:ConnectionError|TimeoutError|RequestError|Timeout)\b")
+# The same call may succeed a little later: overload, a server's trouble, a connection that broke.
+_PASSING = re.compile(
+    rf"{_BUSY}|\b(?:ConnectionResetError|BrokenPipeError|ConnectionAbortedError|RequestError|Timeout"
     r"|ChunkedEncodingError|CutShort)\b"
 )
-# What no wait would repair.
-_LASTING = re.compile(
-    r"\b(?:ConnectError|ConnectTimeout|LocalProtocolError|UnsupportedProtocol|ProxyError)\b"
-)
-_CONNECTION = re.compile(r"\b(?:ConnectionError|TimeoutError|RequestError|Timeout)\b")
 # The client has waited in vain, and has nothing in its cache; what it was raised from is more telling.
 _GIVEN_UP = "LocalEntryNotFoundError"
+# What no wait would repair: no network stays no network for longer than anyone wants to wait.
+_LASTING = re.compile(
+    rf"\b(?:ConnectError|ConnectTimeout|LocalProtocolError|UnsupportedProtocol|ProxyError|{_GIVEN_UP})\b"
+)
 # Raised by what reads an answer that has another form than expected.
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
@@ -181,28 +183,14 @@ def failure_of(
             }
             what, then = (redact(part.format(**values), get_token()) for part in sentence)
             raised = _CLASSES.get(pattern, HubError)(what, next=then)
-            return Failure(raised, is_transient(error), wait_s)
+            met = " ".join(traits)
+            return Failure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
     return None
 
 
-def is_transient(error: BaseException) -> bool:
-    """Return whether the same request may succeed a little later.
-
-    So do overload, a server's trouble, and a connection that broke; not so a Hub that could not be reached in
-    the first place (no network stays no network for longer than anyone wants to wait), nor any refusal.
-    """
-    traits = " ".join(map(_traits, cause_chain(error)))
-    status = re.search(r"\b\d{3}\b", traits)
-    if _GIVEN_UP in traits:
-        return False
-    if status is not None:
-        return status[0] in _TRANSIENT
-    return bool(_BROKEN.search(traits)) and not _LASTING.search(traits)
-
-
-def is_unanswered(error: BaseException) -> bool:
-    """Return whether the Hub gave no answer of its own, so that its latest one still counts."""
-    return any(_CONNECTION.search(_traits(link)) for link in cause_chain(error)) or is_transient(error)
+def has_answered(error: BaseException) -> bool:
+    """Return whether what failed, at its bottom, is an answer that the Hub gave."""
+    return not any(_SILENT.search(_traits(link)) for link in cause_chain(error))
 
 
 def call_with_retry(
@@ -238,7 +226,7 @@ def _check_answer(response: Any, **_: Any) -> None:
             raise HubError(
                 f"the Hub calls a file {value[:80]!r}, which is not a digest", next="check HF_ENDPOINT"
             )
-    if str(response.status_code) in _TRANSIENT and _requested_wait_s(response.headers):
+    if re.fullmatch(_BUSY, str(response.status_code)) and _requested_wait_s(response.headers):
         # Raised at once: the caller waits, and can report why.
         import_module("huggingface_hub.utils").hf_raise_for_status(response)
     path = urlsplit(str(request.url)).path

@@ -6,27 +6,27 @@ Files lie in the cache of the Hub's own client, so that either finds what the ot
 from __future__ import annotations
 
 import contextlib
-import functools
 import json
 import os
 import re
 import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.hub.calls import (
     TooLargeError,
     call_with_retry,
     counting_options,
-    is_unanswered,
+    has_answered,
     not_cached,
 )
-from tactile_toolkit.store.files import write_file
+from tactile_toolkit.store.files import scratch_folder, write_file
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import names_inside, problem_of_name
 from tactile_toolkit.store.origin import DIGEST, HubFile, has_digest
@@ -41,8 +41,6 @@ _NAME = re.compile(
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 _MAIN = "main"
 _FILES_AT_ONCE = 8  # as many as the Hub's own client fetches at once
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,17 +70,12 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
     return HubName(match["repo"], named or revision, match["path"] or "")
 
 
-def snapshot_folder(repo_id: str, commit: str) -> Path:
-    """Return the folder of a commit's files, which are links to their contents where the system has links."""
-    return _folder(repo_id) / "snapshots" / commit
-
-
 def commit_of(repo_id: str, revision: str) -> str | None:
     """Return the commit that a revision named when it was last looked at; None when it never was."""
     found = revision
     if not _COMMIT.fullmatch(revision) and not problem_of_name(revision):
         with contextlib.suppress(OSError, UnicodeDecodeError):
-            found = (_folder(repo_id) / "refs" / revision).read_text().strip()
+            found = (_cache_of(repo_id) / "refs" / revision).read_text().strip()
     return found if _COMMIT.fullmatch(found) else None
 
 
@@ -90,10 +83,11 @@ def remember_commit(repo_id: str, revision: str, commit: str) -> None:
     """Note which commit a revision names; a cache that cannot be written is not an error."""
     if commit_of(repo_id, revision) not in (commit, revision) and not problem_of_name(revision):
         with contextlib.suppress(OSError):
-            write_file(_folder(repo_id) / "refs" / revision, lambda stream: stream.write(commit.encode()))
+            refs = _cache_of(repo_id) / "refs"
+            write_file(refs / revision, lambda stream: stream.write(commit.encode()))
 
 
-def _folder(repo_id: str) -> Path:
+def _cache_of(repo_id: str) -> Path:
     from huggingface_hub import constants
 
     # The layout of the Hub's own client, so that either finds what the other has fetched.
@@ -102,40 +96,6 @@ def _folder(repo_id: str) -> Path:
 
 class _StoppedError(Exception):
     """Another file failed, or the user does not want to wait."""
-
-
-class Transfers:
-    """Files that are fetched side by side: counted together, and the first that fails stops the others.
-
-    ``on_bytes`` gets the number of bytes that have arrived, from one thread at a time.
-    """
-
-    def __init__(self, on_bytes: Callable[[int], None] = lambda _: None) -> None:
-        self._on_bytes, self._lock = on_bytes, threading.Lock()
-        self._arrived: dict[str, int] = {}
-        self._total, self._is_stopped = 0, False
-
-    def each(self, action: Callable[[T], object], items: Sequence[T]) -> None:
-        """Call a function for each item, several at once; the first failure is raised, Ctrl-C ends all."""
-        try:
-            # Daemons, not an executor, whose threads the interpreter waits for.
-            with ThreadPool(max(1, min(_FILES_AT_ONCE, len(items)))) as pool:
-                for _ in pool.imap_unordered(action, items):
-                    pass
-        except BaseException:
-            self._is_stopped = True
-            raise
-
-    def count(self, file: HubFile, size_bytes: int) -> None:
-        """Note how much of a file has arrived; raises after a stop, and for a file that is too long."""
-        if size_bytes > file.size_bytes:
-            raise TooLargeError(f"more than the {file.size_bytes:,} bytes that were expected")
-        with self._lock:
-            if self._is_stopped:
-                raise _StoppedError
-            self._total += size_bytes - self._arrived.get(file.path, 0)
-            self._arrived[file.path] = size_bytes
-            self._on_bytes(self._total)
 
 
 @dataclass(frozen=True)
@@ -176,13 +136,17 @@ class HubRepository:
     is_private: bool = False
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
 
+    @property
+    def folder(self) -> DataFolder:
+        """Where the cache has files of the commit, as links to their contents where the system has links."""
+        return DataFolder(str(_cache_of(self.repo_id) / "snapshots" / self.commit))
+
     @cached_property
     def manifest(self) -> Manifest | None:
         """The manifest of a data set made by the toolkit; None of any other, or IntegrityError."""
         if MANIFEST_FILE not in self.remote:
             return None
-        (place,) = self.fetch((MANIFEST_FILE,))
-        text = place.read_text(encoding="utf-8", errors="replace")
+        text = self.local_paths((MANIFEST_FILE,))[0].read_text(encoding="utf-8", errors="replace")
         try:
             values = json.loads(text)
         except ValueError:
@@ -196,11 +160,14 @@ class HubRepository:
         """What the manifest states of its shards, and of other files of the commit, by path."""
         if self.manifest is None:
             return {}
-        listed = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards}
-        for path, sha256 in (self.manifest.files or {}).items():
-            if path in self.remote:
-                listed[path] = HubFile(path, self.remote[path].size_bytes, sha256)
-        return listed
+        digests = {path: each for path, each in self.manifest.files.items() if path in self.remote}
+        shards = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards}
+        return shards | {path: HubFile(path, self.remote[path].size_bytes, digests[path]) for path in digests}
+
+    @property
+    def size_bytes(self) -> int:
+        """Size of all files that are known."""
+        return sum(file.size_bytes for file in self.remote.values())
 
     def files(self) -> list[str]:
         """List the paths of all files; without the Hub, those in the cache and in a cached manifest."""
@@ -235,56 +202,80 @@ class HubRepository:
         # The commit, not what it is called: a branch may move on while its files are read in turn.
         return f"{_PREFIX}{self.repo_id}@{self.commit}/{path}"
 
-    def cached(self, path: str, *, check: bool = False) -> Path | None:
-        """Return a file that is intact in the Hub's cache; None otherwise. Asks no server, fetches nothing.
+    def local_paths(self, paths: Sequence[str]) -> list[Path]:
+        """Return where the Hub's cache has files; those that are not there by their sizes are fetched.
 
-        It has the size that is expected and, with ``check``, the content.
+        Raises as :meth:`fetch`.
         """
-        wanted, file = self.file(path), self._place(path)
-        is_here = file.is_file() and file.stat().st_size == wanted.size_bytes
-        if is_here and check and wanted.digest is not None:
-            is_here = has_digest(file, wanted.digest)
-        return file if is_here else None
+        # What cannot be had is reported before anything is fetched.
+        files, here = [self.file(path) for path in paths], self.folder
+        self.fetch([file for file in files if (here.info(file.path) or {}).get("size") != file.size_bytes])
+        return [Path(here.address(path)) for path in paths]
 
-    def _place(self, path: str) -> Path:
-        return snapshot_folder(self.repo_id, self.commit) / path
+    def fetch(
+        self,
+        files: Sequence[HubFile],
+        folder: DataFolder | None = None,
+        on_bytes: Callable[[int], None] = lambda _: None,
+    ) -> None:
+        """Fetch files, several at once, into the Hub's cache or a folder; the first failure ends all.
 
-    def fetch(self, paths: Sequence[str], transfers: Transfers | None = None) -> list[Path]:
-        """Bring files into the Hub's cache, unless it has them, and return their local paths.
-
-        What arrives has the digest of the manifest, where there is one, and else that of the Hub. Raises
-        IntegrityError for a file that arrived damaged twice or is not what the manifest lists (nothing of it
-        is kept), HubError, StorageError.
+        What arrives has the digest of the manifest, where there is one, and else that of the Hub.
+        ``on_bytes`` gets the number of bytes that have arrived, from one thread at a time. Raises
+        IntegrityError for a file that arrived damaged twice (nothing of it is kept), HubError, StorageError.
         """
-        for path in paths:
-            self.file(path)  # what cannot be had is reported before anything is fetched
-        together = transfers or Transfers()
-        together.each(lambda path: self.cached(path) or self.download(path, together), paths)
-        return [self._place(path) for path in paths]
+        lock, stopped, arrived, total = threading.Lock(), threading.Event(), dict[str, int](), 0
 
-    def download(self, path: str, transfers: Transfers, folder: Path | None = None) -> Path:
+        def count(file: HubFile, size_bytes: int) -> None:
+            nonlocal total
+            if size_bytes > file.size_bytes:
+                raise TooLargeError(f"more than the {file.size_bytes:,} bytes that were expected")
+            with lock:
+                if stopped.is_set():
+                    raise _StoppedError
+                total += size_bytes - arrived.get(file.path, 0)
+                arrived[file.path] = size_bytes
+                on_bytes(total)
+
+        def fetch_one(file: HubFile) -> None:
+            place = self._fetch_checked(file, stage, partial(count, file))
+            if folder is not None and not folder.is_local:
+                folder.upload(file.path, place)
+                place.unlink()
+
+        with contextlib.ExitStack() as stack:
+            stage = None
+            if folder is not None:
+                stage = Path(folder.root) if folder.is_local else stack.enter_context(scratch_folder())
+            stack.callback(stopped.set)
+            # Daemons, not an executor, whose threads the interpreter waits for.
+            with ThreadPool(max(1, min(_FILES_AT_ONCE, len(files)))) as pool:
+                for _ in pool.imap_unordered(fetch_one, files):
+                    pass
+
+    def _fetch_checked(self, file: HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
         """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
         from huggingface_hub import hf_hub_download
 
-        wanted, commit = self.file(path), self.commit
-        if self.is_cache or wanted.digest is None:
+        path, digest = file.path, file.digest
+        if self.is_cache or digest is None:
             raise not_cached(self.repo_id, repr(path))
-        options = {"repo_type": "dataset", "revision": commit, "local_dir": folder}
-        options |= counting_options(functools.partial(transfers.count, wanted))
-        for force in (folder is None and self._place(path).exists(), True):
-            fetch = functools.partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
+        options = {"repo_type": "dataset", "revision": self.commit, "local_dir": folder}
+        options |= counting_options(count)
+        for force in (folder is None and self.folder.exists(path), True):
+            fetch = partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
             doing = f"fetching {path!r} of"
-            file = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
-            if has_digest(file, wanted.digest):
-                with file.open("rb") as stream:
+            place = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
+            if has_digest(place, digest):
+                with place.open("rb") as stream:
                     os.fsync(stream.fileno())  # a power cut must not empty what counts as intact
-                transfers.count(wanted, wanted.size_bytes)
-                return file
+                count(file.size_bytes)
+                return place
             # With what it is a link to: damaged content must not be found again.
-            Path(os.path.realpath(file)).unlink(missing_ok=True)
-            file.unlink(missing_ok=True)
+            Path(os.path.realpath(place)).unlink(missing_ok=True)
+            place.unlink(missing_ok=True)
         raise IntegrityError(
-            f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice, expected {wanted.digest}; "
+            f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice, expected {digest}; "
             "nothing of it was kept",
             next="try again later or through another network",
         )
@@ -304,11 +295,11 @@ def open_repository(
     """
     cached = find_cached(repo_id, revision)
     waits_s = None if patient or cached is None else ()
-    ask = functools.partial(listing, repo_id, revision)
+    ask = partial(listing, repo_id, revision)
     try:
         found = call_with_retry(ask, repo_id, waits_s=waits_s, on_wait=on_wait)
     except HubError as error:
-        if cached is None or not is_unanswered(error):
+        if cached is None or has_answered(error):
             raise
         found = cached
     remember_commit(repo_id, revision or _MAIN, found.commit)
@@ -336,12 +327,14 @@ def listing(repo_id: str, revision: str | None = None) -> HubRepository:
 
 def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | None:
     """Return what the cache has of the commit that a revision named last; None where it has nothing."""
-    commit = commit_of(repo_id, revision or _MAIN)
-    root = snapshot_folder(repo_id, str(commit))
-    files = {}
+    commit, files = commit_of(repo_id, revision or _MAIN), {}
+    if commit is None:
+        return None
+    found = HubRepository(repo_id, revision, commit, {}, is_cache=True)
+    root = Path(found.folder.root)
     for file in sorted(file for file in root.rglob("*") if file.is_file()):
         # A blob is named by the digest of its content; a cache without links has no blobs.
         path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
         is_named = file.is_symlink() and DIGEST.fullmatch(blob)
         files[path] = HubFile(path, file.stat().st_size, blob if is_named else None)
-    return HubRepository(repo_id, revision, commit, files, is_cache=True) if commit and files else None
+    return replace(found, remote=files) if files else None

@@ -153,7 +153,7 @@ def test_it_shows_what_it_sends_and_sends_nothing_twice(server, folder, capsys):
         assert re.search(rf"{path} .*[kM]?B +new", printed.out)
     assert re.search(r"6 of 6 files to send, [\d.]+ kB of [\d.]+ kB, 0 to remove", printed.out)
     assert "sent 6 files, removed 0; all 6 compared by checksum" in printed.out
-    assert "tags set: schema-2, v1" in printed.out
+    assert "tag set: v1" in printed.out
     assert "left out, no part of the data set: notes.txt" in printed.err
     assert call("starstruck", "upload", folder, NAME, "--yes") == 0
     assert "someone/stars holds all of it already, compared by checksum; nothing was sent" in (
@@ -189,7 +189,7 @@ def test_json_is_one_document(server, folder, capsys):
     told = json.loads(capsys.readouterr().out)
     assert told["commit"] == server.repository(NAME).head.sha
     assert sorted(told["sent"]) == sorted(server.repository(NAME).head.files)
-    assert (told["private"], told["exists"], told["tags"]) == (True, False, ["schema-2"])
+    assert (told["private"], told["exists"], told["tags"]) == (True, False, [])
     assert told["python"] == ["import starstruck_gen", f'data = starstruck_gen.load("{NAME}", split="train")']
 
 

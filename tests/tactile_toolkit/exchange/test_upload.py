@@ -83,11 +83,10 @@ def test_everything_arrives_once_and_then_nothing_is_sent(server, folder):
     assert_holds(server, folder)
     assert first.commit == server.repository(NAME).head.sha
     assert set(first.sent) == set(server.repository(NAME).head.files)
-    assert first.tags == ("schema-2",)
-    assert server.repository(NAME).tags == {"schema-2": first.commit}
+    assert server.repository(NAME).tags == {}
     server.requests.clear()
     again = upload(folder)
-    assert (again.commit, again.sent, again.removed, again.tags) == (first.commit, (), (), ())
+    assert (again.commit, again.sent, again.removed, again.tag) == (first.commit, (), (), None)
     assert {request.method for request in server.requests} == {"GET"}
     assert len(server.repository(NAME).history) == 2, "the first commit and ours"
 
@@ -192,23 +191,20 @@ def test_a_lost_answer_opens_no_second_pull_request(server, folder):
     assert upload(folder, revision="refs/pr/1").sent == ()
 
 
-@pytest.mark.parametrize("method", ["DELETE", "POST"])
-def test_a_lost_answer_moves_a_name_all_the_same(server, folder, method):
-    upload(folder)
-    with (folder / "README.md").open("a") as card:
-        card.write("\nMore.\n")
-    server.faults.add(Fault("*/tag/*", method=method, lose_reply=True))
-    commit = upload(folder).commit
-    assert server.repository(NAME).tags["schema-2"] == commit
+def test_a_lost_answer_sets_a_name_all_the_same(server, folder):
+    server.faults.add(Fault("*/tag/*", method="POST", lose_reply=True))
+    result = upload(folder, tag="v1")
+    assert result.tag == "v1"
+    assert server.repository(NAME).tags == {"v1": result.commit}
 
 
 @pytest.mark.parametrize("pattern", ["*/repos/create", "*/commit/*", "*/tag/*"])
 def test_trouble_that_passes_is_waited_out(server, folder, pattern):
     told: list[str] = []
     server.faults.fail(pattern, 503, times=2)
-    run_upload(prepare_upload(str(folder), NAME, on_wait=told.append))
+    run_upload(prepare_upload(str(folder), NAME, UploadOptions(tag="v1"), on_wait=told.append))
     assert_holds(server, folder)
-    assert server.repository(NAME).tags == {"schema-2": server.repository(NAME).head.sha}
+    assert server.repository(NAME).tags == {"v1": server.repository(NAME).head.sha}
     assert len(server.repository(NAME).history) == 2
     assert all("503" in line and "trying again in 0.0" in line for line in told)
 
@@ -236,7 +232,7 @@ def test_damage_on_the_way_is_found(server, folder, monkeypatch):
 
     monkeypatch.setattr(writing, "_change", careless)
     with pytest.raises(IntegrityError, match=r"does not hold what was sent .*manifest.json differs"):
-        upload(folder)
+        upload(folder, tag="v1")
     assert server.repository(NAME).tags == {}, "what is damaged gets no name"
     monkeypatch.setattr(writing, "_change", honest)
     assert upload(folder).sent == ("manifest.json",)
@@ -247,10 +243,10 @@ def test_a_branch_is_made_and_main_stays(server, folder):
     repository = server.repository(NAME)
     assert repository.branches["next"] == result.commit
     assert repository.head.title == "initial commit"
-    assert repository.tags == {"v2": result.commit}, "readers of the schema's tag still get main"
+    assert repository.tags == {"v2": result.commit}
     assert_holds(server, folder, revision="next")
     assert upload(folder, revision="next").sent == ()
-    assert upload(folder, revision="next", tag="v2").tags == ()
+    assert upload(folder, revision="next", tag="v2").tag is None
 
 
 def test_a_new_branch_is_compared_with_where_it_starts(server, folder, capfd):
@@ -308,7 +304,7 @@ def test_a_pull_request_is_opened_and_followed(server, folder):
     with (folder / "README.md").open("a") as card:
         card.write("\nBetter words.\n")
     first = upload(folder, create_pr=True)
-    assert (first.pull, first.sent, first.tags) == ("refs/pr/1", ("README.md",), ())
+    assert (first.pull, first.sent, first.tag) == ("refs/pr/1", ("README.md",), None)
     assert b"Better" not in server.repository(NAME).head.files["README.md"].content
     followed = upload(folder, revision="refs/pr/1")
     assert (followed.commit, followed.sent) == (first.commit, ())
@@ -325,10 +321,10 @@ def test_names_move_only_where_they_may(server, folder):
     assert len(server.repository(NAME).history) == 2
     second = upload(folder, tag="v2", message="With more")
     tags = server.repository(NAME).tags
-    assert tags["schema-2"] == tags["v2"] == second.commit != tags["v1"]
+    assert tags["v2"] == second.commit != tags["v1"]
     assert server.repository(NAME).head.title == "With more"
-    del tags["schema-2"]
-    assert upload(folder).tags == ("schema-2",), "a name that a killed upload had not set is set"
+    del tags["v2"]
+    assert upload(folder, tag="v2").tag == "v2", "a name that a killed upload had not set is set"
 
 
 @pytest.mark.parametrize("other", [{"revision": "next"}, {"tag": "v1"}])

@@ -12,7 +12,7 @@ from huggingface_hub import constants
 
 from tactile_toolkit.errors import HubError
 from tactile_toolkit.hub import calls
-from tactile_toolkit.hub.calls import call_with_retry, failure_of, is_transient, not_cached, page_of
+from tactile_toolkit.hub.calls import call_with_retry, failure_of, not_cached, page_of
 from tactile_toolkit.store.names import redact
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
@@ -199,7 +199,7 @@ def test_errors_of_others_pass_untouched():
     def action() -> None:
         raise ZeroDivisionError
 
-    assert not is_transient(ZeroDivisionError())
+    assert failure_of(ZeroDivisionError(), "someone/set") is None
     with pytest.raises(ZeroDivisionError):
         call_with_retry(action, "someone/set", waits_s=(0.0,))
     with pytest.raises(HubError) as mine:
@@ -274,7 +274,7 @@ from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.hub.repository import open_repository
 repository = open_repository('someone/set')
 try:
-    print(repository.fetch({paths!r}))
+    print(repository.local_paths({paths!r}))
 except ToolkitError as error:
     print(error.exit_code, type(error).__name__, error)
 """

@@ -23,7 +23,7 @@ LOAD = """
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.hub.repository import open_repository
 try:
-    print('path', open_repository({name!r}).fetch([{path!r}])[0])
+    print('path', open_repository({name!r}).local_paths([{path!r}])[0])
 except ToolkitError as error:
     print(error.exit_code, type(error).__name__, error)
 """

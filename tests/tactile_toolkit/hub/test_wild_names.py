@@ -137,7 +137,7 @@ repository = open_repository({name!r})
 repository.files()
 Blob.{part} = property(lambda _: "../../../../../../evil")
 try:
-    print(repository.fetch(["README.md"]))
+    print(repository.local_paths(["README.md"]))
 except ToolkitError as error:
     print(error.exit_code, type(error).__name__, error)
 """
