@@ -10,7 +10,7 @@ import zipfile
 import zlib
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +27,7 @@ FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 BROKEN_FILE = (
     *(ValueError, KeyError, IndexError, TypeError, EOFError, OverflowError),
     # RuntimeError: an archive that is encrypted, or packed in a way that Python does not know.
-    *(zipfile.BadZipFile, zlib.error, RuntimeError, ElementTree.ParseError),
+    *(zipfile.BadZipFile, zlib.error, RuntimeError, ExpatError),
 )
 """What parsing a damaged file raises."""
 
