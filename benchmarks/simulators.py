@@ -15,8 +15,7 @@ from figures import tell
 
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.mesh.convex import convex_parts
-from tactile_toolkit.printing.simulator import model_files
+from tactile_toolkit.printing.simulator import convex_parts, model_files
 from tactile_toolkit.printing.spec import Physics
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))

@@ -97,19 +97,16 @@ class Job:
 
 def _make_page(sink: Sink, gallery: Gallery, out: Path, job: Job) -> None:
     """Make a gallery with progress and print what was made, or only what would be made."""
-    from tactile_toolkit.gallery.site import build_site, forecast_site
+    from tactile_toolkit.gallery.site import MOST_BYTES, build_site, forecast_site
 
     nouns, workers = gallery.nouns[1], process_count(job.workers)
     if job.dry_run:
-        view = forecast_site(gallery, str(out), workers, overwrite=job.overwrite)
+        view = forecast_site(gallery, str(out), overwrite=job.overwrite)
         sink.document(asdict(view))
         sink.table(("split", nouns), list(view.splits.items()))
-        sink.line(
-            f"would make {out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "
-            f"{duration_text(view.seconds)} with {counted(workers, 'workers')} (measured on "
-            f"{counted(view.sampled, nouns)}); nothing was written"
-        )
-        if not view.fits:
+        files = counted(view.files, "files")
+        sink.line(f"would make {out}: {files}, about {bytes_text(view.bytes)}; nothing was written")
+        if view.bytes > MOST_BYTES:
             sink.info("that is too large and would be refused; choose fewer with --limit or --split")
         return
     start_s = time.monotonic()

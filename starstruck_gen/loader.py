@@ -20,8 +20,7 @@ from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.locate import find_shards, place_of
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import FACES, VERTICES
-from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
+from tactile_toolkit.mesh.records import FACES, VERTICES, RecordStream, SolidRecord, open_solids
 from tactile_toolkit.read.columns import RaggedColumn, RowGroup, column_names
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable

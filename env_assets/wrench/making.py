@@ -14,8 +14,8 @@ from env_assets.wrench.kind import KIND
 from env_assets.wrench.solid import wrench_mesh
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit import making
-from tactile_toolkit.mesh.columns import MeshRow, mesh_schema
 from tactile_toolkit.mesh.files import write_mesh
+from tactile_toolkit.mesh.records import MeshRow, mesh_schema
 from tactile_toolkit.rows import column, meanings, row
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.manifest import Manifest

@@ -17,7 +17,7 @@ import numpy as np
 from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_text
 from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts, head_text
 from tactile_toolkit.kind import DatasetKind, is_export
-from tactile_toolkit.mesh.columns import FACES, MESH, SIZES, VERTICES
+from tactile_toolkit.mesh.records import FACES, MESH, SIZES, VERTICES
 from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import png_bytes
@@ -126,7 +126,10 @@ class Card:
             "limits": "\n".join(f"- {line}" for line in self.limits),
         }
         if manifest is not None:
-            spec, skipped = json_block(self.spec or manifest.spec), skipped_text(manifest)
+            spec = f"```json\n{printable_json(self.spec or manifest.spec)}\n```"
+            reasons = manifest.skipped_reasons().items()
+            listed = ", ".join(f"{count:,} {markdown_text(reason)}" for reason, count in reasons)
+            skipped = f"{listed}; `manifest.json` names each" if listed else "none"
             by = f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
             made = markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
             values |= {
@@ -306,11 +309,6 @@ def column_type_text(entry: Any) -> str:
     return str(dtype)
 
 
-def json_block(values: Any) -> str:
-    """Lay out JSON values as a block of code."""
-    return f"```json\n{printable_json(values)}\n```"
-
-
 def megabytes(size: int) -> str:
     """Write a size for a table: ``"12.30 MB"``; little ones in kB, so that none reads as nothing."""
     return f"{size / 1e6:,.2f} MB" if size >= 1e5 else f"{size / 1e3:,.1f} kB"
@@ -319,9 +317,3 @@ def megabytes(size: int) -> str:
 def between(least: int, most: int) -> str:
     """Write a range of counts: ``"3 to 5"``, or the one count."""
     return f"{most:,}" if least == most else f"{least:,} to {most:,}"
-
-
-def skipped_text(manifest: Manifest) -> str:
-    """Write how many rows were left out for which reason."""
-    listed = [f"{count:,} {markdown_text(reason)}" for reason, count in manifest.skipped_reasons().items()]
-    return f"{', '.join(listed)}; `manifest.json` names each" if listed else "none"

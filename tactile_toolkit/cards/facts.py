@@ -77,24 +77,18 @@ def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> Folder
     missing or damaged.
     """
     manifest = manifest or read_manifest(folder)
-    start = len(f"{folder.address()}/")
     splits, recorded = [], manifest is not None
     for split in available_splits(folder) if manifest is None else manifest.splits:
-        records = [] if manifest is None else manifest.shards_of(split)
-        paths = tuple(record.shard.data_path for record in records)
-        if manifest is None:
-            paths = tuple(shard.path[start:] for shard in find_shards(folder.address(), split))
-        unpacked = [record.unpacked_bytes for record in records if isinstance(record.unpacked_bytes, int)]
-        if records and len(unpacked) == len(records):
-            rows = [record.rows for record in records]
-            shards = [Shard(folder.address(path), count) for path, count in zip(paths, rows, strict=True)]
-            sizes: Iterable[Iterable[int]] = (rows, [record.bytes for record in records], unpacked)
-        else:
+        records = () if manifest is None else manifest.shards_of(split)
+        shards = tuple(Shard(folder.address(each.shard.data_path), each.rows) for each in records)
+        shards = shards or find_shards(folder.address(), split)
+        paths = tuple(shard.path.removeprefix(f"{folder.address()}/") for shard in shards)
+        sizes: Iterable[Sequence[Any]] = [(each.rows, each.bytes, each.unpacked_bytes) for each in records]
+        if not records or any(None in each for each in sizes):
             recorded = False
-            shards = [Shard(folder.address(path)) for path in paths]
             files = zip(shards, paths, strict=True)
-            sizes = zip(*in_threads(partial(_sizes, folder), files, os.cpu_count() or 1), strict=True)
-        splits.append(SplitFacts(split, tuple(shards), paths, *map(sum, sizes)))
+            sizes = in_threads(partial(_sizes, folder), files, os.cpu_count() or 1)
+        splits.append(SplitFacts(split, shards, paths, *map(sum, zip(*sizes, strict=True))))
     if not splits:
         raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
     return FolderFacts(tuple(splits), splits[0].shards[0].schema, recorded, viewer_files(manifest))

@@ -69,7 +69,8 @@ def unpack_mesh(data: bytes, ending: str) -> Mesh:
         raise InputError("the file is empty; expected a mesh", next="export or copy it again")
     try:
         if ending == ".3mf":
-            vertices, faces = joined([(item.vertices_mm, item.faces) for item in read_build(data)])
+            built = [item.mesh for item in read_build(data)]
+            vertices, faces = joined([(mesh.vertices_m, mesh.faces) for mesh in built])
         else:
             vertices, faces = merge_equal_vertices(*_read_with_trimesh(data, ending))
     except InputError:  # more than the limit
@@ -81,7 +82,7 @@ def unpack_mesh(data: bytes, ending: str) -> Mesh:
         ) from error
     if not len(faces):
         raise InputError("the file holds no triangle; expected a closed surface")
-    return Mesh(vertices / (1.0 if ending == ".glb" else MM_PER_M), faces)
+    return Mesh(vertices / (1.0 if ending in (".glb", ".3mf") else MM_PER_M), faces)
 
 
 def write_mesh(path: str | Path, mesh: MeshLike) -> None:
@@ -115,7 +116,7 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
     ``name`` is what slicers call the object, where the format holds names (3MF).
     """
     if ending == ".3mf":
-        return write_build([BuildItem(name, mesh.vertices_mm, mesh.faces)])
+        return write_build([BuildItem(name, mesh)])
     # glTF, whose binary form GLB is, fixes the metre; the others name no unit, and slicers take millimetres.
     if ending == ".glb":
         return _pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)

@@ -16,11 +16,10 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
-from tactile_toolkit.mesh.mesh import Surface, joined
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
 
 _MM_PER_UNIT = {
     "micron": 1e-3,
@@ -51,8 +50,7 @@ class BuildItem:
     """
 
     name: str
-    vertices_mm: NDArray[np.float64]
-    faces: NDArray[np.int32]
+    mesh: Mesh
     offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
@@ -150,7 +148,8 @@ class _Package:
         root = self._model(_MODEL_PATH if _MODEL_PATH in models else models[0])
         for item in root.items:
             vertices, faces = joined(list(self._placed(item, root)))
-            yield BuildItem(self._named(item, root)[1].name, vertices * root.mm_per_unit, faces)
+            mesh = Mesh(vertices * root.mm_per_unit / MM_PER_M, faces)
+            yield BuildItem(self._named(item, root)[1].name, mesh)
 
     def _model(self, path: str) -> _Model:
         name = self._names.get(path.lower().lstrip("/"))
@@ -247,11 +246,11 @@ def write_build(items: Sequence[BuildItem]) -> bytes:
 
 
 def _object(item: BuildItem, number: int) -> str:
-    # Nine digits give every float32 back exactly, and stored meshes are float32.
-    corners = "".join(
-        f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in item.vertices_mm.tolist()
-    )
-    triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in item.faces.tolist())
+    # Nine digits give every float32 back exactly, and stored meshes are float32; -0 becomes 0.
+    places = (item.mesh.vertices_mm + 0.0).tolist()
+    corners = "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in places)
+    faces = item.mesh.faces.tolist()
+    triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces)
     name = f" name={quoteattr(item.name)}" if item.name else ""
     return (
         f'<object id="{number}" type="model"{name}><mesh><vertices>{corners}</vertices>'
