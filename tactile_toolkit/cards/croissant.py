@@ -120,7 +120,11 @@ def _field(split: str, entry: Mapping[str, Any], column: str = "", path: str = "
         **({"transform": {"jsonPath": path}} if column else {}),
     }
     described = {"@type": "cr:Field", "@id": f"{split}/{place}"}
-    shape, inner = _unpacked(entry)
+    shape: list[int] = []  # the lengths of nested lists, -1 where they differ
+    inner: Any = entry
+    while isinstance(inner, Mapping) and "list" in inner:
+        shape.append(int(inner.get("length", -1)))
+        inner = inner["list"]
     parts = inner if isinstance(inner, list) else entry.get("struct")
     if parts is not None:
         above = f"{path}." if path else ""
@@ -149,15 +153,6 @@ def _data_type(dtype: Any) -> tuple[str | list[str], str]:
     if _TIMES.fullmatch(str(dtype)):
         return "cr:Int64", f"stored as {dtype}"
     return _PLAIN_TYPES.get(str(dtype), "sc:Text"), ""
-
-
-def _unpacked(entry: Any) -> tuple[list[int], Any]:
-    """Return the lengths of nested lists, -1 where they differ, and what the innermost holds."""
-    shape: list[int] = []
-    while isinstance(entry, Mapping) and "list" in entry:
-        shape.append(int(entry.get("length", -1)))
-        entry = entry["list"]
-    return shape, entry
 
 
 def croissant_again(

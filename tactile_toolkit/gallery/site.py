@@ -11,8 +11,6 @@ import html
 import json
 import os
 import re
-import shutil
-import uuid
 import zipfile
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
@@ -27,7 +25,14 @@ from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask, natural_order
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.files import LOCK_FILE, expanded, locked, named_failures
+from tactile_toolkit.store.files import (
+    LOCK_FILE,
+    expanded,
+    locked,
+    named_failures,
+    remove_abandoned,
+    temporary,
+)
 
 MARKER_FILE = "gallery.json"
 """What a site is, and its files; nothing else is ever replaced."""
@@ -41,7 +46,7 @@ MOST_BYTES = 2_000_000_000
 # The first few items may be unusually large.
 _JUDGED_AFTER = 24
 _MARK = "tactile-toolkit gallery"
-# Folders of runs that are not finished; each is locked as long as its run lives.
+# How the names of the folders of runs begin that are not finished.
 _PREFIX = ".gallery-"
 
 
@@ -159,22 +164,14 @@ class _Files:
 
 @contextmanager
 def _staging(path: Path) -> Iterator[Path]:
-    """Give a new folder within ``path``, which is removed in the end, and ``path`` too if it was made for it.
-
-    What a killed process left there is removed first: its lock is free.
-    """
+    """Give a new folder within ``path``; it is removed in the end, and ``path`` too if it was made for it."""
     is_new = not path.is_dir()
     path.mkdir(parents=True, exist_ok=True)
-    for left in path.glob(f"{_PREFIX}*"):
-        with suppress(BlockingIOError, FileNotFoundError), locked(left, patience_s=0):
-            shutil.rmtree(left, ignore_errors=True)
-    staging = path / f"{_PREFIX}{uuid.uuid4().hex}"
-    staging.mkdir()
+    remove_abandoned(path, _PREFIX)
     try:
-        with locked(staging):
+        with temporary(path, "site", Path.mkdir, _PREFIX) as staging:
             yield staging
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
         if is_new:
             with suppress(OSError):  # where it holds the page
                 path.rmdir()
@@ -232,7 +229,8 @@ def _require_gallery(path: Path, *, overwrite: bool) -> set[str]:
     listed = set(map(str, marker["files"])) if is_ours and isinstance(marker.get("files"), list) else set()
     # A run that was killed may leave a folder of its files empty.
     known = {LOCK_FILE, *listed, *(str(PurePosixPath(name).parent) for name in listed)}
-    found = [name for name in _entries(path) if name != MARKER_FILE or not listed]
+    entries = [entry.relative_to(path).as_posix() for entry in _entries(path)]
+    found = [name for name in entries if name != MARKER_FILE or not listed]
     strangers = [name for name in found if name not in known]
     if strangers:
         raise InputError(
@@ -248,21 +246,12 @@ def _require_gallery(path: Path, *, overwrite: bool) -> set[str]:
     return listed.intersection(found)
 
 
-def _entries(folder: Path) -> Iterator[str]:
-    """Yield the paths of all files, links and empty folders below a folder; links are not followed."""
-
-    def refuse(error: OSError) -> None:
-        raise error
-
-    for root, folders, files in os.walk(folder, onerror=refuse):
-        inside = Path(root).relative_to(folder)
-        if root == str(folder):
-            folders[:] = [name for name in folders if not name.startswith(_PREFIX)]
-            files = [name for name in files if not name.startswith(_PREFIX)]
-        elif not (folders or files):
-            yield inside.as_posix()
-        links = [name for name in folders if (Path(root) / name).is_symlink()]
-        yield from ((inside / name).as_posix() for name in sorted(files + links))
+def _entries(folder: Path) -> Iterator[Path]:
+    """Yield all files, links and empty folders below a folder, but for those of unfinished runs."""
+    for path in sorted(folder.iterdir()):
+        if not path.name.startswith(_PREFIX):
+            inside = list(_entries(path)) if path.is_dir() and not path.is_symlink() else []
+            yield from inside or [path]
 
 
 def _require_size(gallery: Gallery) -> None:

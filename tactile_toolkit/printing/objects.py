@@ -130,46 +130,41 @@ def local_folder(out: str) -> Path:
     return path
 
 
-@dataclass(frozen=True, slots=True)
-class _Export:
-    """Picklable: write the files of a product, or only look what stands in their place.
+def _before(folder: Path, product: Product[R]) -> set[Path]:
+    """Return the files of a product that are there."""
+    return {path for pattern in product.patterns for path in folder.glob(pattern)}
+
+
+def _exported(folder: Path, only_look: bool, product: Product[R]) -> tuple[str, R | Failure | None]:
+    """Write the files of a product, or only look what stands in their place.
 
     Whoever looks gets None where nothing stands in the way and not all files are there, and a failure where
     something else stands there.
     """
-
-    folder: Path
-    only_look: bool
-
-    def __call__(self, product: Product[R]) -> tuple[str, R | Failure | None]:
-        before = self.before(product)
-        try:
-            made = product.make()
-            files = {self.folder / name: content for name, content in made.files.items()}
-            same = {path for path, content in files.items() if content_of(path) == content}
-            if same == files.keys() | before:
-                return product.name, made.record("kept")
-            if self.only_look:
-                others = Failure(product.name, CHANGED, "its files have other content")
-                return product.name, others if before - same else None
-            made.check()
-            # What this product has not, such as parts of a body that had more of them.
-            _remove(before - files.keys())
-            for path, content in files.items():
-                _write(path, content)
-        except ItemError as error:
-            detail = str(error)
-            # What is left under these names, of an earlier export too, would pass for this product.
-            if not self.only_look:
-                _remove(self.before(product))
-                names = ", ".join(sorted(path.name for path in before))
-                detail += f"; {names} of an earlier export was removed" if before else ""
-            return product.name, Failure(product.name, error.reason, detail)
-        return product.name, made.record("written")
-
-    def before(self, product: Product[R]) -> set[Path]:
-        """Return the files of a product that are there."""
-        return {path for pattern in product.patterns for path in self.folder.glob(pattern)}
+    before = _before(folder, product)
+    try:
+        made = product.make()
+        files = {folder / name: content for name, content in made.files.items()}
+        same = {path for path, content in files.items() if content_of(path) == content}
+        if same == files.keys() | before:
+            return product.name, made.record("kept")
+        if only_look:
+            others = Failure(product.name, CHANGED, "its files have other content")
+            return product.name, others if before - same else None
+        made.check()
+        # What this product has not, such as parts of a body that had more of them.
+        _remove(before - files.keys())
+        for path, content in files.items():
+            _write(path, content)
+    except ItemError as error:
+        detail = str(error)
+        # What is left under these names, of an earlier export too, would pass for this product.
+        if not only_look:
+            _remove(_before(folder, product))
+            names = ", ".join(sorted(path.name for path in before))
+            detail += f"; {names} of an earlier export was removed" if before else ""
+        return product.name, Failure(product.name, error.reason, detail)
+    return product.name, made.record("written")
 
 
 def _remove(paths: Iterable[Path]) -> None:
@@ -183,9 +178,9 @@ def require_free(products: Sequence[Product[R]], out: str, workers: int = 1) -> 
 
     Raises InputError where something else stands in the place of a product.
     """
-    look = _Export(local_folder(out), only_look=True)
-    there = [product for product in products if look.before(product)]
-    looked = dict(runner_for(workers).run(look, there)) if there else {}
+    folder = local_folder(out)
+    there = [product for product in products if _before(folder, product)]
+    looked = dict(runner_for(workers).run(partial(_exported, folder, True), there)) if there else {}
     others = sorted(each.patterns[0] for each in there if isinstance(looked[each.name], Failure))
     if others:
         raise InputError(
@@ -209,13 +204,13 @@ def export(
     files stand in the way, before anything is written, and StorageError where the folder cannot be written;
     finished files stay.
     """
-    write = _Export(local_folder(out), only_look=False)
+    folder = local_folder(out)
     DataFolder(out).require_folder()
-    remove_abandoned(write.folder)  # of killed exports
+    remove_abandoned(folder)  # of killed exports
     # What was looked at is not made a second time: the convex parts of a body take longer than its file.
     found: dict[str, Any] = {} if overwrite else {**require_free(products, out, workers)}
     left = [product for product in products if product.name not in found]
-    for name, result in runner_for(workers).run(write, left) if left else ():
+    for name, result in runner_for(workers).run(partial(_exported, folder, False), left) if left else ():
         found[name] = result
         on_progress(len(found), len(products))
     results = [found[product.name] for product in products]

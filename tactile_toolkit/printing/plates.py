@@ -267,11 +267,16 @@ def draw_map(
     common, one of ``shared``, words name the split too. What belongs to one object of several parts stands on
     a white field of its own. The same input always gives the same bytes.
     """
+    import manifold3d
+
     sheet = _Sheet(spec.sides_mm, title)
     _draw_plate(sheet, spec)
+    whole = manifold3d.CrossSection.square(spec.sides_mm)
     for placed in plate:
         if placed.outline.parts > 1:
-            _draw_field(sheet, placed, spec)
+            # What only it stands on: its hull and a little of the gap around it.
+            hull = placed.outline.footprint().grown(min(spec.gap_mm / 2, _FIELD_MM))
+            sheet.area((hull.translate((placed.x_mm, placed.y_mm)) ^ whole).to_polygons(), _PAPER)
     for placed in plate:
         rings = placed.outline.section.translate((placed.x_mm, placed.y_mm)).to_polygons()
         sheet.area(rings, _FILLS[labels.index(placed.item.label) % len(_FILLS)])
@@ -360,15 +365,6 @@ def _draw_plate(sheet: _Sheet, spec: PlateSpec) -> None:
         front = ((inset_mm, inset_mm), (right_mm, inset_mm))
         sheet.line(*front, (right_mm, back_mm), (inset_mm, back_mm), front[0], colour=colour, width=width)
     sheet.text((width_mm / 2, 0), "front", _SMALL_PX, "ma", (0, 30))
-
-
-def _draw_field(sheet: _Sheet, placed: Placed, spec: PlateSpec) -> None:
-    """Draw what only one object stands on: its hull and a little of the gap around it."""
-    import manifold3d
-
-    hull = placed.outline.footprint().grown(min(spec.gap_mm / 2, _FIELD_MM))
-    plate = manifold3d.CrossSection.square(spec.sides_mm)
-    sheet.area((hull.translate((placed.x_mm, placed.y_mm)) ^ plate).to_polygons(), _PAPER)
 
 
 def _name_objects(sheet: _Sheet, plate: Sequence[Placed], spec: PlateSpec, shared: Collection[int]) -> None:

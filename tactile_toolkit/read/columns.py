@@ -262,6 +262,16 @@ class RowGroup:
         """Columns by dotted name."""
         return column_names(self.table.schema)
 
+    @cached_property
+    def flat_table(self) -> Any:
+        """The rows with the fields of structs as columns of their own, by dotted name."""
+        import pyarrow as pa
+
+        table = self.table
+        while any(map(pa.types.is_struct, table.schema.types)):
+            table = table.flatten()
+        return table
+
     def once(self, key: str, build: Callable[[], T]) -> T:
         """Build a view of the rows on its first use and keep it with them."""
         view = self._views.get(key)
@@ -300,23 +310,10 @@ class RowGroup:
 
         Raises KeyError when the column does not exist.
         """
-        import pyarrow as pa
-
-        stored, fields = name, list[str]()
-        while stored not in self.table.column_names:  # a stored name may hold dots itself
-            stored, _, last = stored.rpartition(".")
-            fields.insert(0, last)
-            if not stored:
-                raise KeyError(name)
-        column = self.table.column(stored)
-        array = column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
-        for part in fields:
-            index = array.type.get_field_index(part) if pa.types.is_struct(array.type) else -1
-            if index < 0:
-                raise KeyError(name)
-            # Not field(): that passes over the nulls of the struct itself.
-            array = array.flatten()[index]
-        return array
+        # A struct as a whole is a column of the table alone.
+        table = self.table if name in self.table.column_names else self.flat_table
+        column = table.column(name)
+        return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
 # --- what `datasets` stores of the features of a data set ---------------------------------------------

@@ -65,18 +65,16 @@ class Row:
 
     def equals(self, other: Row) -> bool:
         """Return whether two rows have the same columns and values, wherever they are stored."""
-        one, another = self._alone(), other._alone()
+        import pyarrow as pa
+
+        one, another = (
+            pa.table({name: row.group.arrow(name).slice(row.index, 1) for name in sorted(row.group.names)})
+            for row in (self, other)
+        )
         if one.schema != another.schema:
             return False
         # To Arrow a NaN equals nothing; written it equals itself.
         return bool(one.equals(another)) or repr(one.to_pydict()) == repr(another.to_pydict())
-
-    def _alone(self) -> Any:
-        """Return this row as a table of its columns, by dotted name."""
-        import pyarrow as pa
-
-        names = sorted(self.group.names)
-        return pa.table({name: self.group.arrow(name).slice(self.index, 1) for name in names})
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a table of this one row, not as its entire row group."""

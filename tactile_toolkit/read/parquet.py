@@ -28,12 +28,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read.columns import (
-    RowGroup,
-    class_names,
-    column_types,
-    numpy_values,
-)
+from tactile_toolkit.read.columns import RowGroup, class_names, column_types, numpy_values
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.derived import SOURCE_DIGEST
 from tactile_toolkit.store.files import locked, readable, resource_shortage

@@ -187,7 +187,9 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         share, order = self._share(current["start"]), self._order.epoch(current["epoch"])
         turn = (self.rank * workers + worker) / (self.world_size * workers)
         ahead = Prefetcher(self._sequence, order, turn)
-        make = self._maker()
+        collate = self.collate_fn or torch.utils.data.default_collate
+        fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
+        make = None if self.collate_fn else getattr(self.data, "collated", None)
         # Points on surfaces are other ones in each epoch.
         if hasattr(self.data, "set_epoch"):
             self.data.set_epoch(current["epoch"])
@@ -195,20 +197,12 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             for index in range(worker + workers * current["batches"], len(share), workers):
                 numbers = share.batch(index)
                 ahead.enter(order.window_of(int(numbers[0])))
-                batch = make(order.positions(numbers).tolist())
+                chosen = order.positions(numbers).tolist()
+                batch = make(chosen) if make else collate(fetch(chosen))
                 current["batches"] += 1
                 yield batch
         finally:
             ahead.close()
-
-    def _maker(self) -> Callable[[list[int]], Any]:
-        """Return what makes a batch of the items at some positions."""
-        if self.collate_fn is None and hasattr(self.data, "collated"):
-            made: Callable[[list[int]], Any] = self.data.collated
-            return made
-        fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
-        collate = self.collate_fn or torch.utils.data.default_collate
-        return lambda chosen: collate(fetch(chosen))
 
     def state_dict(self) -> dict[str, Any]:
         """Return where this process is in its pass: what ``StatefulDataLoader`` asks of each worker.
