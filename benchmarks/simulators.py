@@ -23,7 +23,7 @@ _LOOKED_AT = 25  # for the distance: every corner and face is compared with ever
 
 
 def main() -> None:
-    from tests.tactile_toolkit.mesh.test_convex import outside_mm
+    from tests.tactile_toolkit.printing.test_convex import outside_mm
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--digits", type=int, default=100)

@@ -35,7 +35,7 @@ from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.gallery.items import Gallery
-    from tactile_toolkit.pictures.writing import PicturePlan
+    from tactile_toolkit.pictures.sheets import PicturePlan
     from tactile_toolkit.printing.objects import Failure, PrintObject
 
 
@@ -54,7 +54,7 @@ class Pictures:
 
     def write(self, sink: Sink, plan: PicturePlan, usual: str = "previews") -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""
-        from tactile_toolkit.pictures.writing import renamed, write_pictures
+        from tactile_toolkit.pictures.sheets import renamed, write_pictures
         from tactile_toolkit.store.folder import DataFolder
 
         folder, pictures = renamed(plan.pictures, self.out or Path(usual))
@@ -273,10 +273,15 @@ def _export_files(
         made = export_files(objects, out, ending, **how, workers=workers, on_progress=update)
     sink.document({"out": out, **asdict(made)})
     if len(made.files) <= _ROWS_SHOWN:
-        sizes = [" x ".join(f"{side:.1f}" for side in file.size_mm) for file in made.files]
         rows = [
-            (file.file, size, f"{file.volume_mm3:,.0f}", file.bytes, file.state)
-            for file, size in zip(made.files, sizes, strict=True)
+            (
+                file.file,
+                f"{file.width_mm:.1f} x {file.depth_mm:.1f} x {file.height_mm:.1f}",
+                f"{file.volume_mm3:,.0f}",
+                file.bytes,
+                file.state,
+            )
+            for file in made.files
         ]
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
     kept = _kept(sum(file.state == "kept" for file in made.files))

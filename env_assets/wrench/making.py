@@ -151,7 +151,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     from tactile_toolkit.kind import is_copy
     from tactile_toolkit.mesh.printability import inspect
     from tactile_toolkit.pictures.render import relief
-    from tactile_toolkit.pictures.writing import png_bytes
+    from tactile_toolkit.pictures.sheets import png_bytes
 
     columns, title = meanings(WrenchRow), "Open-end wrench"
     if is_copy(manifest):

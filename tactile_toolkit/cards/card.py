@@ -14,13 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_text
-from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts, head_text
+from tactile_toolkit.cards.facts import (
+    CROISSANT_FILE,
+    FolderFacts,
+    card_head,
+    croissant_text,
+    folder_facts,
+    head_text,
+)
 from tactile_toolkit.kind import DatasetKind, is_export
 from tactile_toolkit.mesh.records import FACES, MESH, SIZES, VERTICES
 from tactile_toolkit.pictures.render import relief
-from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
-from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.pictures.sheets import Sheet, Tile, png_bytes, sheet
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
@@ -166,22 +171,19 @@ def write_table_card(
     the data set that it was made of, ``title`` is its name. ``terms`` fill ``licence_text``,
     ``citation_text`` and ``bibtex`` of the template, the last that of the paper by default.
     """
-    command, template, name = manifest.spec["operation"], "mesh_copy.md", "objects.png"
-    further: Mapping[str, Column] = {}
-    if is_export(manifest):
-        command, template, name, further = (
-            "export --format flat",
-            "mesh_tables.md",
-            "tables.png",
-            _TABLE_COLUMNS,
-        )
+    has_tables = is_export(manifest)
+    command = "export --format flat" if has_tables else manifest.spec["operation"]
     sources = manifest.spec["source"].items()
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
     Card(
-        template=template,
-        title=f"{title} as tables" if further else title,
-        columns={**columns, **further},
-        picture=(name, _table_sheet, f"The first {kind.nouns}, seen from above"),
+        template="mesh_tables.md" if has_tables else "mesh_copy.md",
+        title=f"{title} as tables" if has_tables else title,
+        columns={**columns, **(_TABLE_COLUMNS if has_tables else {})},
+        picture=(
+            "tables.png" if has_tables else "objects.png",
+            _table_sheet,
+            f"The first {kind.nouns}, seen from above",
+        ),
         licence=licence,
         tags=["tactile", "active-perception", "3d", "mesh"],
         made=[

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.read.dataset import RecordDataset
 
 
-CHANGED, OFF_PLATE = "changed", "off-plate"
+CHANGED = "changed"
 """What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
 
 _BOUNDS_TOLERANCE_MM = 1e-3
@@ -310,11 +310,6 @@ class WrittenFile:
     volume_mm3: float
     bytes: int
     state: str
-
-    @property
-    def size_mm(self) -> tuple[float, float, float]:
-        """Width, depth and height."""
-        return self.width_mm, self.depth_mm, self.height_mm
 
 
 @dataclass(frozen=True, slots=True)

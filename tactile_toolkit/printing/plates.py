@@ -23,11 +23,9 @@ from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.pictures.sheets import draw_text, text_size
-from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.pictures.sheets import draw_text, png_bytes, text_size
 from tactile_toolkit.printing.objects import (
     CHANGED,
-    OFF_PLATE,
     Failure,
     Made,
     Product,
@@ -45,6 +43,8 @@ from tactile_toolkit.printing.spec import PlateSpec
 from tactile_toolkit.wording import counted
 
 TABLE_FILE = "plates.csv"
+OFF_PLATE = "off-plate"
+"""What is wrong with a plate beyond what is with a file."""
 
 _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer knows a micrometre
 

@@ -11,6 +11,7 @@ import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from textwrap import indent
 from typing import Any
 from xml.etree import ElementTree
 
@@ -129,48 +130,7 @@ def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
     return {**files, f"{folder}.urdf": _written(_tag("robot", link, name=body.name))}
 
 
-_USD = """#usda 1.0
-(
-    defaultPrim = "{prim}"
-    kilogramsPerUnit = 1
-    metersPerUnit = 1
-    upAxis = "Z"
-)
-
-def Xform "{prim}" (
-    prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]
-)
-{{
-    float physics:mass = {mass}
-    point3f physics:centerOfMass = ({center})
-    float3 physics:diagonalInertia = ({moments})
-    quatf physics:principalAxes = ({axes})
-
-    def Material "material" (
-        prepend apiSchemas = ["PhysicsMaterialAPI"]
-    )
-    {{
-        float physics:dynamicFriction = {friction}
-        float physics:staticFriction = {friction}
-    }}
-{meshes}}}
-"""
-_USD_MESH = """
-    def Mesh "{name}"{schemas}
-    {{
-        uniform token subdivisionScheme = "none"
-        int[] faceVertexCounts = [{counts}]
-        int[] faceVertexIndices = [{faces}]
-        point3f[] points = [{points}]{collision}
-    }}
-"""
-_USD_SCHEMAS = """ (
-        prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "MaterialBindingAPI"]
-    )"""
-_USD_COLLISION = """
-        uniform token purpose = "guide"
-        uniform token physics:approximation = "convexHull"
-        rel material:binding:physics = <{path}/material>"""
+_USD_INDENT = " " * 4
 
 
 def _pack_usd(body: Body) -> bytes:
@@ -181,28 +141,49 @@ def _pack_usd(body: Body) -> bytes:
     axes = axes * np.sign(np.take_along_axis(axes, np.abs(axes).argmax(axis=0)[None], axis=0))
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)
-    felt = (_USD_SCHEMAS, _USD_COLLISION.format(path=f"/{prim}"))
-    parts = [(f"part_{number:02d}", part, *felt) for number, part in enumerate(body.parts)]
-    meshes = [
-        _USD_MESH.format(
-            name=name,
-            schemas=schemas,
-            counts=", ".join(["3"] * len(mesh.faces)),
-            faces=", ".join(map(str, mesh.faces.ravel().tolist())),
-            points=", ".join(f"({_text(row, ', ')})" for row in mesh.vertices_m),
-            collision=collision,
-        )
-        for name, mesh, schemas, collision in [("visual", body.mesh, "", ""), *parts]
+    friction = [f"float physics:{kind}Friction = {_text((body.friction,))}" for kind in ("dynamic", "static")]
+    felt = (
+        'uniform token purpose = "guide"',
+        'uniform token physics:approximation = "convexHull"',
+        f"rel material:binding:physics = </{prim}/material>",
+    )
+    schemas = ("PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "MaterialBindingAPI")
+    text = _prim(
+        "Xform",
+        prim,
+        ("PhysicsRigidBodyAPI", "PhysicsMassAPI"),
+        f"float physics:mass = {_text((body.mass_kg,))}",
+        f"point3f physics:centerOfMass = ({_text(body.center_m, ', ')})",
+        f"float3 physics:diagonalInertia = ({_text(moments, ', ', 7)})",
+        # LAPACK rounds otherwise on other processors.
+        f"quatf physics:principalAxes = ({_text((w, x, y, z), ', ', 6)})",
+        _prim("Material", "material", ("PhysicsMaterialAPI",), *friction),
+        _prim("Mesh", "visual", (), *_usd_surface(body.mesh)),
+        *(
+            _prim("Mesh", f"part_{number:02d}", schemas, *_usd_surface(part), *felt)
+            for number, part in enumerate(body.parts)
+        ),
+    )
+    head = f'defaultPrim = "{prim}"\nkilogramsPerUnit = 1\nmetersPerUnit = 1\nupAxis = "Z"\n'
+    return f"#usda 1.0\n(\n{indent(head, _USD_INDENT)})\n{text}\n".encode()
+
+
+def _prim(kind: str, name: str, schemas: Sequence[str], *content: str) -> str:
+    """Write a thing of USD: the schemas that it follows, its attributes, and the things in it."""
+    listed = ", ".join(f'"{schema}"' for schema in schemas)
+    applied = f" (\n{_USD_INDENT}prepend apiSchemas = [{listed}]\n)" if schemas else ""
+    inside = indent("\n".join(content), _USD_INDENT)
+    return f'\ndef {kind} "{name}"{applied}\n{{\n{inside}\n}}'
+
+
+def _usd_surface(mesh: Mesh) -> list[str]:
+    points = ", ".join(f"({_text(row, ', ')})" for row in mesh.vertices_m)
+    return [
+        'uniform token subdivisionScheme = "none"',
+        f"int[] faceVertexCounts = [{', '.join(['3'] * len(mesh.faces))}]",
+        f"int[] faceVertexIndices = [{', '.join(map(str, mesh.faces.ravel().tolist()))}]",
+        f"point3f[] points = [{points}]",
     ]
-    return _USD.format(
-        prim=prim,
-        mass=_text((body.mass_kg,)),
-        center=_text(body.center_m, ", "),
-        moments=_text(moments, ", ", 7),
-        axes=_text((w, x, y, z), ", ", 6),  # LAPACK rounds otherwise on other processors
-        friction=_text((body.friction,)),
-        meshes="".join(meshes),
-    ).encode()
 
 
 def _text(values: Iterable[Any], between: str = " ", digits: int = 9) -> str:
