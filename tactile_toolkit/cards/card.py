@@ -252,9 +252,8 @@ def rows_to_draw(facts: FolderFacts, columns: Sequence[str]) -> Iterator[Row]:
     """Yield the rows of the first split that has any, reading some columns block by block."""
     split = next((split for split in facts.splits if split.rows), None)
     for shard in split.shards if split is not None else ():
-        for number in range(shard.metadata.num_row_groups):
-            for block in shard.blocks(number, list(columns)):
-                yield from (Row(block, index) for index in range(len(block.table)))
+        for block in shard.all_blocks(list(columns)):
+            yield from (Row(block, index) for index in range(len(block.table)))
 
 
 def bibtex(*names: str) -> str:

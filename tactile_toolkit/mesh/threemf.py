@@ -56,7 +56,7 @@ class BuildItem:
 
 @dataclass(slots=True, eq=False)
 class _Object:
-    """An object of a model: its surface, or the components that it is made of."""
+    """An object of a model: its surface, or the components that it is made of, as what to build is."""
 
     name: str
     surface: Surface | None = None
@@ -71,11 +71,10 @@ class _Model:
 
     def __init__(self, stream: IO[bytes], file_bytes: int) -> None:
         self.objects: dict[str, _Object] = {}
-        self.items: list[Mapping[str, str]] = []
+        self.build = self._last = _Object("")
         self.mm_per_unit = 1.0
         self._file_bytes = file_bytes
         self._tags = 0
-        self._last = _Object("")
         self._points, self._corners = array("d"), array("q")
         parser = expat.ParserCreate(namespace_separator=" ")
         parser.StartElementHandler, parser.EndElementHandler = self._begin, self._end
@@ -96,13 +95,13 @@ class _Model:
                 self._corners.extend([int(given[corner]) for corner in ("v1", "v2", "v3")])
             case "object":
                 self._last = self.objects[str(given.get("id"))] = _Object(given.get("name", ""))
-            case "component":
+            case "build":
+                self._last = self.build
+            case "component" | "item":
                 self._last.components.append(given)
-            case "item":
-                self.items.append(given)
             case "model":
                 self.mm_per_unit = _MM_PER_UNIT[given.get("unit", "millimeter")]
-            case "mesh" | "vertices" | "triangles" | "resources" | "components" | "build":
+            case "mesh" | "vertices" | "triangles" | "resources" | "components":
                 pass
             case _:
                 # The parser keeps all names that it has met, of which those that it need not know are many.
@@ -146,7 +145,7 @@ class _Package:
         if not models:
             raise ValueError("the archive holds no .model file")
         root = self._model(_MODEL_PATH if _MODEL_PATH in models else models[0])
-        for item in root.items:
+        for item in root.build.components:
             vertices, faces = joined(list(self._placed(item, root)))
             mesh = Mesh(vertices * root.mm_per_unit / MM_PER_M, faces)
             yield BuildItem(self._named(item, root)[1].name, mesh)
@@ -173,7 +172,13 @@ class _Package:
     def _placed(self, part: Mapping[str, str], here: _Model, depth: int = 0) -> Iterator[Surface]:
         """Yield the surfaces of what an item or component names, where it puts them, in the unit of here."""
         model, thing = self._named(part, here)
-        self._count_part(part, depth)
+        # A few bytes can name the same object again and again.
+        self._parts += 1
+        self._built_bytes += sum(each.nbytes for each in thing.surface or ())
+        if depth > _DEEPEST or self._parts > _MOST_PARTS:
+            identity = part.get("objectid")
+            raise ValueError(f"object {identity!r} holds itself, or more than {_MOST_PARTS:,} parts")
+        require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
         matrix = np.eye(4, 3)
         if "transform" in part:
             words = part["transform"][:_LONGEST_TRANSFORM].split()
@@ -183,18 +188,8 @@ class _Package:
         mirrored = np.linalg.det(matrix[:3]) < 0
         below = (surface for each in thing.components for surface in self._placed(each, model, depth + 1))
         for vertices, faces in below if thing.surface is None else [thing.surface]:
-            # A few bytes can name the same object again and again, and have it moved at every level.
-            self._count_part(part, depth, vertices.nbytes + faces.nbytes)
             placed = moved(vertices * ratio, matrix[:3]) + matrix[3]
             yield placed, faces[:, ::-1] if mirrored else faces
-
-    def _count_part(self, part: Mapping[str, str], depth: int, size_bytes: int = 0) -> None:
-        self._parts += 1
-        self._built_bytes += size_bytes
-        if depth > _DEEPEST or self._parts > _MOST_PARTS:
-            identity = part.get("objectid")
-            raise ValueError(f"object {identity!r} holds itself, or more than {_MOST_PARTS:,} parts")
-        require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
 
 
 def read_build(data: bytes) -> list[BuildItem]:

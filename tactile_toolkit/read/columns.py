@@ -211,6 +211,16 @@ def column_names(schema: Any) -> tuple[str, ...]:
     return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
 
 
+def table_bytes(table: Any) -> Any:
+    """Pack a table as an Arrow stream; returns an Arrow buffer."""
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    return sink.getvalue()
+
+
 def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
     """Find the rows of a table, one chunk per column, in which one of some columns holds a null at any depth.
 

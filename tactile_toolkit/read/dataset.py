@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import RowGroup, column_types
+from tactile_toolkit.read.columns import RowGroup, column_types, table_bytes
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence
@@ -78,13 +78,8 @@ class Row:
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a table of this one row, not as its entire row group."""
-        import pyarrow as pa
-
-        table = self.group.table.slice(self.index, 1)
-        sink = pa.BufferOutputStream()
-        with pa.ipc.new_stream(sink, table.schema) as writer:
-            writer.write_table(table)
-        return (_row_from_ipc, (sink.getvalue().to_pybytes(), self.path, self.number))
+        content = table_bytes(self.group.table.slice(self.index, 1)).to_pybytes()
+        return _row_from_ipc, (content, self.path, self.number)
 
 
 def _row_from_ipc(content: bytes, path: str, number: int) -> Row:

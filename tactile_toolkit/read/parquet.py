@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read.columns import RowGroup, class_names, column_types, numpy_values
+from tactile_toolkit.read.columns import RowGroup, class_names, column_types, numpy_values, table_bytes
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.derived import SOURCE_DIGEST
 from tactile_toolkit.store.files import locked, readable, resource_shortage
@@ -92,12 +92,7 @@ def _are_kept(files: Sequence[Path]) -> bool:
 
 def write_block(file_name: str, table: Any, stream: IO[bytes]) -> None:
     """Write a table, of one chunk per column, into a stream as the content of a file of that name."""
-    import pyarrow as pa
-
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, table.schema) as writer:
-        writer.write_table(table)
-    content = sink.getvalue()
+    content = table_bytes(table)
     stream.write(content)
     stream.write(_CHECKSUM.pack(_checksum(content, file_name)))
 
