@@ -127,7 +127,18 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self.batch_size = checked_integer(batch_size, "batch_size", 1)
         self.drop_last = drop_last
         self.collate_fn = collate_fn
-        self.rank, self.world_size = _rank_of(rank, world_size)
+        distributed = torch.distributed
+        if rank is not None or world_size is not None:
+            numbers = plain_number(rank), plain_number(world_size)
+        elif distributed.is_available() and distributed.is_initialized():
+            numbers = distributed.get_rank(), distributed.get_world_size()
+        else:
+            numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+        if not (is_integer(*numbers) and 0 <= numbers[0] < numbers[1]):
+            raise InputError(
+                f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
+            )
+        self.rank, self.world_size = numbers
         seed = None if seed is None else checked_integer(seed, "seed")
         self._sequence = sequence
         self._order = GlobalOrder(sequence._stored_parts(), seed, checked_integer(window, "window", 1))
@@ -320,19 +331,3 @@ def _holding(key: str, found: Any) -> Iterator[Mapping[str, Any]]:
             return
         for value in found.values():
             yield from _holding(key, value)
-
-
-def _rank_of(rank: int | None, world_size: int | None) -> tuple[int, int]:
-    """Return which process of how many this is."""
-    distributed = torch.distributed
-    if rank is not None or world_size is not None:
-        numbers = plain_number(rank), plain_number(world_size)
-    elif distributed.is_available() and distributed.is_initialized():
-        numbers = distributed.get_rank(), distributed.get_world_size()
-    else:
-        numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
-    if not (is_integer(*numbers) and 0 <= numbers[0] < numbers[1]):
-        raise InputError(
-            f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
-        )
-    return numbers
