@@ -79,7 +79,7 @@ BENCHMARKS = {
         ),
         ("--rounds", "40"),
     ),
-    "simulators": Benchmark(("tactile_toolkit/mesh/convex.py", "tactile_toolkit/printing/simulator.py")),
+    "simulators": Benchmark(("tactile_toolkit/printing/simulator.py",)),
     "height_maps": Benchmark(("tactile_toolkit/mesh/height_map.py", "tactile_toolkit/mesh/raster.py")),
     "env_adapter": Benchmark(("env_assets/published", "env_assets/provider.py", *_READ)),
     "native_environments": Benchmark(("tactile_envs",)),

@@ -15,8 +15,7 @@ from figures import tell
 
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.mesh.convex import convex_parts
-from tactile_toolkit.printing.simulator import model_files
+from tactile_toolkit.printing.simulator import convex_parts, model_files
 from tactile_toolkit.printing.spec import Physics
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -24,7 +23,7 @@ _LOOKED_AT = 25  # for the distance: every corner and face is compared with ever
 
 
 def main() -> None:
-    from tests.tactile_toolkit.mesh.test_convex import outside_mm
+    from tests.tactile_toolkit.printing.test_convex import outside_mm
 
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--digits", type=int, default=100)

@@ -194,7 +194,7 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
     """
     from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER
     from tactile_toolkit.cards.checks import check_card
-    from tactile_toolkit.cards.croissant import CROISSANT_FILE
+    from tactile_toolkit.cards.facts import CROISSANT_FILE
     from tactile_toolkit.catalog.locate import finished_manifest, require_manifest, specification_read
     from tactile_toolkit.store.folder import DataFolder
 

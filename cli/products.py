@@ -35,7 +35,7 @@ from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_toolkit.gallery.items import Gallery
-    from tactile_toolkit.pictures.writing import PicturePlan
+    from tactile_toolkit.pictures.sheets import PicturePlan
     from tactile_toolkit.printing.objects import Failure, PrintObject
 
 
@@ -54,7 +54,7 @@ class Pictures:
 
     def write(self, sink: Sink, plan: PicturePlan, usual: str = "previews") -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""
-        from tactile_toolkit.pictures.writing import renamed, write_pictures
+        from tactile_toolkit.pictures.sheets import renamed, write_pictures
         from tactile_toolkit.store.folder import DataFolder
 
         folder, pictures = renamed(plan.pictures, self.out or Path(usual))
@@ -97,19 +97,16 @@ class Job:
 
 def _make_page(sink: Sink, gallery: Gallery, out: Path, job: Job) -> None:
     """Make a gallery with progress and print what was made, or only what would be made."""
-    from tactile_toolkit.gallery.site import build_site, forecast_site
+    from tactile_toolkit.gallery.site import MOST_BYTES, build_site, forecast_site
 
     nouns, workers = gallery.nouns[1], process_count(job.workers)
     if job.dry_run:
-        view = forecast_site(gallery, str(out), workers, overwrite=job.overwrite)
+        view = forecast_site(gallery, str(out), overwrite=job.overwrite)
         sink.document(asdict(view))
         sink.table(("split", nouns), list(view.splits.items()))
-        sink.line(
-            f"would make {out}: {counted(view.files, 'files')}, about {bytes_text(view.bytes)}, about "
-            f"{duration_text(view.seconds)} with {counted(workers, 'workers')} (measured on "
-            f"{counted(view.sampled, nouns)}); nothing was written"
-        )
-        if not view.fits:
+        files = counted(view.files, "files")
+        sink.line(f"would make {out}: {files}, about {bytes_text(view.bytes)}; nothing was written")
+        if view.bytes > MOST_BYTES:
             sink.info("that is too large and would be refused; choose fewer with --limit or --split")
         return
     start_s = time.monotonic()
@@ -276,10 +273,15 @@ def _export_files(
         made = export_files(objects, out, ending, **how, workers=workers, on_progress=update)
     sink.document({"out": out, **asdict(made)})
     if len(made.files) <= _ROWS_SHOWN:
-        sizes = [" x ".join(f"{side:.1f}" for side in file.size_mm) for file in made.files]
         rows = [
-            (file.file, size, f"{file.volume_mm3:,.0f}", file.bytes, file.state)
-            for file, size in zip(made.files, sizes, strict=True)
+            (
+                file.file,
+                f"{file.width_mm:.1f} x {file.depth_mm:.1f} x {file.height_mm:.1f}",
+                f"{file.volume_mm3:,.0f}",
+                file.bytes,
+                file.state,
+            )
+            for file in made.files
         ]
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
     kept = _kept(sum(file.state == "kept" for file in made.files))

@@ -25,10 +25,9 @@ from tactile_toolkit.catalog.locate import find_shards, kind_of_meshes, splits_o
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.columns import require_mesh_columns
 from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
-from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.store.files import expanded, locked, named_failures, path_exists

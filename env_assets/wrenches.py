@@ -32,7 +32,7 @@ class WrenchRecord(SolidRecord):
     def _repr_html_(self) -> str:
         """Show the wrench from above in a notebook."""
         from tactile_toolkit.pictures.render import relief
-        from tactile_toolkit.pictures.writing import figure_html
+        from tactile_toolkit.pictures.sheets import figure_html
 
         return figure_html(relief(self.vertices_m, self.faces), repr(self))
 

@@ -25,7 +25,7 @@ from tactile_toolkit.cards.card import (
 from tactile_toolkit.cards.facts import FolderFacts
 from tactile_toolkit.catalog.choose import short_name
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.mesh.columns import FACES, VERTICES
+from tactile_toolkit.mesh.records import FACES, VERTICES
 from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Tile
 from tactile_toolkit.read.dataset import Row

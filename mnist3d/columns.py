@@ -9,8 +9,8 @@ from functools import cache
 import pyarrow as pa
 
 from mnist3d.kind import KIND
-from tactile_toolkit.mesh.columns import FACES, VERTICES, MeshRow, mesh_schema
 from tactile_toolkit.mesh.printability import REPORT_COLUMNS, PrintReport
+from tactile_toolkit.mesh.records import FACES, VERTICES, MeshRow, mesh_schema
 from tactile_toolkit.rows import column, row
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import ShardName

@@ -41,7 +41,7 @@ class MeshRecord(SolidRecord):
     def _repr_html_(self) -> str:
         """Show the digit from above in a notebook."""
         from tactile_toolkit.pictures.render import relief
-        from tactile_toolkit.pictures.writing import figure_html
+        from tactile_toolkit.pictures.sheets import figure_html
 
         size_mm = np.ptp(self.vertices_m, axis=0) * MM_PER_M
         caption = (

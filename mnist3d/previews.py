@@ -36,8 +36,17 @@ from tactile_toolkit.pictures.render import (
     fitting_scale,
     relief_of,
 )
-from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
-from tactile_toolkit.pictures.writing import PicturePlan, Pixels, PlannedPicture, file_stem, plan_kinds
+from tactile_toolkit.pictures.sheets import (
+    PicturePlan,
+    Pixels,
+    PlannedPicture,
+    Sheet,
+    Tile,
+    file_stem,
+    plan_kinds,
+    sheet,
+    with_scale_bar,
+)
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.names import is_remote
 from tactile_toolkit.wording import class_name, counted

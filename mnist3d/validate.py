@@ -12,10 +12,10 @@ from typing import Any
 
 from tactile_toolkit.catalog.choose import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
+from tactile_toolkit.mesh.records import FACES, VERTICES
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.names import is_remote, normalize_uri
 

@@ -18,7 +18,7 @@ from realtouch.touch import Touch
 from tactile_toolkit.cards.card import Card, Column, between, bibtex, card_words
 from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, folder_facts
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.pictures.sheets import png_bytes
 from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard

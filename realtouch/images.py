@@ -13,8 +13,7 @@ import numpy as np
 
 from realtouch.damage import damaged, naming
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
-from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
+from tactile_toolkit.pictures.sheets import TILE_STYLE, Sheet, Tile, figure_html, sheet
 from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions

@@ -24,13 +24,16 @@ from tactile_toolkit.pictures.sheets import (
     INK,
     MUTED,
     PAPER,
+    PicturePlan,
+    PlannedPicture,
     Sheet,
     Tile,
     draw_text,
+    file_stem,
+    plan_kinds,
     sheet,
     with_scale_bar,
 )
-from tactile_toolkit.pictures.writing import PicturePlan, PlannedPicture, file_stem, plan_kinds
 from tactile_toolkit.touch.contact import ContactHeight, height_text
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import POSE_COLUMN, Kind

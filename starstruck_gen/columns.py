@@ -10,7 +10,7 @@ import pyarrow as pa
 from starstruck_gen.kind import KIND
 from starstruck_gen.placement import Placement
 from starstruck_gen.sampling import SPLITS, scene_id
-from tactile_toolkit.mesh.columns import FACES, VERTICES, MeshRow, mesh_schema
+from tactile_toolkit.mesh.records import FACES, VERTICES, MeshRow, mesh_schema
 from tactile_toolkit.rows import column, row
 from tactile_toolkit.store.parquet import ParquetStyle
 

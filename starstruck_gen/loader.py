@@ -20,8 +20,7 @@ from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.locate import find_shards, place_of
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import FACES, VERTICES
-from tactile_toolkit.mesh.records import RecordStream, SolidRecord, open_solids
+from tactile_toolkit.mesh.records import FACES, VERTICES, RecordStream, SolidRecord, open_solids
 from tactile_toolkit.read.columns import RaggedColumn, RowGroup, column_names
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
@@ -85,7 +84,7 @@ class SceneRecord(SolidRecord):
     def _repr_html_(self) -> str:
         """Show the scene from above in a notebook."""
         from tactile_toolkit.pictures.render import relief
-        from tactile_toolkit.pictures.writing import figure_html
+        from tactile_toolkit.pictures.sheets import figure_html
 
         if not self.has_placements:
             return figure_html(relief(self.vertices_m, self.faces), repr(self))
@@ -94,7 +93,7 @@ class SceneRecord(SolidRecord):
 
     def _tile_html(self) -> str:
         from tactile_toolkit.pictures.render import relief_tile_html
-        from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
+        from tactile_toolkit.pictures.sheets import TILE_STYLE, figure_html
 
         caption = f"{counted(self.star_count, 'stars')}, id {self.id}"
         if not self.has_placements:

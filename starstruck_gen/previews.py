@@ -34,8 +34,7 @@ from tactile_toolkit.pictures.previews import (
     draw_two_views,
 )
 from tactile_toolkit.pictures.render import TOP, Body, Picture3d, draw_bodies, fitting_scale
-from tactile_toolkit.pictures.sheets import Tile, with_scale_bar
-from tactile_toolkit.pictures.writing import PicturePlan, Pixels, plan_kinds
+from tactile_toolkit.pictures.sheets import PicturePlan, Pixels, Tile, plan_kinds, with_scale_bar
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:

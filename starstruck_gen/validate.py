@@ -16,8 +16,8 @@ from starstruck_gen.placement import build_meshes
 from starstruck_gen.shapes import KINDS, Proportions
 from tactile_toolkit.catalog.choose import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import FACES, VERTICES
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.records import FACES, VERTICES
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.read.columns import class_names, column_names
 from tactile_toolkit.read.dataset import Row

@@ -14,8 +14,7 @@ from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
 from tactile_toolkit.cards.card import Card, rows_to_draw
 from tactile_toolkit.cards.facts import FolderFacts
-from tactile_toolkit.pictures.sheets import Sheet, Tile, in_rows, sheet
-from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.pictures.sheets import Sheet, Tile, in_rows, png_bytes, sheet
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest

@@ -14,8 +14,7 @@ from tactile_sim.pressing import CELL_M, Pressable, pose, product, turn_quaterni
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.catalog.locate import find_shards
-from tactile_toolkit.mesh.columns import require_mesh_columns
-from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.touch.schema import CLASS_NAMES

@@ -14,8 +14,8 @@ from env_assets.wrench.kind import KIND
 from env_assets.wrench.solid import wrench_mesh
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit import making
-from tactile_toolkit.mesh.columns import MeshRow, mesh_schema
 from tactile_toolkit.mesh.files import write_mesh
+from tactile_toolkit.mesh.records import MeshRow, mesh_schema
 from tactile_toolkit.rows import column, meanings, row
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.manifest import Manifest
@@ -151,7 +151,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     from tactile_toolkit.kind import is_copy
     from tactile_toolkit.mesh.printability import inspect
     from tactile_toolkit.pictures.render import relief
-    from tactile_toolkit.pictures.writing import png_bytes
+    from tactile_toolkit.pictures.sheets import png_bytes
 
     columns, title = meanings(WrenchRow), "Open-end wrench"
     if is_copy(manifest):

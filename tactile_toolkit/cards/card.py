@@ -14,13 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_text
-from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts, head_text
+from tactile_toolkit.cards.facts import (
+    CROISSANT_FILE,
+    FolderFacts,
+    card_head,
+    croissant_text,
+    folder_facts,
+    head_text,
+)
 from tactile_toolkit.kind import DatasetKind, is_export
-from tactile_toolkit.mesh.columns import FACES, MESH, SIZES, VERTICES
+from tactile_toolkit.mesh.records import FACES, MESH, SIZES, VERTICES
 from tactile_toolkit.pictures.render import relief
-from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
-from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.pictures.sheets import Sheet, Tile, png_bytes, sheet
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
@@ -126,7 +131,10 @@ class Card:
             "limits": "\n".join(f"- {line}" for line in self.limits),
         }
         if manifest is not None:
-            spec, skipped = json_block(self.spec or manifest.spec), skipped_text(manifest)
+            spec = f"```json\n{printable_json(self.spec or manifest.spec)}\n```"
+            reasons = manifest.skipped_reasons().items()
+            listed = ", ".join(f"{count:,} {markdown_text(reason)}" for reason, count in reasons)
+            skipped = f"{listed}; `manifest.json` names each" if listed else "none"
             by = f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
             made = markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
             values |= {
@@ -163,22 +171,19 @@ def write_table_card(
     the data set that it was made of, ``title`` is its name. ``terms`` fill ``licence_text``,
     ``citation_text`` and ``bibtex`` of the template, the last that of the paper by default.
     """
-    command, template, name = manifest.spec["operation"], "mesh_copy.md", "objects.png"
-    further: Mapping[str, Column] = {}
-    if is_export(manifest):
-        command, template, name, further = (
-            "export --format flat",
-            "mesh_tables.md",
-            "tables.png",
-            _TABLE_COLUMNS,
-        )
+    has_tables = is_export(manifest)
+    command = "export --format flat" if has_tables else manifest.spec["operation"]
     sources = manifest.spec["source"].items()
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
     Card(
-        template=template,
-        title=f"{title} as tables" if further else title,
-        columns={**columns, **further},
-        picture=(name, _table_sheet, f"The first {kind.nouns}, seen from above"),
+        template="mesh_tables.md" if has_tables else "mesh_copy.md",
+        title=f"{title} as tables" if has_tables else title,
+        columns={**columns, **(_TABLE_COLUMNS if has_tables else {})},
+        picture=(
+            "tables.png" if has_tables else "objects.png",
+            _table_sheet,
+            f"The first {kind.nouns}, seen from above",
+        ),
         licence=licence,
         tags=["tactile", "active-perception", "3d", "mesh"],
         made=[
@@ -247,9 +252,8 @@ def rows_to_draw(facts: FolderFacts, columns: Sequence[str]) -> Iterator[Row]:
     """Yield the rows of the first split that has any, reading some columns block by block."""
     split = next((split for split in facts.splits if split.rows), None)
     for shard in split.shards if split is not None else ():
-        for number in range(shard.metadata.num_row_groups):
-            for block in shard.blocks(number, list(columns)):
-                yield from (Row(block, index) for index in range(len(block.table)))
+        for block in shard.all_blocks(list(columns)):
+            yield from (Row(block, index) for index in range(len(block.table)))
 
 
 def bibtex(*names: str) -> str:
@@ -306,11 +310,6 @@ def column_type_text(entry: Any) -> str:
     return str(dtype)
 
 
-def json_block(values: Any) -> str:
-    """Lay out JSON values as a block of code."""
-    return f"```json\n{printable_json(values)}\n```"
-
-
 def megabytes(size: int) -> str:
     """Write a size for a table: ``"12.30 MB"``; little ones in kB, so that none reads as nothing."""
     return f"{size / 1e6:,.2f} MB" if size >= 1e5 else f"{size / 1e3:,.1f} kB"
@@ -319,9 +318,3 @@ def megabytes(size: int) -> str:
 def between(least: int, most: int) -> str:
     """Write a range of counts: ``"3 to 5"``, or the one count."""
     return f"{most:,}" if least == most else f"{least:,} to {most:,}"
-
-
-def skipped_text(manifest: Manifest) -> str:
-    """Write how many rows were left out for which reason."""
-    listed = [f"{count:,} {markdown_text(reason)}" for reason, count in manifest.skipped_reasons().items()]
-    return f"{', '.join(listed)}; `manifest.json` names each" if listed else "none"

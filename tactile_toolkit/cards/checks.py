@@ -11,8 +11,7 @@ from posixpath import normpath
 from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE
-from tactile_toolkit.cards.croissant import check_croissant
-from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts
+from tactile_toolkit.cards.facts import FolderFacts, card_head, check_croissant, folder_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import problem_of_name

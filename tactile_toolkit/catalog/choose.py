@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.catalog.locate import find_shards, folder_named, splits_of
 from tactile_toolkit.catalog.spec import IdChoice
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh.columns import require_mesh_columns
+from tactile_toolkit.mesh.records import require_mesh_columns
 from tactile_toolkit.read.columns import null_fields
 from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.parquet import Shard

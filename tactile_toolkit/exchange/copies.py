@@ -16,8 +16,7 @@ from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.catalog.locate import find_shards, splits_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
-from tactile_toolkit.mesh.columns import FACES, MESH, VERTICES, flat_table
-from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.mesh.records import FACES, MESH, VERTICES, SolidDataset, flat_table
 from tactile_toolkit.read.columns import class_names, column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source

@@ -16,8 +16,14 @@ from typing import Any
 import msgspec
 
 from tactile_toolkit.cards.card import CARD_FILE
-from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
-from tactile_toolkit.cards.facts import card_head, folder_facts, viewer_files, with_head
+from tactile_toolkit.cards.facts import (
+    CROISSANT_FILE,
+    card_head,
+    croissant_again,
+    folder_facts,
+    viewer_files,
+    with_head,
+)
 from tactile_toolkit.catalog.locate import hub_split, repository_named, repository_shards
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.hub.calls import not_cached

@@ -18,8 +18,7 @@ from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, with_repo_name
 from tactile_toolkit.cards.checks import check_card, pictures_in
-from tactile_toolkit.cards.croissant import CROISSANT_FILE, croissant_again
-from tactile_toolkit.cards.facts import configs, folder_facts, with_head
+from tactile_toolkit.cards.facts import CROISSANT_FILE, configs, croissant_again, folder_facts, with_head
 from tactile_toolkit.catalog.locate import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions

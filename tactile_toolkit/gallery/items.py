@@ -154,14 +154,8 @@ def gallery_of_rows(
         require_kind(kind, "gallery", choice.name, opened.values())
     tasks: list[RowsTask] = []
     shown: dict[str, int] = {}
-    chosen = choose_rows(
-        opened.items(),
-        ids=choice.ids,
-        labels=choice.labels,
-        per_class=choice.per_class,
-        limit=choice.limit,
-    )
-    for split, dataset, positions in chosen:
+    asked = {name: getattr(choice, name) for name in ("ids", "labels", "per_class", "limit")}
+    for split, dataset, positions in choose_rows(opened.items(), **asked):
         rows = dataset[positions]
         shown[split] = len(rows)
         given = known(rows, split)

@@ -12,7 +12,6 @@ import json
 import os
 import re
 import shutil
-import time
 import uuid
 import zipfile
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
@@ -48,7 +47,7 @@ _PREFIX = ".gallery-"
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A finished site: its folder, what it holds, and how many items of each split."""
+    """A site that is finished or planned: its folder, what it holds, and how many items of each split."""
 
     path: str
     items: int
@@ -77,7 +76,9 @@ def build_site(
     with named_failures(str(path)), _staging(path) as staging:
         site = _Files(gallery, staging)
         on_progress(0, gallery.size)
-        tasks = list(zip(_first_numbers(gallery.tasks), gallery.tasks, strict=True))
+        # Each with the number on the page of its first item.
+        firsts = accumulate((task.size for task in gallery.tasks), initial=0)
+        tasks = list(zip(firsts, gallery.tasks, strict=False))
         made = cast("Generator[tuple[int, list[Item]]]", runner_for(runner).run(_make, tasks))
         # Closed, so that the workers end when an item is refused.
         with closing(made) as results:
@@ -100,11 +101,6 @@ def build_site(
     return Site(str(path), len(site.shown), len(site.names), site.size, dict(gallery.splits))
 
 
-def _first_numbers(tasks: Iterable[RowsTask]) -> list[int]:
-    """Return the number on the page of the first item of each task."""
-    return list(accumulate((task.size for task in tasks), initial=0))[:-1]
-
-
 def _make(numbered: tuple[int, RowsTask]) -> tuple[int, list[Item]]:
     first, task = numbered
     return first, task.make()
@@ -124,7 +120,6 @@ class _Files:
         self._write("assets/three.js", code)
         for name in ASSETS:
             self._write(f"assets/{name}", asset(name))
-        self.fixed_files, self.fixed_bytes = len(self.names), self.size
 
     def add(self, first: int, items: Iterable[Item]) -> None:
         """Write the files of some items, by the number of the first."""
@@ -237,7 +232,8 @@ def _require_gallery(path: Path, *, overwrite: bool) -> set[str]:
     listed = set(map(str, marker["files"])) if is_ours and isinstance(marker.get("files"), list) else set()
     # A run that was killed may leave a folder of its files empty.
     known = {LOCK_FILE, *listed, *(str(PurePosixPath(name).parent) for name in listed)}
-    found = [name for name in _entries(path) if name != MARKER_FILE or not listed]
+    entries = [entry.relative_to(path).as_posix() for entry in _entries(path)]
+    found = [name for name in entries if name != MARKER_FILE or not listed]
     strangers = [name for name in found if name not in known]
     if strangers:
         raise InputError(
@@ -253,21 +249,12 @@ def _require_gallery(path: Path, *, overwrite: bool) -> set[str]:
     return listed.intersection(found)
 
 
-def _entries(folder: Path) -> Iterator[str]:
-    """Yield the paths of all files, links and empty folders below a folder; links are not followed."""
-
-    def refuse(error: OSError) -> None:
-        raise error
-
-    for root, folders, files in os.walk(folder, onerror=refuse):
-        inside = Path(root).relative_to(folder)
-        if root == str(folder):
-            folders[:] = [name for name in folders if not name.startswith(_PREFIX)]
-            files = [name for name in files if not name.startswith(_PREFIX)]
-        elif not (folders or files):
-            yield inside.as_posix()
-        links = [name for name in folders if (Path(root) / name).is_symlink()]
-        yield from ((inside / name).as_posix() for name in sorted(files + links))
+def _entries(folder: Path) -> Iterator[Path]:
+    """Yield all files, links and empty folders below a folder, but for those of unfinished runs."""
+    for path in sorted(folder.iterdir()):
+        if not path.name.startswith(_PREFIX):
+            inside = list(_entries(path)) if path.is_dir() and not path.is_symlink() else []
+            yield from inside or [path]
 
 
 def _require_size(gallery: Gallery) -> None:
@@ -284,42 +271,23 @@ def _require_size(gallery: Gallery) -> None:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class SiteForecast:
-    """What a run would make, estimated from a sample; exact where the sample is everything."""
+def forecast_site(gallery: Gallery, out: str, *, overwrite: bool = False) -> Site:
+    """Make a few items, write nothing, and estimate what all would take; InputError as :func:`build_site`.
 
-    items: int
-    files: int
-    bytes: int
-    seconds: float
-    sampled: int  # how many items were made for the estimate
-    fits: bool  # sites that do not fit are refused
-    splits: dict[str, int]
-
-
-def forecast_site(gallery: Gallery, out: str, workers: int, *, overwrite: bool = False) -> SiteForecast:
-    """Make a few items, write nothing, and return what all would take; InputError as :func:`build_site`."""
-    _require_free(out, overwrite=overwrite)
+    Exact where there are so few that all are made.
+    """
+    path = _require_free(out, overwrite=overwrite)
     _require_size(gallery)
     site, tasks = _Files(gallery), gallery.tasks
-    start_s = time.monotonic()
+    fixed_files, fixed_bytes = len(site.names), site.size
     # One, or three from first to last.
     for number in sorted({0, len(tasks) // 2, len(tasks) - 1}):
         site.add(len(site.shown), tasks[number].make())
-    elapsed_s = time.monotonic() - start_s
     share = gallery.size / len(site.shown)
-    made = len(site.names) - site.fixed_files
+    files = fixed_files + round((len(site.names) - fixed_files) * share) + 2  # the index and the marker
     site.finish()
-    total = round((site.size - site.fixed_bytes) * share) + site.fixed_bytes
-    return SiteForecast(
-        items=gallery.size,
-        files=round(made * share) + site.fixed_files + 2,  # the index of items and the marker
-        bytes=total,
-        seconds=elapsed_s * share / max(1, min(workers, len(gallery.tasks))),
-        sampled=len(site.shown),
-        fits=total <= MOST_BYTES,
-        splits=dict(gallery.splits),
-    )
+    size = fixed_bytes + round((site.size - fixed_bytes) * share)
+    return Site(str(path), gallery.size, files, size, dict(gallery.splits))
 
 
 _SCRIPTS = ("state.js", "filters.js", "grid.js", "viewer.js", "film.js", "dialog.js", "page.js")

@@ -6,11 +6,8 @@ import io
 import json
 import re
 import struct
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,13 +20,6 @@ from tactile_toolkit.store.files import named_failures, write_file
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
-
-BROKEN_FILE = (
-    *(ValueError, KeyError, IndexError, TypeError, EOFError, OverflowError),
-    # RuntimeError: an archive that is encrypted, or packed in a way that Python does not know.
-    *(zipfile.BadZipFile, zlib.error, RuntimeError, ElementTree.ParseError),
-)
-"""What parsing a damaged file raises."""
 
 
 def read_mesh(path: str | Path) -> Mesh:
@@ -69,19 +59,31 @@ def unpack_mesh(data: bytes, ending: str) -> Mesh:
         raise InputError("the file is empty; expected a mesh", next="export or copy it again")
     try:
         if ending == ".3mf":
-            vertices, faces = joined([(item.vertices_mm, item.faces) for item in read_build(data)])
+            built = [item.mesh for item in read_build(data)]
+            vertices, faces = joined([(mesh.vertices_m, mesh.faces) for mesh in built])
         else:
-            vertices, faces = merge_equal_vertices(*_read_with_trimesh(data, ending))
-    except InputError:  # more than the limit
+            import trimesh
+
+            if ending == ".stl":
+                _require_whole_stl(data)
+            _require_bounded(data, ending)
+            # Materials would be pictures and further files; only the surface is wanted.
+            scene = trimesh.load_scene(
+                io.BytesIO(data), file_type=ending[1:], process=False, skip_materials=True
+            )
+            found = scene.to_mesh()
+            vertices, faces = merge_equal_vertices(np.asarray(found.vertices, np.float64), found.faces)
+    except (InputError, MemoryError):  # more than the limit
         raise
-    except BROKEN_FILE as error:
+    except Exception as error:
+        # Readers meet damaged files with whatever their parsing runs into, those of trimesh above all.
         story = str(error) or type(error).__name__
         raise InputError(
             f"not a readable {ending[1:].upper()} file ({story})", next="export the mesh again"
         ) from error
     if not len(faces):
         raise InputError("the file holds no triangle; expected a closed surface")
-    return Mesh(vertices / (1.0 if ending == ".glb" else MM_PER_M), faces)
+    return Mesh(vertices / (1.0 if ending in (".glb", ".3mf") else MM_PER_M), faces)
 
 
 def write_mesh(path: str | Path, mesh: MeshLike) -> None:
@@ -114,7 +116,7 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
     ``name`` is what slicers call the object, where the format holds names (3MF).
     """
     if ending == ".3mf":
-        return write_build([BuildItem(name, mesh.vertices_mm, mesh.faces)])
+        return write_build([BuildItem(name, mesh)])
     # glTF, whose binary form GLB is, fixes the metre; the others name no unit, and slicers take millimetres.
     if ending == ".glb":
         return _pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)
@@ -151,24 +153,6 @@ def file_ending(path: Path) -> str:
     return ending
 
 
-def _read_with_trimesh(data: bytes, ending: str) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    import trimesh
-
-    if ending == ".stl":
-        _require_whole_stl(data)
-    try:
-        _require_bounded(data, ending)
-        # Materials would be pictures and further files; only the surface is wanted.
-        scene = trimesh.load_scene(io.BytesIO(data), file_type=ending[1:], process=False, skip_materials=True)
-        mesh = scene.to_mesh()
-    except InputError:  # more than the limit
-        raise
-    except Exception as error:
-        # The loaders of trimesh meet damaged files with whatever their parsing runs into.
-        raise ValueError(str(error) or type(error).__name__) from error
-    return np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.int64)
-
-
 def _require_whole_stl(data: bytes) -> None:
     """Refuse a file that is cut short: trimesh takes what is left of it for the whole or for nothing."""
     triangles = int.from_bytes(data[80:84], "little")
@@ -199,7 +183,7 @@ def _require_bounded(data: bytes, ending: str) -> None:
     """
     lines = parts = 0
     if ending == ".glb":
-        _bound_glb(data)
+        parts = _bound_glb(data)
     elif ending == ".ply":
         head, _, body = data.partition(b"end_header")
         stated = sum(abs(int(line.split()[2])) for line in head.splitlines() if line.startswith(b"element "))
@@ -213,15 +197,12 @@ def _require_bounded(data: bytes, ending: str) -> None:
     elif parts := data.lower().count(b"endsolid"):
         lines = data.lower().count(b"vertex")
     require_unpackable(_PER_LINE * lines, f"text of {lines:,} lines and corners", len(data))
-    _require_few(parts)
-
-
-def _require_few(parts: int) -> None:
     if parts > _MOST_PARTS:
         raise ValueError(f"{parts:,} parts; expected one surface, or at most {_MOST_PARTS:,} parts")
 
 
-def _bound_glb(data: bytes) -> None:
+def _bound_glb(data: bytes) -> int:
+    """Return how many parts a file has; InputError where they would take more than the limit."""
     text = data[20 : 20 + int.from_bytes(data[12:16], "little")]
     entries = text.count(b"{") + text.count(b"[")
     require_unpackable(_PER_ELEMENT * entries, f"JSON of {entries:,} objects and lists", len(data))
@@ -245,12 +226,12 @@ def _bound_glb(data: bytes) -> None:
     edges += [child for node in nodes for child in node.get("children", [])]
     # Each surface once, and once more wherever it is placed.
     placed = surfaces + [surfaces[nodes[at]["mesh"]] for at in edges if "mesh" in nodes[at]]
-    _require_few(max(len(edges), len(nodes), sum(map(len, placed))))
     # Several views, and accessors, of the same bytes are read several times; some have no bytes at all.
     values = sum(counts) + sum(map(sum, placed))
     view_bytes = sum(abs(view["byteLength"]) for view in tree.get("bufferViews", []))
     what = f"{values:,} values of vertices and triangles"
     require_unpackable(_PER_VALUE * values + view_bytes, what, len(data))
+    return max(len(edges), len(nodes), sum(map(len, placed)))
 
 
 def _pack_glb(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> bytes:

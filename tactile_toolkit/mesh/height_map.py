@@ -103,30 +103,17 @@ def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
     >>> top_surface(Mesh(corners, faces), 1.0).heights_m[0]
     array([3., 2., 1., 0.], dtype=float32)
     """
-    mesh = as_mesh(mesh)
-    vertices_m = np.asarray(mesh.vertices_m)
-    first_column, first_row, columns, rows = _pixels_of(vertices_m, pitch_m)
-    x_m, y_m, z_m = vertices_m.T.astype(np.float64)
-    # The centre of pixel (i, j) of the map is at column i, row j.
-    places = x_m / pitch_m - (first_column + 0.5), y_m / pitch_m - (first_row + 0.5)
-    heights_m = highest_values(np.stack([*places, z_m]), mesh.faces, (rows, columns))
-    heights_m[np.isneginf(heights_m)] = np.nan
-    heights_m.setflags(write=False)
-    return HeightMap(heights_m, first_column, first_row, float(pitch_m))
-
-
-def _pixels_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> tuple[int, int, int, int]:
-    """Return first column and row, columns and rows of the pixels that touch the bounding box of vertices."""
     if not _is_length(pitch_m):
         raise InputError(
             f"the pitch of a height map is {pitch_m!r} m; expected a positive length such as 0.0002"
         )
+    mesh = as_mesh(mesh)
+    vertices_m = np.asarray(mesh.vertices_m)
     if not len(vertices_m) or not np.isfinite(vertices_m).all():
         raise InputError("a mesh with no vertices, or NaN or infinite ones, has no height map")
     low, high = vertices_m[:, :2].astype(np.float64).min(axis=0), vertices_m[:, :2].max(axis=0)
-    with np.errstate(
-        over="ignore", invalid="ignore", divide="ignore"
-    ):  # of a tiny pitch, which is refused below
+    # The errors of a tiny pitch, which is refused below.
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         # Counted from the origin and not from the mesh: two meshes of one frame share their pixels.
         first, stop = np.floor(low / float(pitch_m)), np.ceil(high / float(pitch_m))
         columns, rows = np.maximum(stop - first, 1).tolist()
@@ -136,7 +123,14 @@ def _pixels_of(vertices_m: NDArray[np.floating[Any]], pitch_m: float) -> tuple[i
             f"{MOST_PIXELS:,} are made",
             next="choose a larger pitch",
         )
-    return int(first[0]), int(first[1]), int(columns), int(rows)
+    first_column, first_row = map(int, first)
+    x_m, y_m, z_m = vertices_m.T.astype(np.float64)
+    # The centre of pixel (i, j) of the map is at column i, row j.
+    places = x_m / pitch_m - (first_column + 0.5), y_m / pitch_m - (first_row + 0.5)
+    heights_m = highest_values(np.stack([*places, z_m]), mesh.faces, (int(rows), int(columns)))
+    heights_m[np.isneginf(heights_m)] = np.nan
+    heights_m.setflags(write=False)
+    return HeightMap(heights_m, first_column, first_row, float(pitch_m))
 
 
 def _is_length(value: object) -> bool:

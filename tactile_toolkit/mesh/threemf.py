@@ -9,18 +9,17 @@ from __future__ import annotations
 import io
 import zipfile
 from array import array
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import IO
-from xml.etree import ElementTree
+from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
-from tactile_toolkit.mesh.mesh import Surface, joined
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
 
 _MM_PER_UNIT = {
     "micron": 1e-3,
@@ -31,14 +30,7 @@ _MM_PER_UNIT = {
     "meter": 1e3,
 }
 _CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
-_NS = {"m": _CORE}
-_MESH, _VERTEX, _TRIANGLE = (f"{{{_CORE}}}{name}" for name in ("mesh", "vertex", "triangle"))
-_KEPT = {
-    f"{{{_CORE}}}{name}"
-    for name in ("model", "resources", "object", "mesh", "components", "component", "build", "item")
-}
-_KNOWN = {*_KEPT, _VERTEX, _TRIANGLE, f"{{{_CORE}}}vertices", f"{{{_CORE}}}triangles"}
-_PATH = "{http://schemas.microsoft.com/3dmanufacturing/production/2015/06}path"
+_PATH = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06 path"
 _MODEL_PATH = "3D/3dmodel.model"
 
 # A file of a few bytes can name itself as its own part, or unpack to any size.
@@ -58,19 +50,79 @@ class BuildItem:
     """
 
     name: str
-    vertices_mm: NDArray[np.float64]
-    faces: NDArray[np.int32]
+    mesh: Mesh
     offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Model:
-    """One model of a package: its objects by id, and its unit."""
+@dataclass(slots=True, eq=False)
+class _Object:
+    """An object of a model: its surface, or the components that it is made of, as what to build is."""
 
-    element: ElementTree.Element
-    objects: dict[str, ElementTree.Element]
-    surfaces: dict[ElementTree.Element, Surface]
-    mm_per_unit: float
+    name: str
+    surface: Surface | None = None
+    components: list[Mapping[str, str]] = field(default_factory=list)
+
+
+class _Model:
+    """One model of a package: its objects by id, what it says to build, and its unit.
+
+    Read tag by tag: as elements of a tree, a million vertices would take a gigabyte.
+    """
+
+    def __init__(self, stream: IO[bytes], file_bytes: int) -> None:
+        self.objects: dict[str, _Object] = {}
+        self.build = self._last = _Object("")
+        self.mm_per_unit = 1.0
+        self._file_bytes = file_bytes
+        self._tags = 0
+        self._points, self._corners = array("d"), array("q")
+        parser = expat.ParserCreate(namespace_separator=" ")
+        parser.StartElementHandler, parser.EndElementHandler = self._begin, self._end
+        parser.StartDoctypeDeclHandler = self._refuse_names_for_text
+        while piece := stream.read(_PIECE_BYTES):
+            before = self._tags
+            parser.Parse(piece)
+            if len(piece) == _PIECE_BYTES and self._tags == before:
+                # Attributes take 30 times as much memory, and are looked through again with each piece.
+                raise ValueError(f"XML of {_PIECE_BYTES:,} bytes in which no element ends")
+        parser.Parse(b"", True)
+
+    def _begin(self, tag: str, given: Mapping[str, str]) -> None:
+        match tag.removeprefix(f"{_CORE} "):
+            case "vertex":
+                self._points.extend([float(given[axis]) for axis in "xyz"])
+            case "triangle":
+                self._corners.extend([int(given[corner]) for corner in ("v1", "v2", "v3")])
+            case "object":
+                self._last = self.objects[str(given.get("id"))] = _Object(given.get("name", ""))
+            case "build":
+                self._last = self.build
+            case "component" | "item":
+                self._last.components.append(given)
+            case "model":
+                self.mm_per_unit = _MM_PER_UNIT[given.get("unit", "millimeter")]
+            case "mesh" | "vertices" | "triangles" | "resources" | "components":
+                pass
+            case _:
+                # The parser keeps all names that it has met, of which those that it need not know are many.
+                self._tags += 2
+        self._tags += 1
+        if self._tags % 1024 < 3:
+            what = f"3MF file: XML of more than {self._tags:,} elements"
+            require_unpackable(_PER_ELEMENT * self._tags, what, self._file_bytes)
+
+    def _end(self, tag: str) -> None:
+        if tag == f"{_CORE} mesh":
+            faces = np.array(self._corners, np.int64)
+            if len(faces) and not (faces.min() >= -(2**31) and faces.max() < 2**31):
+                raise ValueError("a triangle names a vertex by a number of more than 32 bits")
+            vertices = np.array(self._points, np.float64).reshape(-1, 3)
+            self._last.surface = (vertices, faces.astype(np.int32).reshape(-1, 3))
+            self._points, self._corners = array("d"), array("q")
+
+    def _refuse_names_for_text(self, *_: object) -> None:
+        """Refuse what 3MF does not have: a few bytes repeat them to any size."""
+        raise ValueError("the model has a document type; expected plain XML")
 
 
 class _Package:
@@ -93,10 +145,10 @@ class _Package:
         if not models:
             raise ValueError("the archive holds no .model file")
         root = self._model(_MODEL_PATH if _MODEL_PATH in models else models[0])
-        for item in root.element.iterfind("m:build/m:item", _NS):
-            model, identity = self._named(item, root)
+        for item in root.build.components:
             vertices, faces = joined(list(self._placed(item, root)))
-            yield BuildItem(model.objects[identity].get("name", ""), vertices * root.mm_per_unit, faces)
+            mesh = Mesh(vertices * root.mm_per_unit / MM_PER_M, faces)
+            yield BuildItem(self._named(item, root)[1].name, mesh)
 
     def _model(self, path: str) -> _Model:
         name = self._names.get(path.lower().lstrip("/"))
@@ -106,107 +158,44 @@ class _Package:
             size = sum(self._archive.getinfo(each).file_size for each in {*self._models, name})
             require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", self._file_bytes)
             with self._archive.open(name) as stream:
-                element, surfaces = _parsed(stream, self._file_bytes)
-            objects = {str(each.get("id")): each for each in element.iterfind("m:resources/m:object", _NS)}
-            unit = _MM_PER_UNIT[element.get("unit", "millimeter")]
-            self._models[name] = _Model(element, objects, surfaces, unit)
+                self._models[name] = _Model(stream, self._file_bytes)
         return self._models[name]
 
-    def _named(self, element: ElementTree.Element, here: _Model) -> tuple[_Model, str]:
-        """Return the model and the id of the object that an item or a component names."""
-        path, identity = element.get(_PATH), str(element.get("objectid"))
+    def _named(self, part: Mapping[str, str], here: _Model) -> tuple[_Model, _Object]:
+        """Return the object that an item or a component names, and its model."""
+        path, identity = part.get(_PATH), str(part.get("objectid"))
         model = here if path is None else self._model(path)
         if identity not in model.objects:
             raise ValueError(f"object {identity!r}{f' of {path}' if path else ''} is missing")
-        return model, identity
+        return model, model.objects[identity]
 
-    def _placed(self, element: ElementTree.Element, here: _Model, depth: int = 0) -> Iterator[Surface]:
+    def _placed(self, part: Mapping[str, str], here: _Model, depth: int = 0) -> Iterator[Surface]:
         """Yield the surfaces of what an item or component names, where it puts them, in the unit of here."""
-        model, identity = self._named(element, here)
-        self._count_part(identity, depth)
+        model, thing = self._named(part, here)
+        # A few bytes can name the same object again and again.
+        self._parts += 1
+        self._built_bytes += sum(each.nbytes for each in thing.surface or ())
+        if depth > _DEEPEST or self._parts > _MOST_PARTS:
+            identity = part.get("objectid")
+            raise ValueError(f"object {identity!r} holds itself, or more than {_MOST_PARTS:,} parts")
+        require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
         matrix = np.eye(4, 3)
-        if element.get("transform") is not None:
-            words = element.attrib["transform"][:_LONGEST_TRANSFORM].split()
+        if "transform" in part:
+            words = part["transform"][:_LONGEST_TRANSFORM].split()
             matrix = np.array([float(number) for number in words]).reshape(4, 3)
         # Each model of a package has a unit of its own.
         ratio = model.mm_per_unit / here.mm_per_unit
         mirrored = np.linalg.det(matrix[:3]) < 0
-        thing = model.objects[identity]
-        mesh = thing.find("m:mesh", _NS)
-        components = thing.iterfind("m:components/m:component", _NS)
-        parts = (part for component in components for part in self._placed(component, model, depth + 1))
-        for vertices, faces in parts if mesh is None else [model.surfaces[mesh]]:
-            # A few bytes can name the same object again and again, and have it moved at every level.
-            self._count_part(identity, depth, vertices.nbytes + faces.nbytes)
+        below = (surface for each in thing.components for surface in self._placed(each, model, depth + 1))
+        for vertices, faces in below if thing.surface is None else [thing.surface]:
             placed = moved(vertices * ratio, matrix[:3]) + matrix[3]
             yield placed, faces[:, ::-1] if mirrored else faces
-
-    def _count_part(self, identity: str, depth: int, size_bytes: int = 0) -> None:
-        self._parts += 1
-        self._built_bytes += size_bytes
-        if depth > _DEEPEST or self._parts > _MOST_PARTS:
-            raise ValueError(f"object {identity!r} holds itself, or more than {_MOST_PARTS:,} parts")
-        require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
-
-
-class _Builder(ElementTree.TreeBuilder):
-    """Builds the tree of a model; meshes become arrays, and elements without a meaning here are emptied.
-
-    As elements, a million vertices would take a gigabyte.
-    """
-
-    def __init__(self, file_bytes: int) -> None:
-        super().__init__()
-        self._file_bytes = file_bytes
-        self.elements = 0
-        self._points, self._corners = array("d"), array("q")
-        self.surfaces: dict[ElementTree.Element, Surface] = {}
-
-    def doctype(self, *_: str | None) -> None:
-        """Refuse what 3MF does not have: names for text, which a few bytes repeat to any size."""
-        raise ValueError("the model has a document type; expected plain XML")
-
-    def end(self, tag: str) -> ElementTree.Element:
-        element = super().end(tag)
-        # The parser keeps all names that it has met, of which those that it need not know are many.
-        self.elements += 1 if tag in _KNOWN else 3
-        if self.elements % 1024 < 3:
-            what = f"3MF file: XML of more than {self.elements:,} elements"
-            require_unpackable(_PER_ELEMENT * self.elements, what, self._file_bytes)
-        if tag == _VERTEX:
-            self._points.extend([float(element.attrib[axis]) for axis in "xyz"])
-        elif tag == _TRIANGLE:
-            self._corners.extend([int(element.attrib[corner]) for corner in ("v1", "v2", "v3")])
-        elif tag == _MESH:
-            faces = np.array(self._corners, np.int64)
-            if len(faces) and not (faces.min() >= -(2**31) and faces.max() < 2**31):
-                raise ValueError("a triangle names a vertex by a number of more than 32 bits")
-            vertices = np.array(self._points, np.float64).reshape(-1, 3)
-            self.surfaces[element] = (vertices, faces.astype(np.int32).reshape(-1, 3))
-            self._points, self._corners = array("d"), array("q")
-        if tag not in _KEPT:
-            element.clear()
-        return element
-
-
-def _parsed(
-    stream: IO[bytes], file_bytes: int
-) -> tuple[ElementTree.Element, dict[ElementTree.Element, Surface]]:
-    builder = _Builder(file_bytes)
-    parser = ElementTree.XMLParser(target=builder)
-    while piece := stream.read(_PIECE_BYTES):
-        before = builder.elements
-        parser.feed(piece)
-        if len(piece) == _PIECE_BYTES and builder.elements == before:
-            # Attributes take 30 times as much memory, and are looked through again with each piece.
-            raise ValueError(f"XML of {_PIECE_BYTES:,} bytes in which no element ends")
-    return parser.close(), builder.surfaces
 
 
 def read_build(data: bytes) -> list[BuildItem]:
     """Read what a file says to build, in its order and where it will be built: each ``offset_mm`` is zero.
 
-    Raises ValueError, KeyError, zipfile.BadZipFile or xml.etree.ElementTree.ParseError where the archive, the
+    Raises ValueError, KeyError, zipfile.BadZipFile or xml.parsers.expat.ExpatError where the archive, the
     model or a number in it is damaged; InputError where it unpacks to more than the limit.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
@@ -252,11 +241,11 @@ def write_build(items: Sequence[BuildItem]) -> bytes:
 
 
 def _object(item: BuildItem, number: int) -> str:
-    # Nine digits give every float32 back exactly, and stored meshes are float32.
-    corners = "".join(
-        f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in item.vertices_mm.tolist()
-    )
-    triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in item.faces.tolist())
+    # Nine digits give every float32 back exactly, and stored meshes are float32; -0 becomes 0.
+    places = (item.mesh.vertices_mm + 0.0).tolist()
+    corners = "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in places)
+    faces = item.mesh.faces.tolist()
+    triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces)
     name = f" name={quoteattr(item.name)}" if item.name else ""
     return (
         f'<object id="{number}" type="model"{name}><mesh><vertices>{corners}</vertices>'

@@ -15,8 +15,17 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.pictures.render import Picture3d, draw_bodies
-from tactile_toolkit.pictures.sheets import Sheet, Tile, bar_length_mm, in_rows, sheet, with_scale_bar
-from tactile_toolkit.pictures.writing import Pixels, PlannedPicture, file_stem
+from tactile_toolkit.pictures.sheets import (
+    Pixels,
+    PlannedPicture,
+    Sheet,
+    Tile,
+    bar_length_mm,
+    file_stem,
+    in_rows,
+    sheet,
+    with_scale_bar,
+)
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.wording import counted

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.arithmetic import cosine_sine, moved
 from tactile_toolkit.mesh.mesh import Mesh, joined
 from tactile_toolkit.mesh.raster import highest_faces
-from tactile_toolkit.pictures.sheets import PAPER, Colour
-from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
+from tactile_toolkit.pictures.sheets import PAPER, TILE_STYLE, Colour, figure_html
 
 _PITCH_M = 0.0002
 _TILE_PX = 96

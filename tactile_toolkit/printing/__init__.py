@@ -4,7 +4,7 @@
 
     choose() -> PrintObject -> export_files(): one STL, 3MF, ... each    objects.py
        -> measure(), arrange(): what lies where on plates                packing.py
-       -> write_plates(): 3MF, map, table                                plates.py, plate_map.py
+       -> write_plates(): 3MF, map, table                                plates.py
 
 Whatever is written is read back from disk and has to be the same solid before it gets its name (objects.py).
 """

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from tactile_toolkit.read.dataset import RecordDataset
 
 
-CHANGED, OFF_PLATE = "changed", "off-plate"
+CHANGED = "changed"
 """What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
 
 _BOUNDS_TOLERANCE_MM = 1e-3
@@ -89,20 +89,15 @@ class Product(Generic[R]):
 def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None:
     """Raise ItemError where a mesh read back is not the solid that was written, ``verdict`` being on that."""
     back = require_solid(found)
-    if (back.bodies, back.genus) != (verdict.bodies, verdict.genus):
-        raise ItemError(
-            CHANGED,
-            f"it has {back.bodies} bodies and {back.genus} holes; "
-            f"{verdict.bodies} and {verdict.genus} were written",
-        )
     moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * MM_PER_M
-    if moved_mm > _BOUNDS_TOLERANCE_MM or not np.isclose(
-        back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE
-    ):
+    is_as_large = np.isclose(back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE)
+    is_as_joined = (back.bodies, back.genus) == (verdict.bodies, verdict.genus)
+    if not (is_as_joined and is_as_large and moved_mm <= _BOUNDS_TOLERANCE_MM):
         raise ItemError(
             CHANGED,
-            f"its volume is {back.volume_mm3:.3f} mm³ and its bounds moved by {moved_mm:.3g} mm; "
-            f"{verdict.volume_mm3:.3f} mm³ were written",
+            f"it has {back.bodies} bodies and {back.genus} holes; {verdict.bodies} and {verdict.genus} were "
+            f"written; its volume is {back.volume_mm3:.3f} mm³ of {verdict.volume_mm3:.3f} mm³, and its "
+            f"bounds moved by {moved_mm:.3g} mm",
         )
 
 
@@ -139,46 +134,41 @@ def local_folder(out: str) -> Path:
     return path
 
 
-@dataclass(frozen=True, slots=True)
-class _Export:
-    """Picklable: write the files of a product, or only look what stands in their place.
+def _before(folder: Path, product: Product[R]) -> set[Path]:
+    """Return the files of a product that are there."""
+    return {path for pattern in product.patterns for path in folder.glob(pattern)}
+
+
+def _exported(folder: Path, only_look: bool, product: Product[R]) -> tuple[str, R | Failure | None]:
+    """Write the files of a product, or only look what stands in their place.
 
     Whoever looks gets None where nothing stands in the way and not all files are there, and a failure where
     something else stands there.
     """
-
-    folder: Path
-    only_look: bool
-
-    def __call__(self, product: Product[R]) -> tuple[str, R | Failure | None]:
-        before = self.before(product)
-        try:
-            made = product.make()
-            files = {self.folder / name: content for name, content in made.files.items()}
-            same = {path for path, content in files.items() if content_of(path) == content}
-            if same == files.keys() | before:
-                return product.name, made.record("kept")
-            if self.only_look:
-                others = Failure(product.name, CHANGED, "its files have other content")
-                return product.name, others if before - same else None
-            made.check()
-            # What this product has not, such as parts of a body that had more of them.
-            _remove(before - files.keys())
-            for path, content in files.items():
-                _write(path, content)
-        except ItemError as error:
-            detail = str(error)
-            # What is left under these names, of an earlier export too, would pass for this product.
-            if not self.only_look:
-                _remove(self.before(product))
-                names = ", ".join(sorted(path.name for path in before))
-                detail += f"; {names} of an earlier export was removed" if before else ""
-            return product.name, Failure(product.name, error.reason, detail)
-        return product.name, made.record("written")
-
-    def before(self, product: Product[R]) -> set[Path]:
-        """Return the files of a product that are there."""
-        return {path for pattern in product.patterns for path in self.folder.glob(pattern)}
+    before = _before(folder, product)
+    try:
+        made = product.make()
+        files = {folder / name: content for name, content in made.files.items()}
+        same = {path for path, content in files.items() if content_of(path) == content}
+        if same == files.keys() | before:
+            return product.name, made.record("kept")
+        if only_look:
+            others = Failure(product.name, CHANGED, "its files have other content")
+            return product.name, others if before - same else None
+        made.check()
+        # What this product has not, such as parts of a body that had more of them.
+        _remove(before - files.keys())
+        for path, content in files.items():
+            _write(path, content)
+    except ItemError as error:
+        detail = str(error)
+        # What is left under these names, of an earlier export too, would pass for this product.
+        if not only_look:
+            _remove(_before(folder, product))
+            names = ", ".join(sorted(path.name for path in before))
+            detail += f"; {names} of an earlier export was removed" if before else ""
+        return product.name, Failure(product.name, error.reason, detail)
+    return product.name, made.record("written")
 
 
 def _remove(paths: Iterable[Path]) -> None:
@@ -192,9 +182,9 @@ def require_free(products: Sequence[Product[R]], out: str, workers: int = 1) -> 
 
     Raises InputError where something else stands in the place of a product.
     """
-    look = _Export(local_folder(out), only_look=True)
-    there = [product for product in products if look.before(product)]
-    looked = dict(runner_for(workers).run(look, there)) if there else {}
+    folder = local_folder(out)
+    there = [product for product in products if _before(folder, product)]
+    looked = dict(runner_for(workers).run(partial(_exported, folder, True), there)) if there else {}
     others = sorted(each.patterns[0] for each in there if isinstance(looked[each.name], Failure))
     if others:
         raise InputError(
@@ -218,13 +208,13 @@ def export(
     files stand in the way, before anything is written, and StorageError where the folder cannot be written;
     finished files stay.
     """
-    write = _Export(local_folder(out), only_look=False)
+    folder = local_folder(out)
     DataFolder(out).require_folder()
-    remove_drafts(write.folder)  # of killed exports
+    remove_drafts(folder)  # of killed exports
     # What was looked at is not made a second time: the convex parts of a body take longer than its file.
     found: dict[str, Any] = {} if overwrite else {**require_free(products, out, workers)}
     left = [product for product in products if product.name not in found]
-    for name, result in runner_for(workers).run(write, left) if left else ():
+    for name, result in runner_for(workers).run(partial(_exported, folder, False), left) if left else ():
         found[name] = result
         on_progress(len(found), len(products))
     results = [found[product.name] for product in products]
@@ -324,11 +314,6 @@ class WrittenFile:
     volume_mm3: float
     bytes: int
     state: str
-
-    @property
-    def size_mm(self) -> tuple[float, float, float]:
-        """Width, depth and height."""
-        return self.width_mm, self.depth_mm, self.height_mm
 
 
 @dataclass(frozen=True, slots=True)

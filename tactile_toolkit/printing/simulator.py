@@ -1,14 +1,17 @@
 """Bodies for simulators: MJCF, URDF and USD with true mass and inertia, and convex parts for contacts.
 
-A simulator that is given the mesh alone takes its convex hull for contacts, and may take another mass.
+A simulator that is given the mesh alone takes its convex hull for contacts, and may take another mass. A
+digit is flat ink that was given a rim: where a part of the ink, seen from above, is convex, the solid over it
+nearly is. So a solid is cut by upright planes only, and where is decided on the flat outline.
 """
 
 from __future__ import annotations
 
-import io
+import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from textwrap import indent
 from typing import Any
 from xml.etree import ElementTree
 
@@ -16,9 +19,21 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from tactile_toolkit.mesh.convex import convex_parts
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.spec import Physics
+
+_DIRECTIONS = [
+    np.array([math.cos(angle), math.sin(angle)]) for angle in np.linspace(0, math.pi, 12, endpoint=False)
+]
+_OUTLINE_MM = 0.02  # finer detail of an outline decides no cut
+# Larger than any plate, and small enough for a half plane of doubles.
+_FAR_MM = 1e5
+_LEAST_MM3 = 1e-6  # what a cut leaves of a face is not a part
+
+
+_MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+"""The moments of inertia, by their name in URDF, in the order of MJCF."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,8 +87,7 @@ def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, fl
         assets += [
             _tag("mesh", name=name, vertex=_text(part.vertices_m.ravel())) for name, part in parts.items()
         ]
-        i = body.inertia_kg_m2
-        moments = _text((i[0, 0], i[1, 1], i[2, 2], i[0, 1], i[0, 2], i[1, 2]))
+        moments = _text(body.inertia_kg_m2[place] for place in _MOMENTS.values())
         # Group 2 is drawn and group 3 is not, as in the models that MuJoCo's own viewer comes with.
         drawn = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
         # Against turning and rolling, MuJoCo's own defaults.
@@ -95,15 +109,17 @@ def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, fl
 
 def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
     """Write a body as a URDF file and its meshes, OBJ in metres, by path; the URDF file is the last one."""
-    files = {f"{folder}/visual.obj": _obj(body.mesh)}
-    files |= {f"{folder}/part-{number:02d}.obj": _obj(part) for number, part in enumerate(body.parts)}
-    i = body.inertia_kg_m2
-    moments = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+    meshes = {"visual": body.mesh} | {f"part-{number:02d}": part for number, part in enumerate(body.parts)}
+    files = {
+        f"{folder}/{name}.obj": mesh.to_trimesh().export(file_type="obj", header=None).encode()
+        for name, mesh in meshes.items()
+    }
+    moments = {name: _text((body.inertia_kg_m2[place],)) for name, place in _MOMENTS.items()}
     inertial = _tag(
         "inertial",
         _tag("origin", xyz=_text(body.center_m), rpy="0 0 0"),
         _tag("mass", value=_text((body.mass_kg,))),
-        _tag("inertia", **{name: _text((i[place],)) for name, place in moments.items()}),
+        _tag("inertia", **moments),
     )
     shapes = [
         _tag("collision" if number else "visual", _tag("geometry", _tag("mesh", filename=path)))
@@ -114,48 +130,7 @@ def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
     return {**files, f"{folder}.urdf": _written(_tag("robot", link, name=body.name))}
 
 
-_USD = """#usda 1.0
-(
-    defaultPrim = "{prim}"
-    kilogramsPerUnit = 1
-    metersPerUnit = 1
-    upAxis = "Z"
-)
-
-def Xform "{prim}" (
-    prepend apiSchemas = ["PhysicsRigidBodyAPI", "PhysicsMassAPI"]
-)
-{{
-    float physics:mass = {mass}
-    point3f physics:centerOfMass = ({center})
-    float3 physics:diagonalInertia = ({moments})
-    quatf physics:principalAxes = ({axes})
-
-    def Material "material" (
-        prepend apiSchemas = ["PhysicsMaterialAPI"]
-    )
-    {{
-        float physics:dynamicFriction = {friction}
-        float physics:staticFriction = {friction}
-    }}
-{meshes}}}
-"""
-_USD_MESH = """
-    def Mesh "{name}"{schemas}
-    {{
-        uniform token subdivisionScheme = "none"
-        int[] faceVertexCounts = [{counts}]
-        int[] faceVertexIndices = [{faces}]
-        point3f[] points = [{points}]{collision}
-    }}
-"""
-_USD_SCHEMAS = """ (
-        prepend apiSchemas = ["PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "MaterialBindingAPI"]
-    )"""
-_USD_COLLISION = """
-        uniform token purpose = "guide"
-        uniform token physics:approximation = "convexHull"
-        rel material:binding:physics = <{path}/material>"""
+_USD_INDENT = " " * 4
 
 
 def _pack_usd(body: Body) -> bytes:
@@ -166,37 +141,49 @@ def _pack_usd(body: Body) -> bytes:
     axes = axes * np.sign(np.take_along_axis(axes, np.abs(axes).argmax(axis=0)[None], axis=0))
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)
-    felt = (_USD_SCHEMAS, _USD_COLLISION.format(path=f"/{prim}"))
-    parts = [(f"part_{number:02d}", part, *felt) for number, part in enumerate(body.parts)]
-    meshes = [
-        _USD_MESH.format(
-            name=name,
-            schemas=schemas,
-            counts=", ".join(["3"] * len(mesh.faces)),
-            faces=", ".join(map(str, mesh.faces.ravel().tolist())),
-            points=", ".join(f"({_text(row, ', ')})" for row in mesh.vertices_m),
-            collision=collision,
-        )
-        for name, mesh, schemas, collision in [("visual", body.mesh, "", ""), *parts]
+    friction = [f"float physics:{kind}Friction = {_text((body.friction,))}" for kind in ("dynamic", "static")]
+    felt = (
+        'uniform token purpose = "guide"',
+        'uniform token physics:approximation = "convexHull"',
+        f"rel material:binding:physics = </{prim}/material>",
+    )
+    schemas = ("PhysicsCollisionAPI", "PhysicsMeshCollisionAPI", "MaterialBindingAPI")
+    text = _prim(
+        "Xform",
+        prim,
+        ("PhysicsRigidBodyAPI", "PhysicsMassAPI"),
+        f"float physics:mass = {_text((body.mass_kg,))}",
+        f"point3f physics:centerOfMass = ({_text(body.center_m, ', ')})",
+        f"float3 physics:diagonalInertia = ({_text(moments, ', ', 7)})",
+        # LAPACK rounds otherwise on other processors.
+        f"quatf physics:principalAxes = ({_text((w, x, y, z), ', ', 6)})",
+        _prim("Material", "material", ("PhysicsMaterialAPI",), *friction),
+        _prim("Mesh", "visual", (), *_usd_surface(body.mesh)),
+        *(
+            _prim("Mesh", f"part_{number:02d}", schemas, *_usd_surface(part), *felt)
+            for number, part in enumerate(body.parts)
+        ),
+    )
+    head = f'defaultPrim = "{prim}"\nkilogramsPerUnit = 1\nmetersPerUnit = 1\nupAxis = "Z"\n'
+    return f"#usda 1.0\n(\n{indent(head, _USD_INDENT)})\n{text}\n".encode()
+
+
+def _prim(kind: str, name: str, schemas: Sequence[str], *content: str) -> str:
+    """Write a thing of USD: the schemas that it follows, its attributes, and the things in it."""
+    listed = ", ".join(f'"{schema}"' for schema in schemas)
+    applied = f" (\n{_USD_INDENT}prepend apiSchemas = [{listed}]\n)" if schemas else ""
+    inside = indent("\n".join(content), _USD_INDENT)
+    return f'\ndef {kind} "{name}"{applied}\n{{\n{inside}\n}}'
+
+
+def _usd_surface(mesh: Mesh) -> list[str]:
+    points = ", ".join(f"({_text(row, ', ')})" for row in mesh.vertices_m)
+    return [
+        'uniform token subdivisionScheme = "none"',
+        f"int[] faceVertexCounts = [{', '.join(['3'] * len(mesh.faces))}]",
+        f"int[] faceVertexIndices = [{', '.join(map(str, mesh.faces.ravel().tolist()))}]",
+        f"point3f[] points = [{points}]",
     ]
-    return _USD.format(
-        prim=prim,
-        mass=_text((body.mass_kg,)),
-        center=_text(body.center_m, ", "),
-        moments=_text(moments, ", ", 7),
-        axes=_text((w, x, y, z), ", ", 6),  # LAPACK rounds otherwise on other processors
-        friction=_text((body.friction,)),
-        meshes="".join(meshes),
-    ).encode()
-
-
-def _obj(mesh: Mesh) -> bytes:
-    out = io.StringIO()
-    for row in np.asarray(mesh.vertices_m, np.float64).tolist():
-        out.write("v {:.9g} {:.9g} {:.9g}\n".format(*row))
-    for corners in (mesh.faces + 1).tolist():
-        out.write("f {} {} {}\n".format(*corners))
-    return out.getvalue().encode()
 
 
 def _text(values: Iterable[Any], between: str = " ", digits: int = 9) -> str:
@@ -213,3 +200,73 @@ def _written(root: ElementTree.Element) -> bytes:
     ElementTree.indent(root)
     content: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
+
+
+def convex_parts(
+    mesh: Mesh, *, excess: float = 1.08, most: int = 64, tolerance_mm: float = 0.1
+) -> list[Mesh]:
+    """Cut a solid into parts and return their convex hulls.
+
+    The part whose hull adds most is cut first, until all hulls together are ``excess`` times the solid, or
+    there are ``most`` of them or a few more. Hulls hold all of the solid but what ``tolerance_mm`` smooths
+    off their corners. The same mesh gives the same parts.
+
+    Raises ItemError where the mesh bounds no solid.
+    """
+    solid = require_solid(mesh).manifold
+    parts, whole_mm3 = _parts(solid), solid.volume()
+    for _ in range(most):  # of so many cuts: one may split off a chip that is not a part, time and again
+        if len(parts) >= most or sum(hull.volume() for *_, hull in parts) <= excess * whole_mm3:
+            break
+        _, part, _ = parts.pop(int(np.argmax([added_mm3 for added_mm3, *_ in parts])))
+        normal, offset_mm = _best_cut(part.project().simplify(_OUTLINE_MM))
+        for half in part.split_by_plane((*normal.tolist(), 0.0), offset_mm):
+            parts += _parts(half)
+    smooth = [(hull, hull.simplify(tolerance_mm).hull()) for *_, hull in parts]
+    # Of a chip thinner than the tolerance, smoothing leaves nothing.
+    return [Mesh.from_manifold(exact if simple.is_empty() else simple) for exact, simple in smooth]
+
+
+def _parts(found: Any) -> list[tuple[float, Any, Any]]:
+    """Return the bodies of a solid: what the hull of each adds, the body, and its hull."""
+    bodies = [(part, part.hull()) for part in found.decompose() if part.volume() > _LEAST_MM3]
+    return [(hull.volume() - part.volume(), part, hull) for part, hull in bodies]
+
+
+def _best_cut(outline: Any) -> tuple[NDArray[np.float64], float]:
+    """Return the line, normal and offset in mm, that leaves the least between the halves and their hulls.
+
+    It goes through the corner that lies deepest in a bay. Where there is no bay, what the hull adds lies
+    above the outline, as over a stroke that swells: it is halved across its length.
+    """
+    from manifold3d import CrossSection
+
+    corners = np.concatenate([np.asarray(each) for each in outline.to_polygons()])
+    depths_mm = _depths_mm(outline, corners)
+    deepest = corners[int(depths_mm.argmax())]
+    cuts = []
+    for number, normal in enumerate(_DIRECTIONS if depths_mm.max() > _OUTLINE_MM else ()):
+        far, along = normal * _FAR_MM, np.array([-normal[1], normal[0]]) * _FAR_MM
+        start = normal * float(normal @ deepest)
+        corner = start - along, start - along + far, start + along + far, start + along
+        half = CrossSection([np.array(corner)])
+        halves = (outline ^ half, outline - half)
+        if not any(each.is_empty() for each in halves):
+            area = sum(piece.hull().area() for each in halves for piece in each.decompose())
+            cuts.append((area, number))
+    if cuts:
+        normal = _DIRECTIONS[min(cuts)[1]]
+        return normal, float(normal @ deepest)
+    normal = max(_DIRECTIONS, key=lambda each: float(np.ptp(corners @ each)))
+    along = corners @ normal
+    return normal, float(along.min() + along.max()) / 2
+
+
+def _depths_mm(outline: Any, corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return how deep each corner of an outline lies below its convex hull, shape (N,)."""
+    hull = np.asarray(outline.hull().to_polygons()[0])
+    along = np.roll(hull, -1, axis=0) - hull
+    inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
+    depths: NDArray[np.float64] = ((corners[:, None] - hull[None]) * inwards[None]).sum(axis=2).min(axis=1)
+    return depths

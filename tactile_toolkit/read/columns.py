@@ -211,6 +211,16 @@ def column_names(schema: Any) -> tuple[str, ...]:
     return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
 
 
+def table_bytes(table: Any) -> Any:
+    """Pack a table as an Arrow stream; returns an Arrow buffer."""
+    import pyarrow as pa
+
+    sink = pa.BufferOutputStream()
+    with pa.ipc.new_stream(sink, table.schema) as writer:
+        writer.write_table(table)
+    return sink.getvalue()
+
+
 def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
     """Find the rows of a table, one chunk per column, in which one of some columns holds a null at any depth.
 
@@ -262,6 +272,16 @@ class RowGroup:
         """Columns by dotted name."""
         return column_names(self.table.schema)
 
+    @cached_property
+    def flat_table(self) -> Any:
+        """The rows with the fields of structs as columns of their own, by dotted name."""
+        import pyarrow as pa
+
+        table = self.table
+        while any(map(pa.types.is_struct, table.schema.types)):
+            table = table.flatten()
+        return table
+
     def once(self, key: str, build: Callable[[], T]) -> T:
         """Build a view of the rows on its first use and keep it with them."""
         view = self._views.get(key)
@@ -300,23 +320,10 @@ class RowGroup:
 
         Raises KeyError when the column does not exist.
         """
-        import pyarrow as pa
-
-        stored, fields = name, list[str]()
-        while stored not in self.table.column_names:  # a stored name may hold dots itself
-            stored, _, last = stored.rpartition(".")
-            fields.insert(0, last)
-            if not stored:
-                raise KeyError(name)
-        column = self.table.column(stored)
-        array = column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
-        for part in fields:
-            index = array.type.get_field_index(part) if pa.types.is_struct(array.type) else -1
-            if index < 0:
-                raise KeyError(name)
-            # Not field(): that passes over the nulls of the struct itself.
-            array = array.flatten()[index]
-        return array
+        # A struct as a whole is a column of the table alone.
+        table = self.table if name in self.table.column_names else self.flat_table
+        column = table.column(name)
+        return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
 # --- what `datasets` stores of the features of a data set ---------------------------------------------

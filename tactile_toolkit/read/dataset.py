@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import RowGroup, column_types
+from tactile_toolkit.read.columns import RowGroup, column_types, table_bytes
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence
@@ -65,28 +65,21 @@ class Row:
 
     def equals(self, other: Row) -> bool:
         """Return whether two rows have the same columns and values, wherever they are stored."""
-        one, another = self._alone(), other._alone()
+        import pyarrow as pa
+
+        one, another = (
+            pa.table({name: row.group.arrow(name).slice(row.index, 1) for name in sorted(row.group.names)})
+            for row in (self, other)
+        )
         if one.schema != another.schema:
             return False
         # To Arrow a NaN equals nothing; written it equals itself.
         return bool(one.equals(another)) or repr(one.to_pydict()) == repr(another.to_pydict())
 
-    def _alone(self) -> Any:
-        """Return this row as a table of its columns, by dotted name."""
-        import pyarrow as pa
-
-        names = sorted(self.group.names)
-        return pa.table({name: self.group.arrow(name).slice(self.index, 1) for name in names})
-
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle as a table of this one row, not as its entire row group."""
-        import pyarrow as pa
-
-        table = self.group.table.slice(self.index, 1)
-        sink = pa.BufferOutputStream()
-        with pa.ipc.new_stream(sink, table.schema) as writer:
-            writer.write_table(table)
-        return (_row_from_ipc, (sink.getvalue().to_pybytes(), self.path, self.number))
+        content = table_bytes(self.group.table.slice(self.index, 1)).to_pybytes()
+        return _row_from_ipc, (content, self.path, self.number)
 
 
 def _row_from_ipc(content: bytes, path: str, number: int) -> Row:

@@ -85,7 +85,7 @@ class GlobalOrder:
 
     @cached_property
     def _window(self) -> Callable[[int], NDArray[np.int64]]:
-        return lru_cache(_KEPT_WINDOWS)(self._shuffled_window)
+        return lru_cache(_KEPT_WINDOWS)(lambda window: self._shuffled(self.stored(window), 1 + window))
 
     def window_of(self, number: int) -> int:
         """Return the window in which an item lies."""
@@ -105,9 +105,6 @@ class GlobalOrder:
             here = windows == window
             found[here] = self._window(window)[numbers[here] - self._starts[window]]
         return found
-
-    def _shuffled_window(self, window: int) -> NDArray[np.int64]:
-        return self._shuffled(self.stored(window), 1 + window)
 
     def _shuffled(self, values: NDArray[np.int64], stream: int) -> NDArray[np.int64]:
         """Shuffle by the stream of PCG64, which numpy promises to keep, unlike its own shuffles."""

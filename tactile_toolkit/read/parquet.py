@@ -17,7 +17,7 @@ from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import accumulate, chain, groupby
 from pathlib import Path
 from typing import IO, Any, TypeVar
@@ -28,12 +28,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read.columns import (
-    RowGroup,
-    class_names,
-    column_types,
-    numpy_values,
-)
+from tactile_toolkit.read.columns import RowGroup, class_names, column_types, numpy_values, table_bytes
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.derived import SOURCE_DIGEST
 from tactile_toolkit.store.files import locked, readable, resource_shortage
@@ -62,11 +57,9 @@ _LEAST_BYTES = 1 << 20
 _IN_MEMORY = 8
 
 
-def _held_bytes(group: RowGroup) -> int:
-    return max(_LEAST_BYTES, group.mapped_bytes or _IN_MEMORY * int(group.table.nbytes))
-
-
-BLOCKS: MemoryCache[Key, RowGroup] = MemoryCache(_HELD_BYTES, _held_bytes)
+BLOCKS: MemoryCache[Key, RowGroup] = MemoryCache(
+    _HELD_BYTES, lambda group: max(_LEAST_BYTES, group.mapped_bytes or _IN_MEMORY * int(group.table.nbytes))
+)
 """The blocks that this process has open: 4 GiB of maps, which the system drops from memory where it needs
 room, or 4,096 of them, as a process may have 65,530 maps; or 512 MiB where the cache cannot be written."""
 
@@ -90,32 +83,16 @@ def _file(key: Key) -> Path:
     return _UNPACKED.path("{}-{:05d}-{:05d}.arrow".format(*key))
 
 
-def _are_kept(keys: Sequence[Key]) -> bool:
+def _are_kept(files: Sequence[Path]) -> bool:
     """Return whether blocks lie in the cache, and note that they are used."""
-    files = list(map(_file, keys))
     for file in files:
         _UNPACKED.mark_used(file)
     return all(file.exists() for file in files)
 
 
-def _keep(key: Key, table: Any) -> bool:
-    """Write a block into the cache; return whether it is there now."""
-    file = _file(key)
-    # Each time: a notebook may set the variable at any time.
-    _UNPACKED.limit_bytes = cache_limit_bytes()
-    return file.exists() or _UNPACKED.write(
-        file.name, int(table.nbytes), lambda stream: write_block(stream, file.name, table)
-    )
-
-
-def write_block(stream: IO[bytes], file_name: str, table: Any) -> None:
-    """Write a table, of one chunk per column, as the content of a file of that name."""
-    import pyarrow as pa
-
-    sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, table.schema) as writer:
-        writer.write_table(table)
-    content = sink.getvalue()
+def write_block(file_name: str, table: Any, stream: IO[bytes]) -> None:
+    """Write a table, of one chunk per column, into a stream as the content of a file of that name."""
+    content = table_bytes(table)
     stream.write(content)
     stream.write(_CHECKSUM.pack(_checksum(content, file_name)))
 
@@ -158,18 +135,6 @@ def map_block(path: Path) -> tuple[Any, int]:
 def _stat_key(facts: os.stat_result) -> tuple[int, int, int, int]:
     """Return what distinguishes a file from one that took its place, or from itself with other content."""
     return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
-
-
-@contextlib.contextmanager
-def _locked_file(digest: str) -> Iterator[None]:
-    """Hold the lock of the row groups of a file, for all processes; without locks no process waits."""
-    folder = cache_folder() / LOCKS
-    with contextlib.ExitStack() as stack:
-        with contextlib.suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-            # 256 files for all: one each would stay in the cache for good.
-            stack.enter_context(locked(folder / digest[:2]))
-        yield
 
 
 # Metadata and Arrow schema by content and stated rows; of a large shard they take some hundred kB. The schema
@@ -269,10 +234,12 @@ class Shard:
         then kept in the memory of this process.
         """
         key = self.digest, index, number
-        group = BLOCKS.get(key) or self._mapped(key)
-        if group is None and self.unpack(index):
-            group = self._mapped(key)
-        return self._decoded(index, number) if group is None else BLOCKS.get_or_make(key, lambda: group)
+
+        def make() -> RowGroup:
+            mapped = self._mapped(key) or (self._mapped(key) if self.unpack(index) else None)
+            return mapped or self._decoded(index, number)
+
+        return BLOCKS.get_or_make(key, make)
 
     def _mapped(self, key: Key) -> RowGroup | None:
         """Map a block of the cache; None when it is not there, or damaged: then it goes."""
@@ -296,13 +263,24 @@ class Shard:
         One process of the machine unpacks it, others wait for that one.
         """
         rows = self.group_starts[index + 1] - self.group_starts[index]
-        keys = [(self.digest, index, number) for number in range(-(-rows // self.block_rows[index]))]
-        if _UNPACKED.is_given_up or _are_kept(keys):
+        files = [_file((self.digest, index, number)) for number in range(-(-rows // self.block_rows[index]))]
+        if _UNPACKED.is_given_up or _are_kept(files):
             return not _UNPACKED.is_given_up
-        with _locked_file(self.digest):
-            # Whoever held the lock may have unpacked it meanwhile.
-            return _are_kept(keys) or all(
-                _keep(key, group.table) for key, group in zip(keys, self.blocks(index), strict=True)
+        with contextlib.ExitStack() as stack:
+            with contextlib.suppress(OSError):  # without locks no process waits
+                # 256 files for all: one each would stay in the cache for good.
+                lock = cache_folder() / LOCKS / self.digest[:2]
+                lock.parent.mkdir(parents=True, exist_ok=True)
+                stack.enter_context(locked(lock))
+            # Each time: a notebook may set the variable at any time.
+            _UNPACKED.limit_bytes = cache_limit_bytes()
+            # Whoever held the lock may have unpacked it meanwhile, or a part of it.
+            return _are_kept(files) or all(
+                file.exists()
+                or _UNPACKED.write(
+                    file.name, int(group.table.nbytes), partial(write_block, file.name, group.table)
+                )
+                for file, group in zip(files, self.blocks(index), strict=True)
             )
 
     def _decoded(self, index: int, number: int) -> RowGroup:

@@ -7,7 +7,6 @@ import operator
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
-from dataclasses import asdict, dataclass
 from functools import reduce
 from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 
@@ -27,49 +26,6 @@ _MOST_NAMES = 10
 _SHOWN_IDS = 4
 # 0.7 + 0.2 + 0.1 is 0.9999999999999999.
 _ROUNDING = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class ColumnStatistics:
-    """What the numbers of one column are like.
-
-    Attributes
-    ----------
-    least, mean, greatest, deviation : float
-        Over the rows that have a value, in the unit of the column; the deviation is the standard one. NaN
-        where no row has any.
-    missing : int
-        Rows without a value, or with NaN.
-    """
-
-    least: float
-    mean: float
-    greatest: float
-    deviation: float
-    missing: int
-
-
-@dataclass(frozen=True, slots=True)
-class Statistics:
-    """Figures of a data set.
-
-    Attributes
-    ----------
-    rows : int
-        How many.
-    classes : dict of str to int
-        Rows of each class, by name, in order of the label; classes without rows too.
-    columns : dict of str to ColumnStatistics
-        Of each plain column of numbers but ids and labels.
-    """
-
-    rows: int
-    classes: dict[str, int]
-    columns: dict[str, ColumnStatistics]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return asdict(self)
 
 
 def checked_index(index: int, length: int, of: str, things: str) -> int:
@@ -378,30 +334,11 @@ class LazySequence(Sequence[T], Generic[T]):
         part_of[np.argsort(spread, kind="stable")] = np.searchsorted(ends, np.arange(len(order)), "right")
         return tuple(self._select(order[part_of == part]) for part in range(len(ends)))
 
-    def statistics(self) -> Statistics:
-        """Count items and classes, and sum up the plain columns of numbers; reads those columns only.
-
-        Raises
-        ------
-        IntegrityError
-            What is read is damaged.
-        """
-        columns = {}
-        for name in self._plain_columns:
-            if name in ("id", "label") or (values := self.column(name)).dtype.kind not in "iufb":
-                continue
-            numbers = values.astype(np.float64)
-            known = numbers[~np.isnan(numbers)]
-            figures = (known.min(), known.mean(), known.max(), known.std()) if len(known) else (np.nan,) * 4
-            least, mean, greatest, deviation = map(float, figures)
-            missing = len(numbers) - len(known)
-            columns[name] = ColumnStatistics(least, mean, greatest, deviation, missing)
-        return Statistics(len(self), self._class_counts(), columns)
-
     def to_pandas(self) -> Any:
         """Return the plain columns as a table with one row for each item.
 
         Meshes, images and other lists stay where they are: ``to_hf().to_pandas()`` has them too.
+        ``to_pandas().describe()`` sums up the numbers.
 
         Returns
         -------

@@ -127,7 +127,18 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self.batch_size = checked_integer(batch_size, "batch_size", 1)
         self.drop_last = drop_last
         self.collate_fn = collate_fn
-        self.rank, self.world_size = _rank_of(rank, world_size)
+        distributed = torch.distributed
+        if rank is not None or world_size is not None:
+            numbers = plain_number(rank), plain_number(world_size)
+        elif distributed.is_available() and distributed.is_initialized():
+            numbers = distributed.get_rank(), distributed.get_world_size()
+        else:
+            numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+        if not (is_integer(*numbers) and 0 <= numbers[0] < numbers[1]):
+            raise InputError(
+                f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
+            )
+        self.rank, self.world_size = numbers
         seed = None if seed is None else checked_integer(seed, "seed")
         self._sequence = sequence
         self._order = GlobalOrder(sequence._stored_parts(), seed, checked_integer(window, "window", 1))
@@ -187,7 +198,9 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         share, order = self._share(current["start"]), self._order.epoch(current["epoch"])
         turn = (self.rank * workers + worker) / (self.world_size * workers)
         ahead = Prefetcher(self._sequence, order, turn)
-        make = self._maker()
+        collate = self.collate_fn or torch.utils.data.default_collate
+        fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
+        make = None if self.collate_fn else getattr(self.data, "collated", None)
         # Points on surfaces are other ones in each epoch.
         if hasattr(self.data, "set_epoch"):
             self.data.set_epoch(current["epoch"])
@@ -195,20 +208,12 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             for index in range(worker + workers * current["batches"], len(share), workers):
                 numbers = share.batch(index)
                 ahead.enter(order.window_of(int(numbers[0])))
-                batch = make(order.positions(numbers).tolist())
+                chosen = order.positions(numbers).tolist()
+                batch = make(chosen) if make else collate(fetch(chosen))
                 current["batches"] += 1
                 yield batch
         finally:
             ahead.close()
-
-    def _maker(self) -> Callable[[list[int]], Any]:
-        """Return what makes a batch of the items at some positions."""
-        if self.collate_fn is None and hasattr(self.data, "collated"):
-            made: Callable[[list[int]], Any] = self.data.collated
-            return made
-        fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
-        collate = self.collate_fn or torch.utils.data.default_collate
-        return lambda chosen: collate(fetch(chosen))
 
     def state_dict(self) -> dict[str, Any]:
         """Return where this process is in its pass: what ``StatefulDataLoader`` asks of each worker.
@@ -326,19 +331,3 @@ def _holding(key: str, found: Any) -> Iterator[Mapping[str, Any]]:
             return
         for value in found.values():
             yield from _holding(key, value)
-
-
-def _rank_of(rank: int | None, world_size: int | None) -> tuple[int, int]:
-    """Return which process of how many this is."""
-    distributed = torch.distributed
-    if rank is not None or world_size is not None:
-        numbers = plain_number(rank), plain_number(world_size)
-    elif distributed.is_available() and distributed.is_initialized():
-        numbers = distributed.get_rank(), distributed.get_world_size()
-    else:
-        numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
-    if not (is_integer(*numbers) and 0 <= numbers[0] < numbers[1]):
-        raise InputError(
-            f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
-        )
-    return numbers

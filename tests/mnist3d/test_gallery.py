@@ -82,7 +82,7 @@ def test_workers_do_not_show_and_a_choice_is_kept(folder, tmp_path):
 
 def test_forecast_agrees_with_the_run(folder, tmp_path):
     choice = Choice(str(folder), "test")
-    view = forecast_site(plan_gallery(choice), str(tmp_path / "site"), 1)
+    view = forecast_site(plan_gallery(choice), str(tmp_path / "site"))
     site = build_site(plan_gallery(choice), str(tmp_path / "site"))
     assert (view.items, view.files, view.bytes) == (site.items, site.files, site.bytes)
 

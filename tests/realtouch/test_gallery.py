@@ -81,7 +81,7 @@ def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
 
 def test_touches_are_chosen_evenly_and_tasks_travel(seq_folder, tmp_path):
     choice = RoundChoice(str(seq_folder), limit=2, touches=3)
-    view = forecast_site(plan_gallery(choice), str(tmp_path / "a"), 1)
+    view = forecast_site(plan_gallery(choice), str(tmp_path / "a"))
     site = build_site(plan_gallery(choice), str(tmp_path / "a"))
     for task in plan_gallery(choice).tasks:
         assert pickle.loads(pickle.dumps(task)).make() == task.make()

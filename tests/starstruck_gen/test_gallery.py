@@ -81,7 +81,7 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
 
 def test_tasks_travel_and_forecasts_agree(folder, tmp_path):
     choice = Choice(str(folder), per_class=2)
-    view = forecast_site(plan_gallery(choice), str(tmp_path / "a"), 1)
+    view = forecast_site(plan_gallery(choice), str(tmp_path / "a"))
     site = build_site(plan_gallery(choice), str(tmp_path / "a"))
     for task in plan_gallery(choice).tasks:
         assert pickle.loads(pickle.dumps(task)).make() == task.make()

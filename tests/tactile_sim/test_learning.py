@@ -29,7 +29,7 @@ from tactile_sim.noise import add_noise
 from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
-from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.pictures.sheets import png_bytes
 from tactile_toolkit.read.parquet import ShardedTable
 from tests.tactile_sim.sets import NOISE
 

@@ -12,8 +12,7 @@ from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.making import Layout, Making, Recipe
-from tactile_toolkit.mesh.columns import MeshRow, mesh_schema
-from tactile_toolkit.mesh.records import SolidDataset, open_solids
+from tactile_toolkit.mesh.records import MeshRow, SolidDataset, mesh_schema, open_solids
 from tactile_toolkit.rows import column, meanings, row
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import Skipped

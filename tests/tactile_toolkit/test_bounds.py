@@ -20,6 +20,7 @@ from mnist3d.sources.mnist import IMAGES_MAGIC, read_idx
 from tactile_toolkit.bounds import UNPACKED_VARIABLE, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import read_mesh
+from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.threemf import BuildItem, write_build
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tests.forked import run_forked
@@ -78,7 +79,7 @@ def test_a_gzip_file_is_unpacked_as_far_as_its_header_promises(tmp_path: Path) -
 
 
 def zipped(model: bytes) -> bytes:
-    whole = io.BytesIO(write_build([BuildItem("thing", VERTICES, FACES)]))
+    whole = io.BytesIO(write_build([BuildItem("thing", Mesh(VERTICES / 1000, FACES))]))
     packed = io.BytesIO()
     with zipfile.ZipFile(whole) as old, zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as new:
         for name in old.namelist():
@@ -87,7 +88,7 @@ def zipped(model: bytes) -> bytes:
 
 
 def model_of(vertices: int) -> bytes:
-    whole = zipfile.ZipFile(io.BytesIO(write_build([BuildItem("thing", VERTICES, FACES)])))
+    whole = zipfile.ZipFile(io.BytesIO(write_build([BuildItem("thing", Mesh(VERTICES / 1000, FACES))])))
     text = whole.read("3D/3dmodel.model")
     return text.replace(b"</vertices>", b'<vertex x="0" y="0" z="0"/>' * vertices + b"</vertices>")
 

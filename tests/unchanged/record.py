@@ -31,7 +31,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.spec import TouchPreviewSpec
 from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.printing.packing import arrange, measure
-from tactile_toolkit.printing.plate_map import draw_map
+from tactile_toolkit.printing.plates import draw_map
 from tactile_toolkit.printing.spec import PlateSpec
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest, write_manifest

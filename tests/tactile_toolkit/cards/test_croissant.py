@@ -18,8 +18,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from tactile_toolkit.cards.checks import check_card
-from tactile_toolkit.cards.croissant import croissant_again, croissant_text
-from tactile_toolkit.cards.facts import folder_facts
+from tactile_toolkit.cards.facts import croissant_again, croissant_text, folder_facts
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.shards import ShardName

@@ -339,20 +339,18 @@ def test_nothing_and_too_much_are_refused(tmp_path, monkeypatch):
 
 def test_forecast_of_all_items_is_exact_and_writes_nothing(tmp_path):
     out = tmp_path / "site"
-    view = forecast_site(toy_gallery(), str(out), 2)
+    view = forecast_site(toy_gallery(), str(out))
     assert entries(tmp_path) == []
     site = build(out)
-    assert (view.items, view.files, view.bytes, view.sampled) == (20, site.files, site.bytes, 20)
-    assert view.fits
-    assert view.splits == {"train": 20}
+    assert view == site
+    assert (view.items, view.splits) == (20, {"train": 20})
     with pytest.raises(InputError, match="--overwrite"):
-        forecast_site(toy_gallery(4), str(out), 2)
+        forecast_site(toy_gallery(4), str(out))
 
 
 def test_forecast_of_many_items_is_near(tmp_path):
-    view = forecast_site(toy_gallery(400), str(tmp_path / "site"), 1)
+    view = forecast_site(toy_gallery(400), str(tmp_path / "site"))
     site = build(tmp_path / "site", toy_gallery(400))
-    assert view.sampled == 24
     assert view.files == site.files
     assert view.bytes == pytest.approx(site.bytes, rel=0.05)
 

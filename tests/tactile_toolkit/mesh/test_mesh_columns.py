@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.columns import require_mesh_columns
+from tactile_toolkit.mesh.records import require_mesh_columns
 from tactile_toolkit.read.columns import (
     RaggedColumn,
     class_names,

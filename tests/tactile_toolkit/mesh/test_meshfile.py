@@ -179,7 +179,7 @@ def test_a_3mf_that_builds_nothing_is_refused(resources: str, build: str, tmp_pa
 
 
 def test_3mf_is_what_trimesh_expects(ring: Mesh) -> None:
-    data = write_build([BuildItem("", ring.vertices_m.astype(np.float64) * 1000, ring.faces)])
+    data = write_build([BuildItem("", ring)])
     assert data[:2] == b"PK"
 
 

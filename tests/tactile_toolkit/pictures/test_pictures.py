@@ -15,20 +15,18 @@ from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.sheets import (
     INK,
+    PlannedPicture,
     Sheet,
     Tile,
     bar_length_mm,
-    in_rows,
-    sheet,
-    text_size,
-    with_scale_bar,
-)
-from tactile_toolkit.pictures.writing import (
-    PlannedPicture,
     file_stem,
+    in_rows,
     plan_kinds,
     png_bytes,
     renamed,
+    sheet,
+    text_size,
+    with_scale_bar,
     write_pictures,
 )
 from tactile_toolkit.store.folder import DataFolder

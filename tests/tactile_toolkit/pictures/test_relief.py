@@ -141,7 +141,7 @@ DRAW = """
 import hashlib, numpy as np
 from tactile_toolkit.pictures.sheets import ACCENTS
 from tactile_toolkit.pictures.render import Body, Picture3d, draw_bodies
-from tactile_toolkit.pictures.writing import png_bytes
+from tactile_toolkit.pictures.sheets import png_bytes
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet, with_scale_bar
 corners = np.array([(0, 0, 0), (.02, 0, 0), (0, .01, 0), (0, 0, .01)])

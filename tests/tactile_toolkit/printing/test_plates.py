@@ -25,8 +25,7 @@ from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate
 from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure
-from tactile_toolkit.printing.plate_map import draw_map
-from tactile_toolkit.printing.plates import forecast_plates, write_plates
+from tactile_toolkit.printing.plates import draw_map, forecast_plates, write_plates
 from tactile_toolkit.printing.spec import BEDS_MM, PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
@@ -281,14 +280,14 @@ def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> Non
         items = read_build((tmp_path / plate.file).read_bytes())
         assert [item.name for item in items] == [row["name"] for row in mine]
         for item, row in zip(items, mine, strict=True):
-            low, high = item.vertices_mm.min(axis=0), item.vertices_mm.max(axis=0)
+            low, high = item.mesh.bounds_m * 1e3
             found = (low[0], low[1], high[0] - low[0], high[1] - low[1])
             columns = ("x_mm", "y_mm", "width_mm", "depth_mm")
             assert found == pytest.approx([float(row[column]) for column in columns], abs=1e-3)
-            verdict = check_manifold(Mesh(item.vertices_mm / 1e3, item.faces))
+            verdict = check_manifold(item.mesh)
             assert verdict.problem is None
             assert verdict.volume_mm3 == pytest.approx(float(row["volume_mm3"]), abs=2e-3)
-            assert item.vertices_mm[:, 2].max() == pytest.approx(float(row["height_mm"]), abs=1e-3)
+            assert high[2] == pytest.approx(float(row["height_mm"]), abs=1e-3)
 
 
 def test_the_model_keeps_to_the_core_specification(tmp_path: Path) -> None:
@@ -314,9 +313,9 @@ def test_the_model_keeps_to_the_core_specification(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a", "<&\"'>", "ä 七"])
 def test_names_come_back_as_they_were(name: str) -> None:
     shape = box(2, 3, 4)
-    (back,) = read_build(write_build([BuildItem(name, shape.vertices_m * 1e3, shape.faces, (7.0, 8.0, 0.5))]))
+    (back,) = read_build(write_build([BuildItem(name, shape, (7.0, 8.0, 0.5))]))
     assert back.name == name
-    assert back.vertices_mm.min(axis=0).tolist() == [7, 8, 0.5]
+    assert back.mesh.vertices_mm.min(axis=0).tolist() == [7, 8, 0.5]
 
 
 def test_the_same_objects_give_the_same_bytes(tmp_path: Path) -> None:

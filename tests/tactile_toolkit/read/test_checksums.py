@@ -46,7 +46,7 @@ def test_blocks_come_back_alike_and_where_arrow_may_read_any_number(tmp_path: Pa
     for number, count in enumerate((1, 70, 3)):
         table = pa.table({"x": pa.array(range(count), pa.int8())}, metadata={"a": "b"})
         with (tmp_path / f"{number}").open("wb") as stream:
-            write_block(stream, f"{number}", table)
+            write_block(f"{number}", table, stream)
         found, size = map_block(tmp_path / f"{number}")
         assert found.equals(table, check_metadata=True)
         assert size < (tmp_path / f"{number}").stat().st_size

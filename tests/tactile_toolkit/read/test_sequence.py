@@ -96,7 +96,9 @@ def test_one_vocabulary(every_set: dict[str, Any], kind: str) -> None:
     for wanted in ((label,), (items.label_names[label],), ([label],), (np.array([label]),)):
         assert list(items.filter_labels(*wanted)) == expected
     assert list(items.filter(lambda item: item.label == label)) == expected
-    assert {name: len(view) for name, view in items.by_label().items()} == items.statistics().classes
+    assert [len(view) for view in items.by_label().values()] == np.bincount(
+        items.labels, minlength=len(items.label_names)
+    ).tolist()
     assert items.select(range(3)) == items[:3] == items.select(iter([0, 1, 2]))
     mixed = items.shuffle(4)
     assert sorted(map(items.index, mixed)) == list(range(len(items)))
@@ -272,23 +274,19 @@ def test_splits_by_number_and_wrong_ones(rows: Rows) -> None:
             rows.split(*wrong, seed=0)  # type: ignore[arg-type]
 
 
-def test_statistics_and_tables_read_plain_columns_only(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_tables_read_plain_columns_only(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
     read = Shard.read
     monkeypatch.setattr(Shard, "read", lambda self, **options: asked.append(options) or read(self, **options))
-    figures = rows.statistics()
-    value = figures.columns.pop("value")
-    assert figures.to_dict() == {"rows": 100, "classes": {"a": 50, "b": 30, "c": 20}, "columns": {}}
-    known = np.array([n for n in range(100) if n % 10])
-    assert (value.least, value.greatest, value.missing) == (1, 99, 10)
-    assert (value.mean, value.deviation) == (pytest.approx(known.mean()), pytest.approx(known.std()))
     table = rows[::-1].to_pandas()
     assert table.columns.tolist() == ["id", "label", "value", "name"]
     assert table["name"].tolist() == [f"n{n}" for n in range(99, -1, -1)]
     assert rows.column_names == ("id", "label", "value", "name", "points")
     assert {options["columns"][0] for options in asked} == {"id", "label", "value", "name"}
-    nothing = rows[:0].statistics()
-    assert (nothing.rows, nothing.classes["a"], nothing.columns["value"].missing) == (0, 0, 0)
+    known = np.array([n for n in range(100) if n % 10])
+    figures = table.describe()["value"]
+    assert (figures["min"], figures["max"], figures["count"]) == (1, 99, 90)
+    assert figures["mean"] == pytest.approx(known.mean())
 
 
 def test_a_hugging_face_set_shares_the_rows(every_set: dict[str, Any], rows: Rows) -> None:

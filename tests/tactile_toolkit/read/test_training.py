@@ -408,10 +408,10 @@ UNPACK = """
     import os, sys
     from tactile_toolkit.read import parquet
     write = parquet.write_block
-    def logged(stream, name, table):
+    def logged(name, table, stream):
         with open(sys.argv[1], "a") as log:
             log.write(name + "\\n")
-        write(stream, name, table)
+        write(name, table, stream)
     parquet.write_block = logged
     print("ready", flush=True)
     sys.stdin.readline()
