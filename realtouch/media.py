@@ -1,46 +1,197 @@
-"""Clips of touches: frames are found through the file's index and decoded one by one, only those asked for.
+"""The images and clips of a round, decoded when they are asked for; threads; sheets of pictures.
 
-An AVI of MJPEG frames is a string of JPEGs, which libjpeg decodes. A clip whose index cannot be read goes
-through FFmpeg (PyAV, the extra ``video``).
+Frames of a clip are found through the file's index and decoded one by one, only those asked for: an AVI of
+MJPEG frames is a string of JPEGs, which libjpeg decodes.
 """
 
 from __future__ import annotations
 
+import html
 import operator
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import AbstractContextManager, suppress
+from contextlib import suppress
 from functools import partial
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from realtouch.clip_columns import (
+from realtouch.columns import (
     clip_length,
+    entries_of,
     pose_sequences,
     stamps_s,
     stored_clip,
     times_of_touches,
+    touch_total,
 )
-from realtouch.columns import entries_of
 from realtouch.contact import ContactMethod, best_of, contact_window, require_method
 from realtouch.damage import damaged, naming
-from realtouch.images import in_parallel
 from realtouch.poses import Poses
-from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
+from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
+from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
+from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
-from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, room_for
-from tactile_toolkit.touch.video import (
-    Avi,
-    NoIndexError,
-    ffmpeg_facts,
-    ffmpeg_frames,
-    require_video,
-)
+from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized, room_for
+from tactile_toolkit.touch.video import Avi
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
+
+# Long enough that taking a run costs nothing, short enough that threads end together.
+_LONGEST_RUN = 16
+
+
+class SensorImages(Sequence[Pixels]):
+    """The images of one round; each is decoded when it is asked for, none is kept.
+
+    ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
+    Safe to share between threads and to pickle.
+    """
+
+    __slots__ = ("_blobs", "_count", "_row", "_start")
+
+    def __init__(self, row: Row) -> None:
+        column = row.group.nested("sensor_image")
+        start, stop = column.inside(0, row.index, row.index + 1)
+        self._row = row
+        self._blobs: BytesColumn = column.values
+        self._start, self._count = start, stop - start
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Pixels:  # type: ignore[override]
+        """Decode one image, or some into one array.
+
+        Raises IntegrityError when an image is damaged, or differs in size from the others asked for; it names
+        file, row and touch.
+        """
+        if isinstance(index, (slice, list, tuple, np.ndarray)):
+            return self.batch(index)
+        return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
+
+    def __iter__(self) -> Iterator[Pixels]:
+        return (self._decode(touch) for touch in range(self._count))
+
+    def batch(self, index: Any = slice(None), *, threads: int = 1, out: Pixels | None = None) -> Pixels:
+        """Decode several images into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which touches; all by default.
+        threads : int
+            How many to decode at a time.
+        out : ndarray, shape (n, H, W, 3), uint8, optional
+            Where to put them, to spare the memory of a new array per batch; each image C-contiguous.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        InputError
+            ``out`` is not such an array.
+        IntegrityError
+            As for indexing; or the images exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+        """
+        touches = positions(index, self._count).tolist()
+        first = touches[0] if len(touches) else 0
+        size = self.size(first) if self._count else (0, 0)
+        with naming(self._row, "sensor_image", first):
+            pixels = room_for(len(touches), size, out)
+        self.decode_into(pixels, touches, threads=threads)
+        return pixels
+
+    def decode_into(self, out: Pixels, touches: Sequence[int], *, threads: int = 1) -> None:
+        """Decode several images into an array of their size, such as ``room_for`` gives."""
+        in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
+
+    def encoded(self, touch: int) -> memoryview:
+        """Return the stored bytes of one image, without a copy; raises IntegrityError when there are none."""
+        place = checked_index(touch, self._count, "touch", "touches")
+        blob = self._blobs[self._start + place]
+        if blob is None or len(blob) == 0:
+            raise damaged(self._row, "sensor_image", "no bytes are stored; expected a JPEG", place)
+        return blob
+
+    def size(self, touch: int = 0) -> tuple[int, int]:
+        """Return height and width of one image from its header."""
+        with naming(self._row, "sensor_image", touch):
+            return image_size(self.encoded(touch))
+
+    def _decode(self, touch: int, out: Pixels | None = None) -> Pixels:
+        with naming(self._row, "sensor_image", touch):
+            return decode_image(self.encoded(touch), out)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (SensorImages, (self._row,))
+
+    def __repr__(self) -> str:
+        return f"SensorImages({self._count} touches)"
+
+
+def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
+    """Do ``count`` pieces of work, numbered from 0, in some threads; the first error ends all of them.
+
+    Each takes a run of pieces at a time: neighbours share pages of the array that they are written to.
+    """
+    length = max(1, min(_LONGEST_RUN, count // max(1, 4 * threads)))
+    runs = (range(start, min(start + length, count)) for start in range(0, count, length))
+    deque(in_threads(lambda run: deque(map(work, run), maxlen=0), runs, max(1, threads)), maxlen=0)
+
+
+MOST_TILES = 32
+"""Touches that a notebook shows of a round."""
+
+_TILE_WIDTH = 120
+_GAP = 4
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """Choose up to ``most`` of ``count`` indices, first and last among them."""
+    indices: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    return indices
+
+
+def fitted(image: Pixels, width: int) -> Pixels:
+    """Return an image, (H, W, 3), at another width in pixels, its proportions kept."""
+    return resized(image, width, max(1, round(width * image.shape[0] / image.shape[1])))
+
+
+def contact_sheet(images: Sequence[Pixels], columns: int = 8, tile_width: int = _TILE_WIDTH) -> Pixels:
+    """Lay RGB images, (H, W, 3), out in rows of ``columns``, each ``tile_width`` pixels wide.
+
+    All get the proportions of the first.
+    """
+    height = fitted(images[0], tile_width).shape[0]
+    tiles = [Tile(resized(image, tile_width, height)) for image in images]
+    return sheet(tiles, Sheet(min(columns, len(images)), gap_px=_GAP, margin_px=_GAP))
+
+
+def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], Pixels]]]) -> str:
+    """Return a notebook's view of a round: a caption, which counts damaged pictures, and the others."""
+    tiles = []
+    for caption, read in pictures:
+        with suppress(IntegrityError):
+            tiles.append(touch_html(read(), caption))
+    if len(tiles) < len(pictures):
+        missing = f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"
+        words = [*words, missing]
+    grid = f'<div style="display:flex;flex-wrap:wrap;gap:{_GAP}px">{"".join(tiles)}</div>'
+    return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
+
+
+def touch_html(picture: Pixels, caption: str) -> str:
+    """Return a notebook's view of a touch: its picture and what it is."""
+    return figure_html(fitted(picture, _TILE_WIDTH), caption, TILE_STYLE)
+
 
 _SHOWN_FRAMES = 8
 
@@ -70,27 +221,24 @@ class TouchClip(Sequence[Pixels]):
     Raises
     ------
     IntegrityError
-        The clip is cut short, damaged, exceeds the limits or has another length than the round states; names
-        file, row and touch.
-    MissingExtraError
-        The clip is not an AVI of JPEGs, and PyAV is not installed.
+        The clip is not an indexed AVI of JPEGs, cut short, damaged, exceeds the limits or has another length
+        than the round states; names file, row and touch.
     """
 
-    __slots__ = ("_avi", "_count", "_row", "data", "touch")
+    __slots__ = ("_avi", "_row", "data", "touch")
 
     def __init__(self, row: Row, touch: int) -> None:
         self._row, self.touch = row, touch
         self.data = stored_clip(row, touch)
-        self._count = clip_length(row, touch)
-        self._avi: Avi | None = None
-        with self._naming(), suppress(NoIndexError):
+        stated = clip_length(row, touch)
+        with naming(row, "sensor_video", touch):
             self._avi = Avi(self.data)
-        if self._avi is not None and len(self._avi) != self._count:
-            problem = f"a clip of {len(self._avi)} frames; expected {self._count} by 'video_length_frames'"
+        if len(self._avi) != stated:
+            problem = f"a clip of {len(self._avi)} frames; expected {stated} by 'video_length_frames'"
             raise damaged(row, "sensor_video", problem, touch)
 
     def __len__(self) -> int:
-        return self._count
+        return len(self._avi)
 
     def __getitem__(self, index: Any) -> Pixels:  # type: ignore[override]
         """Decode one frame, or some into one array.
@@ -102,12 +250,7 @@ class TouchClip(Sequence[Pixels]):
         """
         if isinstance(index, (slice, list, tuple, np.ndarray)):
             return self.frames(index)
-        frame = checked_index(operator.index(index), self._count, "frame", "frames")
-        if self._avi is not None:
-            return self._decode(frame)
-        with self._naming():
-            pixels: Pixels = ffmpeg_frames(self.data, [frame], self._count)[0]
-        return pixels
+        return self._decode(checked_index(operator.index(index), len(self), "frame", "frames"))
 
     def frames(self, index: Any = slice(None), *, threads: int = 1) -> Pixels:
         """Decode frames into one array.
@@ -128,10 +271,8 @@ class TouchClip(Sequence[Pixels]):
         IntegrityError
             A frame is damaged, or they exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
-        wanted = positions(index, self._count).tolist()
-        with self._naming():
-            if self._avi is None:
-                return ffmpeg_frames(self.data, wanted, self._count)
+        wanted = positions(index, len(self)).tolist()
+        with naming(self._row, "sensor_video", self.touch):
             pixels = room_for(len(wanted), self.size)
         in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
         return pixels
@@ -155,27 +296,21 @@ class TouchClip(Sequence[Pixels]):
         return np.asarray(self.frames(), dtype)
 
     @property
-    def has_index(self) -> bool:
-        """Whether the clip is an indexed AVI of JPEGs, whose frames are found without decoding others."""
-        return self._avi is not None
-
-    @property
     def size(self) -> tuple[int, int]:
         """Height and width of a frame, pixels."""
-        with self._naming():
-            return ffmpeg_facts(self.data)[0] if self._avi is None else image_size(self.encoded(0))
+        data = self.encoded(0)
+        with naming(self._row, "sensor_video", self.touch):
+            return image_size(data)
 
     @property
     def fps(self) -> float:
         """Frames per second that the file states; 25 in the published sets."""
-        with self._naming():
-            return ffmpeg_facts(self.data)[1] if self._avi is None else self._avi.fps
+        return self._avi.fps
 
     @property
     def media_times_s(self) -> NDArray[np.float64]:
         """Time of each frame on the file's own clock, shape (N,), seconds from its first frame."""
-        # A repeated frame takes a slot of time.
-        return (np.arange(self._count) if self._avi is None else self._avi.slots) / self.fps
+        return self._avi.slots / self.fps  # a repeated frame takes a slot of time
 
     def encoded(self, frame: int) -> memoryview:
         """Return the JPEG of one frame as it is stored.
@@ -191,30 +326,12 @@ class TouchClip(Sequence[Pixels]):
 
         Raises
         ------
-        InputError
-            The clip is not an indexed AVI of MJPEG frames.
         IntegrityError
             The index does not lead to the frame; names file, row and touch.
         """
-        if self._avi is None:
-            raise InputError(
-                f"touch {self.touch}: the clip is not an indexed AVI of JPEGs", next="decode its frames"
-            )
-        number = checked_index(frame, self._count, "frame", "frames")
-        with self._naming():
+        number = checked_index(frame, len(self), "frame", "frames")
+        with naming(self._row, "sensor_video", self.touch):
             return self._avi.frame(number)
-
-    def contact_into(self, out: Pixels, method: str = "contact_end") -> None:
-        """Decode the frame that shows the contact into an array of its size; see :meth:`contact_index`.
-
-        Parameters
-        ----------
-        out : ndarray, shape (H, W, 3), uint8
-            Where to put it.
-        method : str
-            As for :meth:`contact_index`.
-        """
-        self.decode_into(out, self.contact_index(method))
 
     def decode_into(self, out: Pixels, frame: int) -> None:
         """Decode one frame into an array of its size.
@@ -226,10 +343,7 @@ class TouchClip(Sequence[Pixels]):
         frame : int
             Which frame.
         """
-        if self._avi is not None:
-            self._decode(frame, out)
-        else:
-            out[...] = self[frame]
+        self._decode(frame, out)
 
     @property
     def timestamps_s(self) -> NDArray[np.float64]:
@@ -262,8 +376,7 @@ class TouchClip(Sequence[Pixels]):
     @property
     def contact_window(self) -> slice:
         """Frames from first to last registered contact; see :func:`realtouch.contact.contact_window`."""
-        start_s, end_s = times_of_touches(self._row, self.touch)
-        return contact_window(self.timestamps_s, float(start_s[0]), float(end_s[0]))
+        return contact_windows(self._row, self.touch)[0]
 
     def contact_index(self, method: str = "contact_end") -> int:
         """Choose the frame that shows the contact.
@@ -287,12 +400,7 @@ class TouchClip(Sequence[Pixels]):
         chosen = require_method(method)
         if chosen == "best":
             return best_of(self.frames())[0]
-        window = self.contact_window
-        if chosen == "contact_start":
-            return int(window.start)
-        if chosen == "contact_end":
-            return int(window.stop) - 1
-        return int(window.start) + int(np.argmin(self.poses.position_m[window, 2]))
+        return contact_frames_of(self._row, chosen, self.touch)[0]
 
     def contact_frame(self, method: str = "contact_end") -> Pixels:
         """Decode the frame that shows the contact, (H, W, 3) uint8; see :meth:`contact_index`."""
@@ -305,37 +413,28 @@ class TouchClip(Sequence[Pixels]):
         ------
         MissingExtraError
             torchcodec is not installed.
-        IntegrityError
-            The clip is neither an AVI nor Matroska; names file, row and touch.
         """
-        with self._naming():
-            require_video(self.data)
         with needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
             from torchcodec.decoders import VideoDecoder
         return VideoDecoder(bytes(self.data))
 
     def _decode(self, frame: int, out: Pixels | None = None) -> Pixels:
-        with naming(self._row, "sensor_video", self.touch, f"frame {frame}: "):
-            assert self._avi is not None
+        try:
             return decode_image(self._avi.frame(frame), out)
-
-    def _naming(self) -> AbstractContextManager[None]:
-        """Turn a ValueError into damage of this clip."""
-        return naming(self._row, "sensor_video", self.touch)
+        except ValueError as error:
+            raise damaged(self._row, "sensor_video", f"frame {frame}: {error}", self.touch) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (TouchClip, (self._row, self.touch))
 
     def __repr__(self) -> str:
-        return f"TouchClip(touch {self.touch}, {self._count} frames)"
+        return f"TouchClip(touch {self.touch}, {len(self)} frames)"
 
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
-        from realtouch.images import evenly_spaced, round_html
-
-        frames = evenly_spaced(self._count, _SHOWN_FRAMES)
+        frames = evenly_spaced(len(self), _SHOWN_FRAMES)
         pictures = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
-        return round_html(f"Touch {self.touch}", [f"{self._count} frames"], pictures)
+        return round_html(f"Touch {self.touch}", [f"{len(self)} frames"], pictures)
 
 
 class SensorClips(Sequence[TouchClip]):
@@ -377,21 +476,31 @@ class SensorClips(Sequence[TouchClip]):
         return f"SensorClips({self._count} touches)"
 
 
-def contact_frames_of(clips: SensorClips, method: ContactMethod) -> list[int]:
-    """Return the frame of every clip of a round that shows the contact, by time or pose, not by the picture.
+def contact_windows(row: Row, touch: int | None = None) -> list[slice]:
+    """Return the frames of contact of every clip of a round, or of one alone: see :func:`contact_window`.
 
-    See :meth:`TouchClip.contact_index`. Raises IntegrityError when times or poses are missing or impossible.
+    Opens clips only where the times of frames are not stored. Raises IntegrityError when times are missing or
+    impossible.
     """
-    times = stamps_s(clips.row)
+    times = stamps_s(row, touch)
     if times is None:
-        times = [clip.media_times_s for clip in clips]
-    ends = (each.tolist() for each in times_of_touches(clips.row))
-    windows = [contact_window(*each) for each in zip(times, *ends, strict=True)]
+        touches = range(touch_total(row)) if touch is None else [touch]
+        times = [TouchClip(row, each).media_times_s for each in touches]
+    ends = (each.tolist() for each in times_of_touches(row, touch))
+    return [contact_window(*each) for each in zip(times, *ends, strict=True)]
+
+
+def contact_frames_of(row: Row, method: ContactMethod, touch: int | None = None) -> list[int]:
+    """Return the frame of every clip of a round, or of one, that shows the contact: by time or pose.
+
+    See :meth:`TouchClip.contact_index`. Raises IntegrityError as :func:`contact_windows`, and for poses.
+    """
+    windows = contact_windows(row, touch)
     if method == "contact_start":
         return [window.start for window in windows]
     if method == "contact_end":
         return [window.stop - 1 for window in windows]
-    pressed = zip(pose_sequences(clips.row), windows, strict=True)
+    pressed = zip(pose_sequences(row, touch), windows, strict=True)
     return [window.start + int(np.argmin(each.position_m[window, 2])) for each, window in pressed]
 
 
