@@ -210,6 +210,12 @@ def stamps_s(row: Row, touch: int | None = None) -> list[NDArray[np.float64]] | 
     if not row.has("time_stamp_rel_seq"):
         return None
     found = [_as_seconds(times) for times in cut(row, "time_stamp_rel_seq", 0, touch)]
+    if touch is None:
+        # In one go; touch by touch only to find which one is wrong.
+        joined = np.concatenate([np.zeros(0), *found])
+        falls = np.flatnonzero(joined[1:] < joined[:-1]) + 1
+        if np.isfinite(joined).all() and np.isin(falls, np.cumsum(list(map(len, found)))).all():
+            return found
     for number, times in enumerate(found, touch or 0):
         # A comparison with NaN is false, so this finds missing times too.
         if not (times[1:] >= times[:-1]).all() or (len(times) and not math.isfinite(times[0])):
@@ -244,26 +250,41 @@ def cut(row: Row, name: str, width: int, touch: int | None = None) -> tuple[NDAr
     A width of 0 means scalars, and shapes (N_i,). Raises IntegrityError when there are not T sequences, one
     is too short, or entries are not ``width`` values each.
     """
-    lengths = clip_lengths(row) if touch is None else np.array([clip_length(row, touch)])
-    column, first, last = entries_of(row, name, touch)
-    edges = _starts_below(column, 1, np.arange(first, last + 1))
-    starts, stored = edges[:-1], np.diff(edges)
-    # Else a touch would be given the next one's for what is lacking.
-    _require_each(row, name, lengths <= stored, touch, "{} frames; expected at least {}", stored, lengths)
-    stops = starts + lengths
-    if width:
-        starts, stops = _starts_below(column, 2, starts), _starts_below(column, 2, stops)
-    counts, each = stops - starts, max(width, 1)
-    problem = f"{{}} values for {{}} frames; expected {each} each"
-    _require_each(row, name, counts == lengths * each, touch, problem, counts, lengths)
-    parts = (column.values[slice(*ends)] for ends in zip(starts.tolist(), stops.tolist(), strict=True))
-    return tuple(values.reshape(-1, width) if width else values for values in parts)
+    if touch is not None:
+        return (_cut_touch(row, name, touch, width),)
+    lengths = clip_lengths(row)
+    column, first, last = entries_of(row, name)
+    padded = _padded(column, first, last, width)
+    # Published clips are padded to the longest of their round: one view, cut T times.
+    if padded is not None and padded.shape[1] >= lengths.max(initial=0):
+        return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
+    return tuple(_cut_touch(row, name, each, width) for each in range(last - first))
 
 
-def _starts_below(column: NestedColumn, level: int, lists: NDArray[Any]) -> NDArray[Any]:
-    """Return where the content of some lists of a level begins in the next level."""
-    where = column.levels[level]
-    return lists * where if isinstance(where, int) else where[lists]
+def _cut_touch(row: Row, name: str, touch: int, width: int) -> NDArray[Any]:
+    # Counted for a single touch, too: else it would be given the next round's for what is lacking.
+    column, first, _ = entries_of(row, name)
+    start, stop = column.inside(1, first + touch, first + touch + 1)
+    wanted = clip_length(row, touch)
+    if wanted > stop - start:
+        raise damaged(row, name, f"{stop - start} frames; expected at least {wanted}", touch)
+    values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
+    if len(values) != wanted * max(width, 1):
+        problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
+        raise damaged(row, name, problem, touch)
+    return values.reshape(wanted, width) if width else values
+
+
+def _padded(column: NestedColumn, first: int, last: int, width: int) -> NDArray[Any] | None:
+    """View all touches as one array (T, N, width), where they all have N frames of ``width`` values."""
+    touches = last - first
+    start, stop = column.inside(1, first, last)
+    frames = (stop - start) // max(touches, 1)
+    flat, starts = column.flat(1, first, last), column.levels[1]
+    is_even = isinstance(starts, int) or (np.diff(starts[first : last + 1]) == frames).all()
+    if not is_even or len(flat) != touches * frames * max(width, 1):
+        return None
+    return flat.reshape((touches, frames, width) if width else (touches, frames))
 
 
 def stored_clip(row: Row, touch: int) -> memoryview:

@@ -7,7 +7,7 @@ index. Each frame stands alone. The layout is that of Microsoft's AVI RIFF file 
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -42,12 +42,31 @@ class Avi:
             raise ValueError(
                 f"an AVI cut short: {len(data):,} bytes are there; expected {end:,} by its header"
             )
-        parts = {name: (start, size) for name, start, size in _chunks(data, _RIFF.size, end)}
+        self.data = data
+        parts: dict[bytes, tuple[int, int]] = {}
+        stream, number, position = None, -1, _RIFF.size
+        while position + _CHUNK.size <= end:
+            name, size = _CHUNK.unpack_from(data, position)
+            start = position + _CHUNK.size
+            position = start + size + size % 2
+            if start + size > end:
+                raise ValueError(
+                    f"an AVI whose part {name!r} ends {start + size - end:,} bytes behind its end"
+                )
+            if name == b"LIST" and size >= 4:
+                name, start, size = bytes(data[start : start + 4]), start + 4, size - 4
+                if name in (b"hdrl", b"strl"):  # what is in these is looked at next
+                    position, number = start, number + (name == b"strl")
+            elif name == b"strh" and stream is None and size >= _STREAM_HEADER.size:
+                kind, codec, scale, rate = _STREAM_HEADER.unpack_from(data, start)
+                if kind == b"vids" and codec.upper() == b"MJPG" and scale and rate:
+                    stream, self.fps = number, rate / scale
+            parts[name] = (start, size)
         missing = [name for name in (b"hdrl", b"movi", b"idx1") if name not in parts]
         if missing:
             raise ValueError(f"an AVI without {missing[0].decode()!r}; expected an index of MJPEG frames")
-        self.data = data
-        stream, self.fps = _mjpeg_stream(data, *parts[b"hdrl"])
+        if stream is None:
+            raise ValueError("an AVI without an MJPEG stream; expected one")
         # Compressed and plain frames of the stream.
         self._names = (b"%02ddc" % stream, b"%02ddb" % stream)
         self._read_index(parts[b"idx1"], parts[b"movi"])
@@ -56,31 +75,30 @@ class Avi:
         return len(self.sizes)
 
     def _read_index(self, index: tuple[int, int], movie: tuple[int, int]) -> None:
-        entries = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0]).reshape(-1, 4)
-        # Most of the time in which a clip opens goes to calls of numpy, so that there are few: the names of both
-        # kinds of frames differ in one bit of the last letter, "b" or "c".
-        is_frame = entries[:, 0] | 1 << 24 == int.from_bytes(self._names[0], "little")
-        if np.count_nonzero(is_frame) < len(entries):
-            entries = entries[is_frame]
-        if len(entries) > MAX_CLIP_FRAMES:
-            raise ValueError(f"a clip of {len(entries):,} frames; the limit is {MAX_CLIP_FRAMES:,}")
-        self._all_sizes = entries[:, 3]
-        if np.count_nonzero(self._all_sizes) < len(entries):  # a repeated frame takes no bytes
-            entries = entries[self._all_sizes > 0]
+        stored = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0])
+        # Most of the time in which a clip opens goes to calls of numpy, so that there are few.
+        names, _, offsets, sizes = stored.reshape(-1, 4).T.astype(np.int64)
+        packed, plain = (int.from_bytes(name, "little") for name in self._names)
+        if np.count_nonzero(names == packed) < len(names):
+            is_frame = (names == packed) | (names == plain)
+            offsets, sizes = offsets[is_frame], sizes[is_frame]
+        if len(sizes) > MAX_CLIP_FRAMES:
+            raise ValueError(f"a clip of {len(sizes):,} frames; the limit is {MAX_CLIP_FRAMES:,}")
+        self._all_sizes = sizes
+        if np.count_nonzero(sizes) < len(sizes):  # a repeated frame takes no bytes
+            offsets, sizes = offsets[sizes > 0], sizes[sizes > 0]
         # Writers differ in where offsets count from: the list of frames, or the file.
-        first = int(entries[0, 2]) if len(entries) else 0
-        bases = [base for base in (movie[0] - 4, 0) if self.data[base + first :][:4] in self._names]
-        if not len(entries) or not bases:
+        first = int(offsets[0]) if len(offsets) else 0
+        places = ((base, base + first) for base in (movie[0] - 4, 0))
+        bases = [base for base, at in places if self.data[at : at + 4].tobytes() in self._names]
+        if not len(offsets) or not bases:
             raise ValueError("an AVI whose index does not lead to frames; expected one of MJPEG frames")
-        # Begin of the movie, start and end of each frame, end of the movie: a small file whose frames overlap
-        # would decode to any amount of pixels.
-        edges = np.empty(2 * len(entries) + 2, np.int64)
-        edges[0], edges[-1] = movie[0], sum(movie)
-        self.starts, self.sizes = edges[1:-1:2], entries[:, 3]
-        np.add(entries[:, 2], bases[0] + _CHUNK.size, out=self.starts)
-        np.add(self.starts, self.sizes, out=edges[2:-1:2])
-        if np.count_nonzero(edges[1:] < edges[:-1]):
-            fits = (self.starts >= edges[:-2:2]) & (edges[2:-1:2] <= edges[-1])
+        self.starts, self.sizes = offsets + (bases[0] + _CHUNK.size), sizes
+        ends = self.starts + sizes
+        # A small file whose frames overlap would decode to any amount of pixels.
+        is_early = self.starts[1:] < ends[:-1]
+        if np.count_nonzero(is_early) or self.starts[0] < movie[0] or ends[-1] > sum(movie):
+            fits = np.append(self.starts[0] >= movie[0], ~is_early) & (ends <= sum(movie))
             found = f"frame {fits.argmin()} of {len(self)} outside of it or over another"
             raise ValueError(f"an AVI whose index has {found}; expected that of the stream")
 
@@ -97,37 +115,6 @@ class Avi:
             where = f"frame {number} of {len(self)} where the stream has no frame of that size"
             raise ValueError(f"an AVI whose index names {where}")
         return self.data[start : start + size]
-
-
-def _chunks(data: memoryview, position: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Yield name, start and size of each chunk; a list goes by the name of its kind, its start after that."""
-    while position + _CHUNK.size <= end:
-        name, size = _CHUNK.unpack_from(data, position)
-        start = position + _CHUNK.size
-        position = start + size + size % 2
-        if start + size > end:
-            raise ValueError(f"an AVI whose part {name!r} ends {start + size - end:,} bytes behind its end")
-        if name == b"LIST" and size >= 4:
-            yield bytes(data[start : start + 4]), start + 4, size - 4
-        else:
-            yield name, start, size
-
-
-def _mjpeg_stream(data: memoryview, start: int, size: int) -> tuple[int, float]:
-    """Return number and frame rate of the first MJPEG stream among the headers."""
-    number = -1
-    for part, stream_start, stream_size in _chunks(data, start, start + size):
-        if part != b"strl":
-            continue
-        number += 1
-        for name, header_start, length in _chunks(data, stream_start, stream_start + stream_size):
-            if name != b"strh" or length < _STREAM_HEADER.size:
-                continue
-            kind, codec, scale, rate = _STREAM_HEADER.unpack_from(data, header_start)
-            if kind != b"vids" or codec.upper() != b"MJPG" or not scale or not rate:
-                break
-            return number, rate / scale
-    raise ValueError("an AVI without an MJPEG stream; expected one")
 
 
 def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> bytes:
