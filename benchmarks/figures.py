@@ -67,7 +67,13 @@ BENCHMARKS = {
     ),
     "starstruck": Benchmark(("starstruck_gen", *_STORE)),
     "real_touches": Benchmark(
-        ("realtouch/clips.py", "realtouch/images.py", "realtouch/dataset.py", "tactile_toolkit/touch", *_READ)
+        (
+            "realtouch/media.py",
+            "realtouch/columns.py",
+            "realtouch/dataset.py",
+            "tactile_toolkit/touch",
+            *_READ,
+        )
     ),
     "exchange": Benchmark(
         (

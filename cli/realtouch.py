@@ -386,7 +386,7 @@ def import_touches(
 
     Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
     """
-    from realtouch.exchange.importing import import_images
+    from realtouch.exchange.api import import_images
 
     make = partial(
         import_images, source, out, file_format, columns, table=table, classes=classes or (), split=split_name
@@ -398,7 +398,7 @@ def import_touches(
 def _print_imported(
     sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, _elapsed_s: float | None
 ) -> None:
-    from realtouch.exchange.importing import NOT_IMPORTED
+    from realtouch.exchange.api import NOT_IMPORTED
     from tactile_toolkit.store.shards import add_up
 
     skipped = [item for record in manifest.shards for item in record.skipped]

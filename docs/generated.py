@@ -320,10 +320,10 @@ def _formats_page() -> str:
     """Write the columns of every kind of data set, from schemas and from the words of their cards."""
     from env_assets.wrench.making import WrenchRow, wrench_schema
     from mnist3d.columns import DigitRow, digit_schema
-    from realtouch import card as touches
+    from realtouch.card import WORDS
     from starstruck_gen.columns import SceneRow, scene_schema
     from tactile_sim.columns import TouchRow, touch_schema
-    from tactile_toolkit.cards.card import field_table, markdown_table
+    from tactile_toolkit.cards.card import card_words, field_table, markdown_table
     from tactile_toolkit.cards.facts import FolderFacts
     from tactile_toolkit.rows import meanings
     from tactile_toolkit.touch.schema import KNOWN_COLUMNS
@@ -333,8 +333,9 @@ def _formats_page() -> str:
             "frame below", "frame of the mesh"
         )
 
+    meant = card_words(WORDS)["columns"]["rounds"]
     rows = [
-        (f"`{column}`", words, *touches.COLUMNS.get(column, ("", "")))
+        (f"`{column}`", words, *meant.get(column, ("", "")))
         for column, (_, _, words) in KNOWN_COLUMNS.items()
     ]
     parts = [

@@ -13,10 +13,10 @@ from realtouch.dataset import (
     TouchStream as TouchStream,
 )
 from realtouch.exchange.api import export as export
-from realtouch.exchange.importing import import_images as import_images
+from realtouch.exchange.api import import_images as import_images
 from realtouch.spec import ImportColumns as ImportColumns
 from realtouch.verification import verify as verify
-from realtouch.clips import TouchClip as TouchClip
+from realtouch.media import TouchClip as TouchClip
 from realtouch.opening import SHORT_NAMES as SHORT_NAMES
 from realtouch.opening import load as load
 from realtouch.poses import Poses as Poses, PoseSequences as PoseSequences
@@ -36,7 +36,7 @@ from realtouch.rounds import (
     TouchSingleRound as TouchSingleRound,
 )
 from realtouch.summary import Summary as Summary, summarise as summarise
-from realtouch.touch import Touch as Touch
+from realtouch.rounds import Touch as Touch
 from realtouch.dataset import Touches as Touches
 
 __version__: str

@@ -6,22 +6,20 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from operator import attrgetter
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from realtouch.dataset import dataset_of
-from realtouch.images import contact_sheet, evenly_spaced
+from realtouch.dataset import TouchDataset, dataset_of
 from realtouch.kind import KIND
-from realtouch.rounds import TouchSeqRound, TouchSingleRound
-from realtouch.touch import Touch
-from tactile_toolkit.cards.card import Card, Column, between, bibtex, card_words
-from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, folder_facts
+from realtouch.media import contact_sheet, evenly_spaced
+from realtouch.rounds import Touch, TouchSeqRound, TouchSingleRound
+from tactile_toolkit.cards.card import Card, Column, between, bibtex, card_words, rows_to_draw
+from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.pictures.sheets import png_bytes
-from tactile_toolkit.read.columns import column_types
+from tactile_toolkit.read.columns import column_names, column_types
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import ContactHeight, missed_text
@@ -31,6 +29,9 @@ from tactile_toolkit.touch.schema import Kind, is_rendered, kind_of
 Origin = Literal["real", "synthetic", "imported"]
 """Where touches are from; manifests of conversions state it as the option ``touches``."""
 
+WORDS = "touch_words.toml"
+"""File of ``data_cards`` with the words of all cards of touches."""
+
 T = TypeVar("T")
 _TILES = 16
 _TILE_WIDTH = 96
@@ -38,56 +39,7 @@ _TILE_WIDTH = 96
 _ROUNDS_SEEN = 4
 
 _COMMANDS = {"to-single": "clips-to-images"}  # manifests of all versions have the former name
-_CELL = "m, cell frame"
 _WINDOW = "18.88 x 14.16 mm of gel"
-
-COLUMNS: dict[str, Column] = {
-    "id": ("", "name of the round, unique over all splits"),
-    "label": ("", "class of the touched object"),
-    "object_id": ("", "`id` of its mesh in MNIST 3D"),
-    "pos_in_cell": (f"T x 2, {_CELL}", "intended positions"),
-    "plate_z_m": (_CELL, "height of the gel on the plate, from all touches of the round as it was recorded"),
-    "gel_pose_cell_frame.position": (f"T x 3, {_CELL}", "position of the gel at contact"),
-    "gel_pose_cell_frame.quaternion": ("T x 4: x, y, z, w", "its orientation"),
-    "gel_pose_cell_frame_seq.position": (
-        f"T x N x 3, {_CELL}",
-        "position of the gel in each frame; cut to N_i",
-    ),
-    "gel_pose_cell_frame_seq.quaternion": ("T x N x 4: x, y, z, w", "its orientation; cut to N_i"),
-    "video_length_frames": ("T, frames", "N_i, the length of each clip"),
-    "time_stamp_rel_seq": ("T x N, time since the clip's start", "time of each frame; cut to N_i"),
-    "touch_start_time_rel": ("T, time since the clip's start", "first registered contact"),
-    "touch_end_time_rel": ("T, time since the clip's start", "last registered contact"),
-    "sensor_video": ("T clips, AVI of MJPEG frames", "what the sensor saw"),
-    "sensor_image": ("T images, JPEG", "what the sensor saw at contact"),
-    "info.gel_id": ("", "which gel pad was on the sensor"),
-    "info.notes": ("", "notes of the recording"),
-    "info.object_pose.position": (_CELL, "position of the object, for the round or for each touch"),
-    "info.object_pose.quaternion": ("x, y, z, w", "its orientation"),
-    "info.touched_object_pose.position": (_CELL, "position of the object while it is touched"),
-    "info.touched_object_pose.quaternion": ("x, y, z, w", "its orientation then"),
-    "info.": ("", "metadata of the round, as recorded"),
-}
-
-_PLAIN_COLUMNS: dict[str, Column] = {
-    "id": ("", "round and touch; of a LeRobotDataset, the number of the episode"),
-    "image": ("JPEG", "what the sensor saw at contact, as it was stored"),
-    "file": ("", "file of a picture or of the foreign format, from the folder of the data set"),
-    "sha256": ("hexadecimal", "checksum of the file"),
-    "meta_file": ("", "what the foreign format states about the episodes in it"),
-    "meta_sha256": ("hexadecimal", "checksum of that file"),
-    "round_id": ("", "name of the round"),
-    "touch": ("", "number of the touch in its round, from 0"),
-    "frame": ("", "number of the frame in its clip, 0 for single images"),
-    "frames": ("", "number of its frames"),
-    "first_frame": ("", "number of its first frame in the whole data set"),
-    "label": ("", "class of the touched object"),
-    "label_name": ("", "name of the class"),
-    "object_id": ("", "`id` of the mesh of the touched object"),
-    **{f"pos_in_cell_{axis}_m": (_CELL, f"intended position, {axis}") for axis in "xy"},
-    **{f"gel_{axis}_m": (_CELL, f"position of the gel, {axis}") for axis in "xyz"},
-    **{f"gel_q{axis}": ("", f"orientation of the gel, quaternion's {axis}") for axis in "xyzw"},
-}
 
 
 def origin_of(schema: Any, manifest: Manifest | None) -> Origin:
@@ -118,7 +70,7 @@ def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
     A copy of a published set has no manifest, and its card says so. InputError: it holds no touches.
     IntegrityError: a file is missing or damaged.
     """
-    words = card_words("touch_words.toml")
+    words = card_words(WORDS)
     facts = folder_facts(folder, manifest)
     operation = None if manifest is None else manifest.spec.get("operation")
     origin = origin_of(facts.schema, manifest)
@@ -133,7 +85,7 @@ def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
     else:
         kind = kind_of(facts.schema, folder.address())
         template, licence_text = kind if origin == "real" else origin, of_origin["licence_text"]
-        content = _stored_content(facts, kind, rule, manifest, words["kinds"][kind])
+        content = _stored_content(facts, kind, rule, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])
         heights = [of_origin.get("drift"), words["plates"][rule.plate]]
     cell = words["frames"]["cell"].replace("$window", of_origin.get("window", _WINDOW))
@@ -189,45 +141,56 @@ def _plain_content(
     texts["loading"] = texts["loading"].replace("$first_split", facts.splits[0].split)
     nouns = "rounds" if layout == "lerobot" else "pictures"
     pictures = _plain_pictures(folder, facts)
-    return _Content(of_layout, _PLAIN_COLUMNS, nouns, pictures, texts, missed_text(None, 0), {})
+    return _Content(of_layout, words["columns"]["plain"], nouns, pictures, texts, missed_text(None, 0), {})
 
 
 def _plain_pictures(folder: DataFolder, facts: FolderFacts) -> Iterator[Pixels | None]:
     """Decode the first pictures of an index of files or of a column of images; of tars there are none."""
-    shard = _first_shard(facts)
-    if shard is not None and "image.bytes" in shard.types:
-        group = next(iter(shard.blocks(0, ["image.bytes"])))
-        yield from (_or_none(decode_image, each) for each in group.arrow("image.bytes")[:_TILES].to_pylist())
-    elif shard is not None and "frame" in shard.types and "label" in shard.types:
-        names = shard.read(columns=["file"]).column(0).to_pylist()[:_TILES]
-        if names[0].endswith((".jpg", ".png")):
-            yield from (_or_none(lambda name: decode_image(folder.read_bytes(name)), name) for name in names)
+    names = column_names(facts.schema)
+    if "image.bytes" in names:
+        for row in islice(rows_to_draw(facts, ["image.bytes"]), _TILES):
+            yield _or_none(decode_image, row.group.arrow("image.bytes")[row.index].as_py())
+    elif {"file", "frame", "label"} <= {*names}:
+        for row in islice(rows_to_draw(facts, ["file"]), _TILES):
+            if row.value("file").endswith((".jpg", ".png")):
+                yield _or_none(lambda name: decode_image(folder.read_bytes(name)), row.value("file"))
 
 
 def _stored_content(
     facts: FolderFacts, kind: Kind, rule: ContactHeight, manifest: Manifest | None, words: dict[str, Any]
 ) -> _Content:
     """Return what a card says of rounds; reads small columns and a few rounds."""
-    figures = [_split_figures(split, kind) for split in facts.splits]
-    counts = [figure.touches for figure in figures if figure.touches is not None]
+    datasets = [dataset_of(split.shards) if split.rows else None for split in facts.splits]
+
+    def of_each(count: Callable[[TouchDataset[Any]], Any], empty: Any = None) -> list[Any]:
+        return [empty if dataset is None else _or_none(count, dataset) for dataset in datasets]
+
+    touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
+    shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
     sizes = (_or_none(record._picture_size, 0) for record in _first_rounds(facts, kind))
     size = next(filter(None, sizes), None)
     left_out = {} if manifest is None else manifest.split_table()
     return _Content(
-        words,
-        dict(COLUMNS),
+        words["kinds"][kind],
+        words["columns"]["rounds"],
         "rounds",
         _stored_pictures(facts, kind),
         {
-            "touches": f"{sum(counts):,}" if len(counts) == len(figures) else "an unknown number of",
+            "touches": "an unknown number of" if None in touches else f"{sum(touches):,}",
             "size_text": f", {size[0]} x {size[1]} pixels" if size else "",
         },
-        _missed(figures, rule),
+        _missed(touches, shares, rule),
         {
-            "touches": [_text("{:,}", each.touches) for each in figures],
-            "per round": ["-" if each.per_round is None else between(*each.per_round) for each in figures],
-            "objects": [_text("{:,}", each.objects) for each in figures],
-            "contact": [_text("{:.1%}", each.contact_share).replace("%", " %") for each in figures],
+            "touches": [_text("{:,}", count) for count in touches],
+            "per round": [
+                "-" if ends is None else between(*ends)
+                for ends in of_each(lambda dataset: (min(dataset.touch_counts), max(dataset.touch_counts)))
+            ],
+            "objects": [
+                _text("{:,}", count)
+                for count in of_each(lambda dataset: len(np.unique(dataset.column("object_id"))), 0)
+            ],
+            "contact": [_text("{:.1%}", share).replace("%", " %") for share in shares],
             "left out": [_text("{}", left_out.get(s.split, {}).get("skipped")) for s in facts.splits],
         },
     )
@@ -252,14 +215,10 @@ def _sheet(pictures: Iterable[Pixels | None]) -> bytes | None:
     return png_bytes(contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
 
 
-def _first_shard(facts: FolderFacts) -> Shard | None:
-    return next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
-
-
 def _first_rounds(facts: FolderFacts, kind: Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
     """Yield the first rounds, decoding the blocks they lie in and keeping none in the cache."""
     record = TouchSingleRound if kind == "single" else TouchSeqRound
-    shard = _first_shard(facts)
+    shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
     for group in islice(shard.blocks(0) if shard is not None else (), _ROUNDS_SEEN):
         # One of each block, so that a damaged block does not use up all tries.
         yield record(Row(group, 0))
@@ -273,36 +232,13 @@ def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:
         return None
 
 
-class _SplitFigures(NamedTuple):
-    """One split in numbers; None where the data do not say."""
-
-    touches: int | None
-    per_round: tuple[int, int] | None  # least and most touches
-    objects: int | None
-    contact_share: float | None
-
-
-def _split_figures(split: SplitFacts, kind: Kind) -> _SplitFigures:
-    """Count one split; reads small columns, no image or clip."""
-    if not split.rows:
-        return _SplitFigures(0, None, 0, None)
-    dataset = dataset_of(split.shards)
-    return _SplitFigures(
-        _or_none(lambda: int(dataset.touch_counts.sum())),
-        _or_none(lambda: (int(dataset.touch_counts.min()), int(dataset.touch_counts.max()))),
-        _or_none(lambda: len(np.unique(dataset.column("object_id")))),
-        _or_none(lambda: float(dataset.touches().in_contact().mean())),
-    )
-
-
-def _missed(figures: list[_SplitFigures], rule: ContactHeight) -> list[str]:
-    """Write how many touches met no object, where the data have it."""
-    found = [(each.touches, each.contact_share) for each in figures if each.touches]
+def _missed(touches: list[int | None], shares: list[float | None], rule: ContactHeight) -> list[str]:
+    """Write how many touches met no object, where the data have it; given are both of each split."""
+    found = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
     if any(share is None for _, share in found):
         return []
-    touches = sum(count or 0 for count, _ in found)
-    in_contact = round(sum((count or 0) * (share or 0.0) for count, share in found))
-    return missed_text(touches - in_contact, touches, is_estimated=rule.plate == "estimated")
+    total, in_contact = sum(count for count, _ in found), sum(count * (share or 0) for count, share in found)
+    return missed_text(total - round(in_contact), total, is_estimated=rule.plate == "estimated")
 
 
 def _made(manifest: Manifest) -> list[tuple[str, str]]:

@@ -1,10 +1,12 @@
-"""Columns of a stored round with one entry per touch, and its metadata, checked where they are read.
+"""Columns of a stored round, with one entry per touch or per frame, and its metadata; checked on reading.
 
-T is the number of touches of the round.
+T is the number of touches of the round, N_i the number of frames of touch i: the stated length of its clip,
+to which entries per frame are cut.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from typing import Any
@@ -14,13 +16,15 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from realtouch.damage import damaged, missing_column
-from realtouch.poses import Poses, bad_pose, rigid_transform
+from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import checked_index
-from tactile_toolkit.touch.schema import PER_TOUCH_COLUMNS
+from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
+from tactile_toolkit.touch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, Kind
+from tactile_toolkit.touch.video import MAX_CLIP_FRAMES
 
 # The first of these that is there says how many touches a round has; poses only where they were read alone.
 _COUNTED = (
@@ -32,14 +36,18 @@ _COUNTED = (
 )
 _INT_LIMIT = 1 << 63
 _UNREADABLE = (ValueError, pa.ArrowException)
+_NO_TIME = "no time is stored; expected a duration or float seconds"
+_TOO_LONG = f"a clip of {{:,}} frames; the limit is {MAX_CLIP_FRAMES:,}"
+_SECOND = np.timedelta64(1, "s")
+_CONTACT_START, _CONTACT_END = "touch_start_time_rel", "touch_end_time_rel"
+_POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 
 
 def stored_rows(shards: Iterable[Shard], columns: Sequence[str] | None = None) -> Iterator[Row]:
     """Yield all rows of some files, with all columns or those named; a block of them is in memory."""
     for shard in shards:
-        for index in range(shard.metadata.num_row_groups):
-            for group in shard.blocks(index, columns):
-                yield from (Row(group, row) for row in range(len(group.table)))
+        for group in shard.all_blocks(columns):
+            yield from (Row(group, row) for row in range(len(group.table)))
 
 
 def column_of(row: Row, name: str) -> NestedColumn:
@@ -84,6 +92,18 @@ def require_touches(row: Row) -> None:
             entries_of(row, name)
 
 
+def _require_each(
+    row: Row, name: str, good: NDArray[np.bool_], touch: int | None, problem: str, *found: NDArray[Any]
+) -> None:
+    """Refuse entries of touches that are not all good; IntegrityError for the first that is not.
+
+    ``touch`` is the number of the first entry; what was ``found`` at its place is put into the ``problem``.
+    """
+    if not good.all():
+        wrong = int(np.argmin(good))
+        raise damaged(row, name, problem.format(*(each[wrong] for each in found)), (touch or 0) + wrong)
+
+
 def per_touch(row: Row, name: str, touch: int | None = None) -> NDArray[Any]:
     """Return one value per touch, shape (T,), or one alone, (1,); IntegrityError unless there are T."""
     column, start, stop = entries_of(row, name, touch)
@@ -116,10 +136,8 @@ def intended_positions(row: Row, touch: int | None = None) -> NDArray[np.floatin
     positions = vectors(row, "pos_in_cell", 2, touch)
     # One sum shows any value that is not finite, and costs a tenth of looking at each.
     if not np.isfinite(positions.sum()):
-        wrong = int(np.argmin(np.isfinite(positions).all(axis=1)))
-        if not np.isfinite(positions[wrong]).all():
-            problem = f"a position {positions[wrong]}; expected metres"
-            raise damaged(row, "pos_in_cell", problem, (touch or 0) + wrong)
+        finite = np.isfinite(positions).all(axis=1)
+        _require_each(row, "pos_in_cell", finite, touch, "a position {}; expected metres", positions)
     return positions
 
 
@@ -136,6 +154,206 @@ def readable(
         with suppress(IntegrityError):
             known[touch] = read(row, touch)[0]
     return known
+
+
+def _as_timedelta(values: NDArray[Any]) -> NDArray[np.timedelta64]:
+    """Return times as ``timedelta64``: numbers count seconds and are rounded to nanoseconds."""
+    if values.dtype.kind == "m":
+        return values
+    # Durations arrive as seconds in floats, too.
+    nanoseconds = np.round(np.asarray(values, np.float64) * 1e9)
+    unknown = ~np.isfinite(nanoseconds)
+    # What NaN becomes as an integer differs between processors.
+    times = np.where(unknown, 0, nanoseconds).astype(np.int64).astype("timedelta64[ns]")
+    times[unknown] = np.timedelta64("NaT", "ns")
+    return times
+
+
+def _as_seconds(values: NDArray[Any]) -> NDArray[np.float64]:
+    """Return times (an array, or one of its values) in seconds, float64; unknown ones are NaN."""
+    if values.dtype.kind == "m":
+        seconds: NDArray[np.float64] = values / _SECOND
+        return seconds
+    return np.asarray(values, np.float64)
+
+
+def clip_lengths(row: Row) -> NDArray[np.int64]:
+    """Return the number of frames of each clip, shape (T,).
+
+    Raises IntegrityError for lengths that are missing, negative or beyond the limit.
+    """
+    values = per_touch(row, "video_length_frames")
+    possible = (values >= 0) & (values <= MAX_CLIP_FRAMES)  # False for NaN, which stands for a missing one
+    _require_each(row, "video_length_frames", possible, None, _TOO_LONG, values)
+    return values.astype(np.int64, copy=False)
+
+
+def clip_length(row: Row, touch: int) -> int:
+    """Return the number of frames of one clip; raises as :func:`clip_lengths`."""
+    column, place, _ = entries_of(row, "video_length_frames", touch)
+    frames = column.values[place]
+    if not 0 <= frames <= MAX_CLIP_FRAMES:
+        raise damaged(row, "video_length_frames", _TOO_LONG.format(frames), touch)
+    return int(frames)
+
+
+def frame_times(row: Row) -> tuple[NDArray[np.timedelta64], ...]:
+    """Return the time stamps of the frames of each touch: T arrays of ``timedelta64``, shapes (N_i,)."""
+    return tuple(_as_timedelta(times) for times in cut(row, "time_stamp_rel_seq", 0))
+
+
+def stamps_s(row: Row, touch: int | None = None) -> list[NDArray[np.float64]] | None:
+    """Return the time stamps of each touch, or of one alone: shapes (N_i,), float64, seconds.
+
+    None in data sets without. Raises IntegrityError for stamps that are missing or run backwards.
+    """
+    if not row.has("time_stamp_rel_seq"):
+        return None
+    found = [_as_seconds(times) for times in cut(row, "time_stamp_rel_seq", 0, touch)]
+    if touch is None:
+        # In one go; touch by touch only to find which one is wrong.
+        joined = np.concatenate([np.zeros(0), *found])
+        falls = np.flatnonzero(joined[1:] < joined[:-1]) + 1
+        if np.isfinite(joined).all() and np.isin(falls, np.cumsum(list(map(len, found)))).all():
+            return found
+    for number, times in enumerate(found, touch or 0):
+        # A comparison with NaN is false, so this finds missing times too.
+        if not (times[1:] >= times[:-1]).all() or (len(times) and not math.isfinite(times[0])):
+            raise damaged(row, "time_stamp_rel_seq", "times that are missing or run backwards", number)
+    return found
+
+
+def touch_durations(row: Row, name: str) -> NDArray[np.timedelta64]:
+    """Return one time per touch, shape (T,), ``timedelta64``; IntegrityError, with the touch, without one."""
+    times = _as_timedelta(per_touch(row, name))
+    _require_each(row, name, ~np.isnat(times), None, _NO_TIME)
+    return times
+
+
+def times_of_touches(row: Row, touch: int | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the times of first and last contact of all touches, shape (T,), or of one alone, (1,), seconds.
+
+    Raises IntegrityError when a time is missing, or the end lies before the start.
+    """
+    start_s, end_s = (_as_seconds(per_touch(row, name, touch)) for name in (_CONTACT_START, _CONTACT_END))
+
+    problem = "contact from {} s to {} s; expected an end not before the start"
+    _require_each(row, _CONTACT_START, ~np.isnan(start_s), touch, problem, start_s, end_s)
+    # False for an end of NaN, which is missing.
+    _require_each(row, _CONTACT_END, start_s <= end_s, touch, problem, start_s, end_s)
+    return start_s, end_s
+
+
+def cut(row: Row, name: str, width: int, touch: int | None = None) -> tuple[NDArray[Any], ...]:
+    """Return a sequence per touch, or that of one alone, cut to the length of its clip: shapes (N_i, width).
+
+    A width of 0 means scalars, and shapes (N_i,). Raises IntegrityError when there are not T sequences, one
+    is too short, or entries are not ``width`` values each.
+    """
+    if touch is not None:
+        return (_cut_touch(row, name, touch, width),)
+    lengths = clip_lengths(row)
+    column, first, last = entries_of(row, name)
+    padded = _padded(column, first, last, width)
+    # Published clips are padded to the longest of their round: one view, cut T times.
+    if padded is not None and padded.shape[1] >= lengths.max(initial=0):
+        return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
+    return tuple(_cut_touch(row, name, each, width) for each in range(last - first))
+
+
+def _cut_touch(row: Row, name: str, touch: int, width: int) -> NDArray[Any]:
+    # Counted for a single touch, too: else it would be given the next round's for what is lacking.
+    column, first, _ = entries_of(row, name)
+    start, stop = column.inside(1, first + touch, first + touch + 1)
+    wanted = clip_length(row, touch)
+    if wanted > stop - start:
+        raise damaged(row, name, f"{stop - start} frames; expected at least {wanted}", touch)
+    values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
+    if len(values) != wanted * max(width, 1):
+        problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
+        raise damaged(row, name, problem, touch)
+    return values.reshape(wanted, width) if width else values
+
+
+def _padded(column: NestedColumn, first: int, last: int, width: int) -> NDArray[Any] | None:
+    """View all touches as one array (T, N, width), where they all have N frames of ``width`` values."""
+    touches = last - first
+    start, stop = column.inside(1, first, last)
+    frames = (stop - start) // max(touches, 1)
+    flat, starts = column.flat(1, first, last), column.levels[1]
+    is_even = isinstance(starts, int) or (np.diff(starts[first : last + 1]) == frames).all()
+    if not is_even or len(flat) != touches * frames * max(width, 1):
+        return None
+    return flat.reshape((touches, frames, width) if width else (touches, frames))
+
+
+def stored_clip(row: Row, touch: int) -> memoryview:
+    """Return the bytes of one clip, without a copy; IntegrityError, with the touch, when none are stored."""
+    column = row.group.nested("sensor_video")
+    start, stop = column.inside(0, row.index, row.index + 1)
+    blob: memoryview | None = column.values[start + touch] if touch < stop - start else None
+    if blob is None or len(blob) == 0:
+        raise damaged(row, "sensor_video", "no bytes are stored; expected an AVI", touch)
+    return blob
+
+
+def poses(row: Row, touch: int | None = None) -> Poses:
+    """Return the pose of the gel in each touch of a ``single`` round, T poses, or that of one alone.
+
+    Raises IntegrityError, which names the touch, for a position or quaternion that is missing, not finite or
+    of length zero.
+    """
+    positions = vectors(row, f"{_POSE}.position", 3, touch)
+    quaternions = vectors(row, f"{_POSE}.quaternion", 4, touch)
+    wrong = bad_pose(positions, quaternions)
+    if wrong is not None:
+        raise damaged(row, _POSE, wrong[1], (touch or 0) + wrong[0])
+    return Poses(positions, quaternions)
+
+
+def pose_sequences(row: Row, touch: int | None = None) -> PoseSequences:
+    """Return the pose of the gel in each frame of each touch of a ``seq`` round, or of one, padding cut off.
+
+    Raises IntegrityError as :func:`poses`, and where a touch has fewer poses than frames.
+    """
+    positions = cut(row, f"{_POSE_SEQUENCE}.position", 3, touch)
+    quaternions = cut(row, f"{_POSE_SEQUENCE}.quaternion", 4, touch)
+    # Checked in one go; touch by touch only to find which one is wrong.
+    if positions and bad_pose(np.concatenate(positions), np.concatenate(quaternions)) is not None:
+        for number, each in enumerate(zip(positions, quaternions, strict=True), touch or 0):
+            wrong = bad_pose(*each)
+            if wrong is not None:
+                raise damaged(row, _POSE_SEQUENCE, f"frame {wrong[0]}: {wrong[1]}", number)
+    return PoseSequences(positions, quaternions)
+
+
+def contact_z_m(row: Row, kind: Kind, touch: int | None = None) -> NDArray[np.float64]:
+    """Return the height of the gel at the deepest press of each touch, shape (T,), or of one alone, (1,).
+
+    Metres, cell frame; of a ``single`` round, that is the height of its one pose per touch. Raises
+    IntegrityError, which names the touch, for a height that is missing or not finite.
+    """
+    name = f"{POSE_COLUMN[kind]}.position"
+    if kind == "single":
+        heights = vectors(row, name, 3, touch)[:, 2].astype(np.float64)
+    else:
+        # A clip without frames has no height: infinity is refused below.
+        heights = np.array([each[:, 2].min(initial=np.inf) for each in cut(row, name, 3, touch)])
+    finite = np.isfinite(heights)
+    _require_each(row, name, finite, touch, "a gel height of {}; expected metres", heights)
+    return heights
+
+
+def stored_plate_z_m(row: Row) -> float:
+    """Return the stored height of the plate in a round, metres, cell frame; NaN without one."""
+    stored = row.value(PLATE_COLUMN) if row.has(PLATE_COLUMN) else None
+    return math.nan if stored is None else float(stored)
+
+
+def plate_z_m(row: Row) -> float:
+    """Return the known or stored height of the plate in a round, metres, cell frame; NaN without one."""
+    is_known = ContactHeight.of(row.group.names).plate == "known"
+    return PRESS_DEPTH_M if is_known else stored_plate_z_m(row)
 
 
 def plain_value(row: Row, name: str) -> Any:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from copy import copy
-from functools import partial
 from itertools import groupby
 from operator import itemgetter
 from typing import Any, ClassVar, Generic, Self, TypeVar
@@ -13,14 +12,27 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.clip_columns import contact_z_m
-from realtouch.columns import entries_of, intended_positions, readable, stored_rows, touch_total
+from realtouch.columns import (
+    contact_z_m,
+    entries_of,
+    intended_positions,
+    readable,
+    stored_plate_z_m,
+    stored_rows,
+    touch_total,
+)
 from realtouch.contact import contact_heights_m
 from realtouch.damage import Damage, missing_column
-from realtouch.images import SensorImages
-from realtouch.integrity import check_round, readable_rows, stated_class_names, stored_touch_counts
-from realtouch.rounds import GroupWithoutMedia, RowWithoutMedia, TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.touch import Touch
+from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
+from realtouch.media import SensorImages
+from realtouch.rounds import (
+    GroupWithoutMedia,
+    RowWithoutMedia,
+    Touch,
+    TouchRound,
+    TouchSeqRound,
+    TouchSingleRound,
+)
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -92,32 +104,6 @@ class TouchDataset(RecordDataset[R]):
         places = ((row, damage.touch) for row, damage in self._skipped)
         return frozenset((row, touch) for row, touch in places if row is not None and touch is not None)
 
-    def contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Read the height of the gel at the deepest press of every stored touch.
-
-        Opens no image or clip.
-
-        Returns
-        -------
-        z_m : ndarray, shape (touches of all stored rows,), float64
-            Metres, cell frame, not recalibrated. NaN for touches that were left out on loading, and in rows
-            that are not in this view, where it cannot be read.
-        starts : ndarray of int64, shape (stored rows + 1,)
-            Where the touches of each stored row begin in ``z_m``.
-
-        Raises
-        ------
-        IntegrityError
-            The height of a touch of this view cannot be read; names file, row and touch.
-        """
-        z_m, starts = self.known_contact_z_m()
-        unknown, lost = np.isnan(z_m), self._lost_touches
-        for position, row in enumerate(self.row_numbers.tolist() if unknown.any() else ()):
-            for touch in np.flatnonzero(unknown[starts[row] : starts[row + 1]]).tolist():
-                if (row, touch) not in lost:
-                    contact_z_m(self[position]._row, self.kind, touch)  # states what is wrong
-        return z_m, starts
-
     def _concat(self, other: Self) -> Self:
         joined, offset = super()._concat(other), len(self._table)
         moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
@@ -145,59 +131,53 @@ class TouchDataset(RecordDataset[R]):
         """Return whether the data set has a column, by dotted name."""
         return all(name in column_types(schema) for schema in self._table.schemas)
 
-    def known_contact_z_m(self) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-        """Return what :meth:`contact_z_m` does; NaN wherever a height cannot be read."""
-        columns = ["pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
+    @property
+    def touch_starts(self) -> NDArray[np.int64]:
+        """Where the touches of each stored row begin among those of all, shape (stored rows + 1,), int64."""
+        return np.concatenate([[0], np.cumsum(self._stored_counts)])
 
-        def known_z_m(row: Row) -> NDArray[np.float64]:
-            return readable(row, lambda row, touch: contact_z_m(row, self.kind, touch))
+    def known_heights_m(self, recalibrate_z: bool = True) -> NDArray[np.float64]:
+        """Read the height of every stored touch; see :func:`realtouch.contact.contact_heights_m`.
 
-        z_m = self._per_touch("contact z", columns, known_z_m)
-        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
-        if len(z_m) != starts[-1]:
-            raise IntegrityError(
-                f"{len(z_m):,} poses of touches for {starts[-1]:,} touches; expected one each",
-                next="run `realtouch verify`, which names the rounds",
-            )
-        return z_m, starts
+        Shape (touches of all stored rows,), metres above the plate, NaN where it cannot be read. Where the
+        height of the plate is known, it is always taken.
+        """
+
+        def heights_m(row: Row, rule: ContactHeight) -> NDArray[np.float64]:
+            z_m = readable(row, lambda row, touch: contact_z_m(row, self.kind, touch))
+            plate_m = PRESS_DEPTH_M if rule.plate == "known" else stored_plate_z_m(row)
+            return contact_heights_m(z_m, recalibrate_z or rule.plate == "known", plate_m)
+
+        columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
+        return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
 
     def known_positions_m(self) -> NDArray[np.float64]:
-        """Read where each touch of these rounds was meant to be, NaN where that cannot be read.
+        """Read where every stored touch was meant to be, NaN where that cannot be read.
 
-        Shape (touches of all rounds of the view, in order, 2), metres, cell frame; reads that column only.
+        Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
         """
-        known = partial(readable, read=intended_positions, shape=(2,))
-        positions_m = self._per_touch("positions", ["pos_in_cell"], known).reshape(-1, 2)
-        starts = np.concatenate([[0], np.cumsum(self._stored_counts)])
-        wanted = [np.arange(starts[row], starts[row + 1]) for row in self.row_numbers.tolist()]
-        of_view: NDArray[np.float64] = positions_m[np.concatenate(wanted or [np.zeros(0, np.int64)])]
-        return of_view
+
+        def positions_m(row: Row, _rule: ContactHeight) -> NDArray[np.float64]:
+            return readable(row, intended_positions, (2,))
+
+        return self._per_touch("positions", ["pos_in_cell"], positions_m)
 
     def _per_touch(
-        self, key: str, columns: Sequence[str], known: Callable[[Row], NDArray[np.float64]]
+        self, key: str, columns: Sequence[str], known: Callable[[Row, ContactHeight], NDArray[np.float64]]
     ) -> NDArray[np.float64]:
         """Join what is known of the touches of each stored row, of a few columns."""
 
         def of_shard(shard: Shard) -> list[NDArray[np.float64]]:
-            groups = shard.all_blocks(columns)
-            return [known(Row(group, index)) for group in groups for index in range(len(group.table))]
-
-        return self._table.per_shard(key, of_shard)
-
-    def plates_z_m(self) -> NDArray[np.float64]:
-        """Return the height of the plate of every stored row, shape (stored rows,), metres, cell frame.
-
-        NaN where it is neither known nor stored, as in the published sets: the deepest touch shows it there.
-        """
-        plates: list[NDArray[np.float64]] = []
-        for shard in self._table.shards:
             rule = ContactHeight.of(shard.types)
-            if rule.plate == "stored":
-                stored = ShardedTable((shard,)).column(PLATE_COLUMN)
-                plates.append(np.asarray(stored, np.float64))
-            else:
-                plates.append(np.full(len(shard), PRESS_DEPTH_M if rule.plate == "known" else np.nan))
-        return np.concatenate(plates or [np.zeros(0)])
+            return [known(row, rule) for row in stored_rows([shard], columns)]
+
+        values = self._table.per_shard(key, of_shard)
+        if len(values) != self.touch_starts[-1]:
+            raise IntegrityError(
+                f"{len(values):,} poses of touches for {self.touch_starts[-1]:,} touches; expected one each",
+                next="run `realtouch verify`, which names the rounds",
+            )
+        return values
 
     def contact_rules(self) -> list[ContactHeight]:
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
@@ -308,6 +288,13 @@ class Touches(LazySequence[Touch], Generic[R]):
         indices: NDArray[np.int64] = self._row_numbers - self._starts[self.round_positions]
         return indices
 
+    @property
+    def _stored_places(self) -> NDArray[np.int64]:
+        """Number of each touch among all that are stored, shape (len,), int64."""
+        rows = self.dataset.row_numbers[self.round_positions]
+        places: NDArray[np.int64] = self.dataset.touch_starts[rows] + self.touch_indices
+        return places
+
     def int_column(self, name: str) -> NDArray[np.int64]:
         """Read one column of integers of the rounds, shape (len,), int64."""
         return self.dataset.int_column(name)[self.round_positions]
@@ -340,8 +327,8 @@ class Touches(LazySequence[Touch], Generic[R]):
         if name == _INDEX:
             return self.touch_indices
         if name in _POSITION:
-            values: NDArray[Any] = self.dataset.known_positions_m()[self._row_numbers, _POSITION.index(name)]
-            return values
+            of_view: NDArray[Any] = self.dataset.known_positions_m()[self._stored_places]
+            return of_view[:, _POSITION.index(name)]
         return self.dataset.column(name)[self.round_positions]
 
     def to_hf(self) -> Any:
@@ -411,17 +398,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         IntegrityError
             The height of a touch of this view cannot be read; names file, row and touch.
         """
-        z_m, starts = self.dataset.known_contact_z_m()
-        plates_m = self.dataset.plates_z_m()
-        rules = self.dataset.contact_rules()
-        heights = np.full(int(self._starts[-1]), np.nan)
-        for position, row in enumerate(self.dataset.row_numbers):
-            touched_m = z_m[starts[row] : starts[row + 1]]
-            of_round = heights[self._starts[position] : self._starts[position + 1]]
-            known = ~np.isnan(touched_m)
-            above_plate = recalibrate_z or rules[position].plate == "known"
-            of_round[known] = contact_heights_m(touched_m[known], above_plate, plates_m[row])
-        chosen = heights[self._row_numbers]
+        chosen = self.dataset.known_heights_m(recalibrate_z)[self._stored_places]
         unknown = np.isnan(chosen)
         if unknown.any():
             position, touch = self.locate(int(np.argmax(unknown)))
@@ -732,15 +709,11 @@ class TouchStream:
         if not self.skip_damage:
             yield from map(record, stored_rows(self.shards))
             return
-        for found in readable_rows(self.shards):
-            if isinstance(found, Damage):
-                self.skipped.append(found)
-                continue
-            damage = check_round(found, self._expected_touches, class_names=self._stated_names)
+        for row, damage in checked_rows(self.shards, self._expected_touches, self._stated_names):
             self.skipped += damage
             lost = {each.touch for each in damage}
-            if None not in lost:
-                intact = record(found)
+            if row is not None and None not in lost:
+                intact = record(row)
                 kept = [touch for touch in range(intact.touch_count) if touch not in lost]
                 yield intact.with_touches(kept) if lost else intact
 

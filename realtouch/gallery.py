@@ -10,14 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.clips import TouchClip
 from realtouch.columns import has_info
 from realtouch.dataset import TouchDataset
-from realtouch.images import evenly_spaced
 from realtouch.kind import KIND
+from realtouch.media import TouchClip, evenly_spaced
 from realtouch.opening import load
-from realtouch.rounds import TouchRound, TouchSeqRound
-from realtouch.touch import Touch
+from realtouch.rounds import Touch, TouchRound, TouchSeqRound
 from tactile_toolkit.catalog.choose import Choice, open_splits
 from tactile_toolkit.catalog.locate import place_of
 from tactile_toolkit.errors import InputError

@@ -13,8 +13,6 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.clip_columns import pose_sequences, poses
-from realtouch.clips import TouchClip
 from realtouch.columns import (
     column_of,
     entries_of,
@@ -23,16 +21,19 @@ from realtouch.columns import (
     intended_positions,
     label_value,
     plain_value,
+    pose_sequences,
+    poses,
     read_info,
     touch_total,
 )
 from realtouch.damage import Damage, DamagedRoundError, damaged, naming, unreadable_file, unreadable_rows
-from realtouch.images import SensorImages
+from realtouch.media import SensorImages, TouchClip
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.source import manifest_beside
+from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 from tactile_toolkit.touch.schema import (
     MEDIA_COLUMN,
@@ -42,7 +43,6 @@ from tactile_toolkit.touch.schema import (
     kind_of,
     require_types,
 )
-from tactile_toolkit.touch.video import ffmpeg_facts
 
 _NAMES_SHOWN = 12
 
@@ -119,7 +119,28 @@ def stored_touch_counts(shard: Shard, index: int) -> NDArray[np.int64]:
     return np.concatenate(counts or [np.zeros(0, np.int64)])
 
 
-def readable_rows(shards: Iterable[Shard]) -> Iterator[Row | Damage]:
+def checked_rows(
+    shards: Iterable[Shard],
+    expected_touches: int | None,
+    class_names: Sequence[str] | None,
+    *,
+    decode: bool = True,
+    workers: int = 1,
+) -> Iterator[tuple[Row | None, list[Damage]]]:
+    """Yield all rows, in order, with what is wrong with each; None in the place of those that cannot be read.
+
+    Arguments as of :func:`check_round`; what is found does not depend on the number of threads.
+    """
+
+    def checked(found: Row | Damage) -> tuple[Row | None, list[Damage]]:
+        if isinstance(found, Damage):
+            return None, [found]
+        return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
+
+    return in_threads(checked, _readable_rows(shards), workers)
+
+
+def _readable_rows(shards: Iterable[Shard]) -> Iterator[Row | Damage]:
     """Yield all rows, and in the place of those that cannot be read, what is wrong with them."""
     for shard in shards:
         for index in range(shard.metadata.num_row_groups):
@@ -209,14 +230,6 @@ def _picture_size(
     with noted():
         timed = row.has("touch_start_time_rel") and row.has("touch_end_time_rel")
         _ = clip.contact_window if timed else clip.timestamps_s
-    if not clip.has_index:
-        with naming(row, "sensor_video", touch):
-            coded = ffmpeg_facts(clip.data)[2]  # frames behind the last one stated are not decoded
-        if coded != len(clip):
-            problem = f"a clip of {coded} frames; expected {len(clip)} by 'video_length_frames'"
-            raise damaged(row, "sensor_video", problem, touch)
-        _ = clip.frames() if decode else None
-        return clip.size
     sizes: list[tuple[int, ...]] = []
     for frame in range(len(clip)):
         with naming(row, "sensor_video", touch, f"frame {frame}: "):
@@ -290,14 +303,11 @@ def find_damage(
     start = 0
     for shard in shards:
         unreadable = set()
-        for each in readable_rows([shard]):
-            if isinstance(each, Damage):
-                index = shard.group_starts.index(int(each.row or 0))
+        for row, damage in checked_rows([shard], expected_touches, names):
+            if row is None:
+                index = shard.group_starts.index(int(damage[0].row or 0))
                 unreadable.add(index)
                 lost[start + shard.group_starts[index] : start + shard.group_starts[index + 1]] = True
-                damage = [each]
-            else:
-                damage = check_round(each, expected_touches, class_names=names)
             for one in damage:
                 row_number = start + int(one.row or 0)
                 found.append((row_number, one))

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.clips import TouchClip
 from realtouch.contact import (
     ContactRule,
     ContactScore,
@@ -21,7 +20,7 @@ from realtouch.contact import (
     median_of,
 )
 from realtouch.dataset import Touches, with_no_contact
-from realtouch.images import in_parallel
+from realtouch.media import TouchClip, in_parallel
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError

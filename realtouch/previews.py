@@ -9,14 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.clip_columns import contact_z_m, plate_z_m
-from realtouch.clips import TouchClip
+from realtouch.columns import contact_z_m, plate_z_m
 from realtouch.contact import contact_heights_m
-from realtouch.images import evenly_spaced, fitted, in_parallel
+from realtouch.media import TouchClip, evenly_spaced, fitted, in_parallel
 from realtouch.opening import load
-from realtouch.rounds import TouchRound, TouchSeqRound
+from realtouch.rounds import Touch, TouchRound, TouchSeqRound
 from realtouch.spec import TouchPreviewSpec
-from realtouch.touch import Touch
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.pictures.sheets import (

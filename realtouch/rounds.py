@@ -1,21 +1,45 @@
-"""Rounds: typed, frozen records of all touches of one object."""
+"""Rounds and touches: typed, frozen records of all touches of one object, and of one of them."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.clip_columns import clip_lengths, frame_times, pose_sequences, poses, touch_durations
-from realtouch.clips import SensorClips, contact_frames_of, decode_frames
-from realtouch.columns import entries_of, int_value, intended_positions, plain_value, read_info, touch_total
+from realtouch.columns import (
+    clip_lengths,
+    entries_of,
+    frame_times,
+    int_value,
+    intended_positions,
+    plain_value,
+    pose_sequences,
+    poses,
+    read_info,
+    touch_durations,
+    touch_total,
+)
 from realtouch.contact import require_method
-from realtouch.images import SensorImages, in_parallel
+from realtouch.damage import missing_column
+from realtouch.media import (
+    MOST_TILES,
+    SensorClips,
+    SensorImages,
+    TouchClip,
+    contact_frames_of,
+    contact_windows,
+    decode_frames,
+    evenly_spaced,
+    in_parallel,
+    round_html,
+    touch_html,
+)
 from realtouch.poses import Poses, PoseSequences
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup, column_names
@@ -24,6 +48,9 @@ from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import flat_row, take_touches
+
+if TYPE_CHECKING:
+    from realtouch.pose import Pose
 
 _MOST_THREADS = 4
 
@@ -136,8 +163,6 @@ class TouchRound(Record):
 
     def _repr_html_(self) -> str:
         """Show touches in a notebook; what is not stored and pictures that are damaged are left out."""
-        from realtouch.images import MOST_TILES, evenly_spaced, round_html
-
         named = {"label": self.describe_field("label", str), "object": self.describe_field("object_id", str)}
         words = [f"{word} {value}" for word, value in named.items() if value is not None]
         touches = evenly_spaced(self.touch_count, MOST_TILES)
@@ -146,8 +171,6 @@ class TouchRound(Record):
         return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
     def _tile_html(self) -> str:
-        from realtouch.images import touch_html
-
         label = self.describe_field("label", str)
         words = [*([] if label is None else [f"label {label}"]), f"{self.touch_count} touches"]
         return touch_html(self._contact_image(self.touch_count // 2), ", ".join(words))
@@ -250,9 +273,14 @@ class TouchSeqRound(TouchRound):
         clips, chosen = self.sensor_video, require_method(method)
         pixels, cores = clips.room(len(clips), out), _cores(threads)
         if chosen == "best":  # by the pictures: each clip is decoded whole
-            in_parallel(lambda touch: clips[touch].contact_into(pixels[touch], "best"), len(clips), cores)
+
+            def decode(touch: int) -> None:
+                clip = clips[touch]
+                clip.decode_into(pixels[touch], clip.contact_index(chosen))
+
+            in_parallel(decode, len(clips), cores)
         else:
-            decode_frames(clips, range(len(clips)), contact_frames_of(clips, chosen), pixels, cores)
+            decode_frames(clips, range(len(clips)), contact_frames_of(self._row, chosen), pixels, cores)
         return pixels
 
     def contact_windows(
@@ -274,13 +302,144 @@ class TouchSeqRound(TouchRound):
         """
         clips = self.sensor_video
         wanted = positions(touches, len(clips))
-        windows = [clips[touch].contact_window for touch in wanted.tolist()]
+        windows = [contact_windows(self._row, touch)[0] for touch in wanted.tolist()]
         counts = [window.stop - window.start for window in windows]
         pixels = clips.room(sum(counts))
         frames = [frame for window in windows for frame in range(window.start, window.stop)]
         owners = np.repeat(wanted, counts)
         decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
         return tuple(np.split(pixels, np.cumsum(counts)[:-1])) if len(wanted) else ()
+
+
+def touch_id(round_id: str, touch_index: int) -> str:
+    """Return the id of a touch."""
+    return f"{round_id}_{touch_index:03d}"
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Touch:
+    """One touch of a round; frozen, fields are read when asked for.
+
+    Attributes
+    ----------
+    round : TouchRound
+        The round it belongs to.
+    touch_index : int
+        Its number in the round, from 0.
+
+    Notes
+    -----
+    Pickles with its own image or clip only: the ``round`` of a touch that came back from another process
+    holds this one touch.
+    """
+
+    round: TouchRound
+    touch_index: int
+    _place: int | None = None
+    """Place in the row, where that is another: a row may hold this touch alone."""
+
+    @property
+    def _index_in_row(self) -> int:
+        return self.touch_index if self._place is None else self._place
+
+    @property
+    def id(self) -> str:
+        """Id of the round and number of the touch, as exports name it: ``2023-09-28_15-50-43_7-0_012``."""
+        return touch_id(self.round_id, self.touch_index)
+
+    @property
+    def round_id(self) -> str:
+        """Id of the round."""
+        return self.round.id
+
+    @property
+    def label(self) -> int:
+        """Class of the object."""
+        return self.round.label
+
+    @property
+    def object_id(self) -> int:
+        """Id of the touched mesh."""
+        return self.round.object_id
+
+    @property
+    def pos_in_cell_m(self) -> NDArray[np.floating]:
+        """Intended position, shape (2,), metres, cell frame."""
+        position: NDArray[np.floating] = intended_positions(self.round._row, self._index_in_row)[0]
+        return position
+
+    @property
+    def gel_pose(self) -> Pose:
+        """Pose of the gel at contact, metres, cell frame; of a clip, that of the last frame of contact.
+
+        Reads this touch only, and opens no clip where the times of its frames are stored.
+        """
+        row, touch = self.round._row, self._index_in_row
+        if isinstance(self.round, TouchSingleRound):
+            return poses(row, touch)[0]
+        (frame,) = contact_frames_of(row, "contact_end", touch)
+        return pose_sequences(row, touch)[0][frame]
+
+    @property
+    def image(self) -> Pixels:
+        """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
+        return self.round._contact_image(self._index_in_row)
+
+    @property
+    def clip(self) -> TouchClip:
+        """The clip of a touch of a ``seq`` set.
+
+        Raises
+        ------
+        InputError
+            The data set holds images.
+        """
+        if not isinstance(self.round, TouchSeqRound):
+            raise missing_column(self.round._row, "sensor_video")
+        return self.round.sensor_video[self._index_in_row]
+
+    def _alone(self) -> Touch:
+        """Return the touch with a copy of its own bytes, which keeps no other touch in memory."""
+        return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other is the same touch of an equal round, by what is stored of it."""
+        if not isinstance(other, Touch):
+            return NotImplemented
+        if hash(self) != hash(other):  # the number in the round, and the round's id
+            return False
+        mine, theirs = self.round._row, other.round._row
+        if mine.group is theirs.group and mine.index == theirs.index:
+            return self._index_in_row == other._index_in_row
+        return self._alone().round == other._alone().round
+
+    def __hash__(self) -> int:
+        return hash((self.touch_index, self.round))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # A round of clips has some 50 MB; between processes a touch takes its own bytes alone.
+        alone = self._alone()
+        return (Touch, (alone.round, alone.touch_index, 0))
+
+    def __repr__(self) -> str:
+        shown = {
+            "round_id": self.round.describe_field("id"),
+            "touch_index": f"{self.touch_index}",
+            "label": self.round.describe_field("label"),
+        }
+        words = [f"{name}={value}" for name, value in shown.items() if value is not None]
+        return f"Touch({', '.join(words)})"
+
+    def _repr_html_(self) -> str:
+        """Show the picture of the contact in a notebook."""
+        label = self.round.describe_field("label", str)
+        words = [*([] if label is None else [f"label {label}"]), f"touch {self.touch_index}"]
+        with suppress(InputError):  # without positions
+            x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)
+            words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
+        return touch_html(self.image, ", ".join(words))
+
+    _tile_html = _repr_html_
 
 
 def _cores(threads: int | None) -> int:

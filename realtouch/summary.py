@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.clip_columns import clip_length
+from realtouch.columns import clip_length
 from realtouch.dataset import TouchDataset, Touches
 from realtouch.rounds import TouchRound
 from tactile_toolkit.errors import InputError

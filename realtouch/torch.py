@@ -13,8 +13,7 @@ import numpy as np
 
 from realtouch.contact import require_method
 from realtouch.dataset import TouchDataset, Touches, TouchStream
-from realtouch.rounds import TouchSingleRound
-from realtouch.touch import Touch
+from realtouch.rounds import Touch, TouchSingleRound
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.read.torch import TrainingBatches
@@ -22,7 +21,6 @@ from tactile_toolkit.touch.jpeg import Pixels, decode_image, room_for
 
 if TYPE_CHECKING:
     import torch
-    from scipy.spatial.transform import RigidTransform
 else:
     with needs_extra("realtouch.torch", "torch", "torch"):
         import torch
@@ -87,7 +85,11 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     ) -> None:
         self.touches = dataset if isinstance(dataset, Touches) else dataset.touches()
         self.transform = transform
-        self.target = _require_target(target)
+        if isinstance(target, str) and target not in TARGETS:
+            raise InputError(
+                f"no target {target!r}; expected one of {', '.join(TARGETS)}, a function of a touch, or None"
+            )
+        self.target = target
         self.frames = None if frames is None else require_method(frames)
         self.channels_last = channels_last
         self._rounds: MemoryCache[int, Any] = MemoryCache(_ROUNDS_KEPT)
@@ -102,7 +104,16 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __getitem__(self, index: int) -> Any:
         """Return one item."""
-        return _item(self.touches[index], self.frames, self.transform, self.target)
+        touch, frame = self.touches[index], None
+        if isinstance(touch.round, TouchSingleRound):
+            shown = _tensor("Image", touch.image)
+        elif self.frames is None:
+            shown = _tensor("Video", touch.clip.frames())
+        else:
+            clip = touch.clip
+            frame = clip.contact_index(self.frames)
+            shown = _tensor("Image", clip[frame])
+        return self._given(shown, touch, frame)
 
     def __getitems__(self, indices: Sequence[int]) -> list[Any]:
         """Return the items of a batch; images of one size are decoded into one array."""
@@ -110,10 +121,20 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         if found is None:
             return [self[index] for index in indices]
         image_type = _tv_tensors().Image
-        return [
-            _given(touch, image.as_subclass(image_type), None, self.transform, self.target)
-            for touch, image in zip(found[1], found[0], strict=True)
-        ]
+        shown = (image.as_subclass(image_type) for image in found[0])
+        return [self._given(*each) for each in zip(shown, found[1], strict=True)]
+
+    def _given(self, shown: Any, touch: Touch, frame: int | None = None) -> Any:
+        """Return an item of a picture; ``frame`` is that of the clip, where one was chosen."""
+        given = shown if self.transform is None else self.transform(shown)
+        return given if self.target is None else (given, self._target_of(touch, frame))
+
+    def _target_of(self, touch: Touch, frame: int | None = None) -> Any:
+        if frame is not None and self.target == "gel_position":
+            return torch.tensor(touch.clip.poses[frame].translation, dtype=torch.float32)
+        # Names are looked up here and not kept as functions: a function without a name does not pickle.
+        target: Any = TARGETS[self.target] if isinstance(self.target, str) else self.target
+        return target(touch)
 
     def collated(self, indices: Sequence[int]) -> Any:
         """Return what torch's ``default_collate`` makes of some items, without a tensor for each of them.
@@ -140,7 +161,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         images, touches = found
         if self.target is None:
             return images
-        targets: Any = tuple([_given(touch, None, None, None, self.target)[1] for touch in touches])
+        targets: Any = tuple(map(self._target_of, touches))
         return [images, collate(targets)]
 
     def _decoded(self, indices: Sequence[int]) -> tuple[torch.Tensor, list[Touch]] | None:
@@ -184,42 +205,9 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return found
 
 
-def _item(touch: Touch, frames: str | None, transform: Transform | None, target: Target) -> Any:
-    """Decode a touch; of a clip, the frame that was asked for or all of them."""
-    if isinstance(touch.round, TouchSingleRound):
-        return _given(touch, _image(touch.image), None, transform, target)
-    clip = touch.clip
-    if frames is None:
-        film = _tv_tensors().Video(torch.from_numpy(clip.frames()).permute(0, 3, 1, 2))
-        return _given(touch, film, None, transform, target)
-    frame = clip.contact_index(frames)
-    pose = clip.poses[frame] if target == "gel_position" else None
-    return _given(touch, _image(clip[frame]), pose, transform, target)
-
-
-def _image(pixels: Pixels) -> Any:
-    return _tv_tensors().Image(torch.from_numpy(pixels).permute(2, 0, 1))
-
-
-def _given(
-    touch: Touch, tensor: Any, pose: RigidTransform | None, transform: Transform | None, target: Target
-) -> Any:
-    """Return the tensor, transformed, and the target; ``pose`` is that of the frame where one was chosen."""
-    given = tensor if transform is None else transform(tensor)
-    if target is None:
-        return given
-    if pose is not None:
-        return given, torch.tensor(pose.translation, dtype=torch.float32)
-    # Names are looked up here and not kept as functions: a function without a name does not pickle.
-    return given, (TARGETS[target] if isinstance(target, str) else target)(touch)
-
-
-def _require_target(target: Target) -> Target:
-    if isinstance(target, str) and target not in TARGETS:
-        raise InputError(
-            f"no target {target!r}; expected one of {', '.join(TARGETS)}, a function of a touch, or None"
-        )
-    return target
+def _tensor(kind: str, pixels: Pixels) -> Any:
+    """Return pixels, shape (..., H, W, 3), as a ``tv_tensors`` of shape (..., 3, H, W)."""
+    return getattr(_tv_tensors(), kind)(torch.from_numpy(np.moveaxis(pixels, -1, -3)))
 
 
 def _tv_tensors() -> Any:

@@ -6,26 +6,23 @@ import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import partial
 
 from realtouch.columns import plain_value, stored_rows, touch_total
 from realtouch.convert.plan import files_of
 from realtouch.damage import Damage
 from realtouch.integrity import (
     agreeing_files,
-    check_round,
+    checked_rows,
     modal_touch_count,
-    readable_rows,
     stated_class_names,
 )
-from realtouch.opening import Name, Place, open_shards, place_of
+from realtouch.opening import Name, open_shards, place_of
 from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.locate import folder_named, splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.names import typed
@@ -119,48 +116,28 @@ def verify(
         splits.append(agreeing_files(open_shards(place, part, revision=revision), str(name), findings))
         findings += _lacking_columns(splits[-1])
     shards = [shard for files in splits for shard in files]
-    unprotected = () if has_checksums else (each.path for each in shards if _is_unprotected(each, place))
-    return _verify_rounds(splits, findings, tuple(unprotected), workers, on_progress, decode=not quick)
-
-
-def _verify_rounds(
-    splits: Sequence[Sequence[Shard]],
-    findings: list[Damage],
-    unprotected: tuple[str, ...],
-    workers: int,
-    on_progress: Callable[[int, int], None],
-    *,
-    decode: bool,
-) -> TouchVerification:
-    """Check every round, and add what is wrong to the findings."""
-    total = sum(len(shard) for files in splits for shard in files)
-    rounds = touches = 0
+    total, rounds, touches = sum(map(len, shards)), 0, 0
     seen: dict[str, str] = {}
     for files in splits:
-        check = partial(
-            check_round,
-            expected_touches=modal_touch_count(files),
-            decode=decode,
-            class_names=stated_class_names(files),
-        )
-        # In the order of the rows: findings do not depend on the number of workers.
-        for row, problems in in_threads(partial(_checked, check), readable_rows(files), workers):
+        expected, names = modal_touch_count(files), stated_class_names(files)
+        for row, problems in checked_rows(files, expected, names, decode=not quick, workers=workers):
             findings += problems
-            if isinstance(row, Row):
+            if row is not None:
                 rounds += 1
                 findings += _repeated_id(row, seen)
                 with suppress(InputError, IntegrityError):
                     touches += touch_total(row)
                 on_progress(rounds, total)
-    return TouchVerification(rounds, touches, tuple(findings), unprotected)
-
-
-def _is_unprotected(shard: Shard, place: Place) -> bool:
-    """Return whether nothing says what a file should be; files of the Hub were compared when they came."""
+    # Files of the Hub were compared when they came.
     given = (place,) if isinstance(place, str) else place
-    if not any(name == shard.path or folder_named(name) is not None for name in given):
-        return False
-    return not has_page_checksums(*split_uri(shard.path))
+    unprotected = [
+        shard.path
+        for shard in shards
+        if not has_checksums
+        and any(each == shard.path or folder_named(each) is not None for each in given)
+        and not has_page_checksums(*split_uri(shard.path))
+    ]
+    return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
 
 
 def check_folder(folder: DataFolder, workers: int = 1) -> list[Finding]:
@@ -248,16 +225,10 @@ def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
     ]
 
 
-def _checked(check: Callable[[Row], list[Damage]], found: Row | Damage) -> tuple[Row | Damage, list[Damage]]:
-    return found, check(found) if isinstance(found, Row) else [found]
-
-
 def _repeated_id(row: Row, seen: dict[str, str]) -> list[Damage]:
-    if not row.has("id"):
-        return []
     try:
         name = str(plain_value(row, "id"))
-    except IntegrityError:  # named with the other fields
+    except (InputError, IntegrityError):  # there are none, or it is named with the other fields
         return []
     here = f"{row.path!r}, row {row.number}"
     first = seen.setdefault(name, here)

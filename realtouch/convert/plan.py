@@ -11,7 +11,6 @@ from bisect import bisect_right
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from itertools import accumulate, chain
 from os import PathLike, fspath
 from typing import Any, NamedTuple, Protocol, Unpack
@@ -97,9 +96,17 @@ class Source:
         return self._average(f"{MEDIA_COLUMN[self.kind]}.")
 
     def _average(self, column: str) -> int:
-        shards = chain.from_iterable(self.shards.values())
-        measured = in_threads(partial(_count_and_bytes, column=column), shards, _READERS)
-        count, size = map(sum, zip(*measured, strict=True))
+        def measured(shard: Shard) -> tuple[int, int]:
+            """Return the rows of a file, or the values of a column of bytes, and their size unpacked."""
+            groups = map(shard.metadata.row_group, range(shard.metadata.num_row_groups))
+            chunks = [group.column(index) for group in groups for index in range(group.num_columns)]
+            chosen = [chunk for chunk in chunks if chunk.path_in_schema.startswith(column)]
+            values = sum(chunk.num_values for chunk in chosen if chunk.path_in_schema.endswith(".bytes"))
+            size = sum(chunk.total_uncompressed_size for chunk in chosen)
+            return values if column else len(shard), size
+
+        found = in_threads(measured, chain.from_iterable(self.shards.values()), _READERS)
+        count, size = map(sum, zip(*found, strict=True))
         return max(size // max(count, 1), 1)
 
     def fingerprint(self) -> dict[str, list[dict[str, Any]]]:
@@ -111,16 +118,6 @@ class Source:
         return {
             split: list(in_threads(file_fingerprint, found, _READERS)) for split, found in self.shards.items()
         }
-
-
-def _count_and_bytes(shard: Shard, column: str) -> tuple[int, int]:
-    """Return the rows of a file, or the values of a column of bytes in it, and their size unpacked."""
-    metadata = shard.metadata
-    groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
-    chunks = [group.column(index) for group in groups for index in range(group.num_columns)]
-    chosen = [chunk for chunk in chunks if chunk.path_in_schema.startswith(column)]
-    values = sum(chunk.num_values for chunk in chosen if chunk.path_in_schema.endswith(".bytes"))
-    return values if column else metadata.num_rows, sum(chunk.total_uncompressed_size for chunk in chosen)
 
 
 class RowChoice(NamedTuple):
@@ -218,18 +215,15 @@ class _ConvertShard:
                 tables.append(made.cast(self.schema))
                 files |= beside
             except IntegrityError as error:
-                skipped.append(Skipped(choice.row, DAMAGED, self._without_folders(str(error))))
+                message = str(error)
+                for path in self.paths:  # as the manifest names them: their folder may be private
+                    message = message.replace(path, path.rpartition("/")[2])
+                skipped.append(Skipped(choice.row, DAMAGED, message))
         kept = pa.concat_tables(tables)
         if self.pack is not None:
             kept, packed = self.pack(self.shard, kept, skipped)
             files |= packed
         return ShardContent(kept.combine_chunks(), tuple(skipped), files=files)
-
-    def _without_folders(self, message: str) -> str:
-        """Name files of the source as the manifest does, without their folder, which may be private."""
-        for path in self.paths:
-            message = message.replace(path, path.rpartition("/")[2])
-        return message
 
     def _rows(self) -> Iterator[tuple[RowChoice, Row]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
@@ -295,7 +289,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         tuple(tasks),
         ParquetStyle(per_group, compression_level=3, encodings=encodings, values_per_page=per_page),
         extra_dirs=conversion.extra_dirs,
-        is_current=files_are_current,
+        is_current=_are_current,
         libraries=("numpy", "pillow", "pyarrow", "simplejpeg"),
         write_files=conversion.write_files,
     )
@@ -385,8 +379,7 @@ def files_of(folder: DataFolder, record: ShardRecord) -> dict[str, str]:
     return found
 
 
-def files_are_current(folder: DataFolder, record: ShardRecord, reads: bool) -> bool:
-    """Return whether every file that a finished shard names is there and, if read, unchanged."""
+def _are_current(folder: DataFolder, record: ShardRecord, reads: bool) -> bool:
     return all(is_unchanged(folder, *file, reads) for file in files_of(folder, record).items())
 
 

@@ -1,21 +1,44 @@
-"""Writing touches in the formats of others, and finding what reads and writes each.
+"""Writing touches in the formats of others, and images of others as touches in the ``single`` schema.
 
-A format is one module, which knows no other. Its ``plan`` plans an export, of source,
-rows, frame of a clip and options; its ``items`` reads a folder, columns and a table, and yields what is to be
-imported.
+A format is one module. Its ``plan`` plans an export, of source, rows, frame of a clip and options; its
+``items`` reads a folder, columns and a table, and yields what is to be imported.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+import json
+import re
+import struct
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
-from os import PathLike
+from os import PathLike, fspath
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal, Unpack, get_args
 
+import numpy as np
+import pyarrow as pa
+
+from realtouch.card import write_card
 from realtouch.contact import require_method
-from realtouch.convert.plan import Conversion, JobOptions, Source, convert, first_rows
-from tactile_toolkit.errors import InputError
+from realtouch.convert.plan import KIND, Conversion, JobOptions, Source, convert, first_rows
+from realtouch.exchange.images import require_intact
+from realtouch.exchange.items import NUMBERED, Item, contents_of
+from realtouch.poses import bad_pose
+from realtouch.spec import ImportColumns
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.store.build import RunOptions, build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
+from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.versions import first_style
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
+from tactile_toolkit.wording import printable
 
 Layout = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
 ImportLayout = Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"]
@@ -80,3 +103,393 @@ def export(
         return conversion
 
     return convert(source, out, planned, **job)
+
+
+NOT_IMPORTED = "not_imported"
+"""What the statistics call the fields of the source that were not imported: touches that had one, by name."""
+
+_SPLIT = re.compile(r"\w+")
+_OUR_TAR = re.compile(r"(\w+)-[0-9]{6}\.tar")
+_NUMBER = re.compile(r"(0|[1-9][0-9]*)(?:\.0+)?")
+_UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
+_LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
+_LONGEST_SHOWN = 80  # letters of a value that a message repeats
+_TOUCHES_PER_SHARD = 4096
+_TOUCHES_PER_GROUP = 1024
+_SHARD_BYTES = 256 << 20
+_GROUP_BYTES = 32 << 20
+_PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
+_POSE = "gel_pose_cell_frame"
+_OF_ROUND = ("label", "object_id")
+_SPLIT_FOLDERS = ("fota", "sparsh")  # formats of which a folder holds one split, and is named so
+_ORIENTATION = 0x0112
+_TURNED = range(2, 9)
+_MOST_FIELDS = 100
+
+Rounds = tuple[tuple[str, tuple[Item, ...]], ...]
+"""The touches of some rounds, each with its name."""
+
+
+def import_images(
+    source: str | PathLike[str],
+    out: str | PathLike[str],
+    layout: ImportLayout,
+    columns: ImportColumns | None = None,
+    *,
+    table: str | None = None,
+    classes: Sequence[str] = (),
+    split: str | None = None,
+    **run: Unpack[RunOptions],
+) -> Manifest:
+    """Make a data set of touches from images and a table of labels and poses; images are not changed.
+
+    Parameters
+    ----------
+    source : str or path
+        Folder of images or tars, one tar, or what :func:`realtouch.export` wrote; or an address of a store.
+    out : str or path
+        Folder to write, outside the source.
+    layout : "folder", "webdataset", "replay", "fota", "sparsh" or "anytouch"
+        As :func:`realtouch.export` writes them; ``"fota"`` and ``"sparsh"`` have a folder for each split. Of
+        ``"replay"`` (extra ``zarr``), an episode is a round, a frame is a touch.
+    columns : ImportColumns, optional
+        The meaning of columns; those of exports of this toolkit are found by their names.
+    table : str, optional
+        The table, below the folder; by default the only CSV file there.
+    classes : sequence of str, optional
+        Names of the classes in order; by default those in the data, or the numbers from 0 to at least 9.
+    split : str, optional
+        Split of touches where no column states it; by default that of a tar called ``test-000000.tar``, else
+        ``train``.
+    workers, overwrite, on_progress
+        As for :func:`realtouch.clips_to_images`.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now; what could not be used is left out and listed in it with the reason.
+        Fields that were not imported are counted in its statistics, as ``not_imported``.
+
+    Raises
+    ------
+    InputError
+        Source, table, a column or an option cannot be used, or no image can.
+    IntegrityError, SpecMismatchError, StorageError
+        A tar is damaged; or as :func:`realtouch.clips_to_images`.
+    """
+    home, folder = DataFolder(fspath(source)), DataFolder(fspath(out))
+    format_of(layout, get_args(ImportLayout))
+    if split is not None and not _SPLIT.fullmatch(split):
+        raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
+    _refuse_inside(folder, home)
+    chosen = columns or ImportColumns()
+    items = _items(home, layout, chosen, table)
+    known = dict.fromkeys(name for item in items for name in item.fields)
+    plan = _plan(items, chosen.found_in(known), tuple(classes), split, layout)
+    return build(folder, plan, write_card=write_card, **run)
+
+
+def _items(home: DataFolder, layout: str, columns: ImportColumns, table: str | None) -> list[Item]:
+    """Read what a folder holds: of an export of ours below the name of the format, and in all splits."""
+    folders = [DataFolder(home.address(layout)) if layout in home.entries() else home]
+    splits = [name for name, size in folders[0].entries().items() if size is None]
+    if layout in _SPLIT_FOLDERS and splits and not folders[0].sizes():
+        folders = [DataFolder(folders[0].address(split)) for split in splits]
+    read = format_of(layout, get_args(ImportLayout)).items
+    found = (item for folder in folders for item in read(folder, columns, table))
+    items = [item.used(number, columns) for number, item in enumerate(found)]
+    if not items:
+        raise InputError(f"{home.address()!r} holds nothing to import; expected images")
+    return items
+
+
+def _refuse_inside(folder: DataFolder, home: DataFolder) -> None:
+    if not home.exists():
+        raise InputError(
+            f"{home.address()!r} does not exist; expected a folder of images or tars", next="check the name"
+        )
+    out, source = (
+        Path(each.address()).resolve() if each.is_local else PurePosixPath(each.address())
+        for each in (folder, home)
+    )
+    if out.is_relative_to(source) or source.is_relative_to(out):
+        raise InputError(
+            f"{folder.address()!r}, the folder to write, is, holds or lies in the source {home.address()!r}; "
+            "nothing was changed",
+            next="choose a folder outside it",
+        )
+
+
+def _plan(
+    items: Sequence[Item], columns: ImportColumns, classes: tuple[str, ...], split: str | None, layout: str
+) -> BuildPlan:
+    """Divide the touches into splits, rounds and shards. InputError where nothing can be imported."""
+    names = classes or _class_names(items, columns.label)
+    if len(set(map(_integer_text, classes))) < len(classes):
+        raise InputError(f"the classes are {', '.join(names)}; expected each once")
+    rounds = _rounds(items, columns, split)
+    size: tuple[int, int] | None = None
+    for content in _images(items, layout):
+        with suppress(ValueError):
+            size = require_intact(content) if isinstance(content, bytes) else None
+        if size is not None:
+            break
+    schema = _schema(columns, names)
+    tasks: dict[str, _ImportShard] = {}
+    for each, found in rounds.items():
+        parts = _divided(found)
+        for index, part in enumerate(parts):
+            shard = ShardName(each, index, len(parts))
+            tasks[str(shard)] = _ImportShard(shard, part, layout, columns, names, size, schema)
+    listing = [(item.name, item.start, item.size, item.values) for item in items]
+    spec = {
+        "operation": "import",
+        "options": {
+            "layout": layout,
+            "columns": {key: value for key, value in asdict(columns).items() if value},
+            "classes": list(names),
+            "image_size": None if size is None else [size[1], size[0]],
+        },
+        "source": {
+            each: [{"file": "images", "rows": sum(map(len, found.values()))}]
+            for each, found in rounds.items()
+        },
+        "listing_sha256": sha256_hex(json.dumps(listing, sort_keys=True, default=str).encode()),
+    }
+    image_bytes = sum(item.size for item in items) // len(items) + 1
+    per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // image_bytes)
+    per_round = max(1, len(items) // sum(map(len, rounds.values())))
+    encodings = (("sensor_image.list.element.bytes", "PLAIN"),)
+    style = ParquetStyle(
+        max(1, per_group // per_round),
+        compression_level=3,
+        encodings=encodings,
+        values_per_page=max(1, _PAGE_BYTES // image_bytes),
+    )
+
+    def plan_in(style: ParquetStyle) -> BuildPlan:
+        def is_current(_folder: DataFolder, record: ShardRecord, _reads: bool) -> bool:
+            # Names and sizes would not show whether the source still gives the same: images are read again.
+            content = tasks[str(record.shard)].make()
+            same = sha256_hex(encode_parquet(content.table, style)) == record.sha256
+            return same and content.skipped == record.skipped
+
+        every, libraries = tuple(tasks.values()), ("numpy", "pyarrow")
+        return BuildPlan(KIND, spec, tuple(rounds), every, style, is_current=is_current, libraries=libraries)
+
+    return replace(plan_in(style), former=plan_in(first_style(style)))
+
+
+def _divided(rounds: Mapping[str, Sequence[Item]]) -> list[Rounds]:
+    """Divide rounds into shards that a worker can hold."""
+    shards: list[list[tuple[str, tuple[Item, ...]]]] = [[]]
+    touches = size_bytes = 0
+    for name, items in rounds.items():
+        more, more_bytes = len(items), sum(item.size for item in items)
+        is_full = touches + more > _TOUCHES_PER_SHARD or size_bytes + more_bytes > _SHARD_BYTES
+        if is_full and shards[-1]:
+            shards.append([])
+            touches = size_bytes = 0
+        shards[-1].append((name, tuple(items)))
+        touches, size_bytes = touches + more, size_bytes + more_bytes
+    return [tuple(shard) for shard in shards]
+
+
+def _class_names(items: Sequence[Item], column: str | None) -> tuple[str, ...]:
+    """Return the classes in the data: numbers count from 0, ten at least; names stay as they are."""
+    numbered: dict[str, str] = {}  # our exports have name and number, which keeps the order
+    for item in items:
+        number = "" if column == NUMBERED else _text(item.values, NUMBERED)
+        numbered.setdefault(_text(item.values, column), number if number.isdecimal() else "")
+    numbered.pop("", None)
+    matches = [_NUMBER.fullmatch(name) for name in numbered]
+    numbers = [int(match[1]) for match in matches if match is not None and len(match[1]) < 5]
+    if len(numbers) == len(numbered):
+        return tuple(map(str, range(max([len(CLASS_NAMES), *(number + 1 for number in numbers)]))))
+    return tuple(sorted(numbered, key=lambda name: (len(numbered[name]), numbered[name], name)))
+
+
+def _rounds(
+    items: Sequence[Item], columns: ImportColumns, split: str | None
+) -> dict[str, dict[str, list[Item]]]:
+    """Return the touches of each round of each split, in order; a touch without a round is one."""
+    found: dict[str, dict[str, list[Item]]] = {}
+    home: dict[str, str] = {}
+    named = {_text(item.values, columns.round) for item in items}
+    for item in items:
+        tar = _OUR_TAR.fullmatch(item.path.rpartition("/")[2])
+        part = _text(item.values, columns.split) or split or (tar[1] if tar is not None else "train")
+        if not _SPLIT.fullmatch(part):
+            raise InputError(
+                f"{item.name!r}: the split {part[:_LONGEST_SHOWN]!r}; expected letters and digits"
+            )
+        name = _text(item.values, columns.round)
+        if not name:
+            name = _UNNAMED.sub("_", item.name.rpartition(".")[0] or item.name)[-_LONGEST_ID:]
+            while name in home or name in named:
+                name = f"{name}_{item.number}"
+        if home.setdefault(name, part) != part:
+            raise InputError(
+                f"{item.name!r}: round {name[:_LONGEST_SHOWN]!r} lies in the splits {home[name]!r} and "
+                f"{part!r}; expected each round in one"
+            )
+        found.setdefault(part, {}).setdefault(name, []).append(item)
+    return found
+
+
+def _images(items: Iterable[Item], layout: str) -> Iterator[bytes | Exception]:
+    """Yield the bytes of the images of all items without a problem, in order, or why one cannot be read."""
+    read = getattr(format_of(layout, get_args(ImportLayout)), "contents", contents_of)
+    found: Iterator[bytes | Exception] = read(item for item in items if item.problem is None)
+    return found
+
+
+def _schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
+    def vectors(width: int) -> pa.DataType:
+        return pa.list_(pa.list_(pa.float64(), width))
+
+    fields = [
+        ("id", pa.string()),
+        ("label", pa.int64()),
+        *([("object_id", pa.int64())] if columns.object_id else []),
+        *([("pos_in_cell", vectors(2))] if columns.position else []),
+        *([(f"{_POSE}.position", vectors(3)), (f"{_POSE}.quaternion", vectors(4))] if columns.pose else []),
+        ("sensor_image", pa.list_(MEDIA_TYPE)),
+    ]
+    return with_features(pa.schema(fields), names)
+
+
+@dataclass(frozen=True, eq=False)
+class _ImportShard:
+    """Picklable: read the images of some rounds and check what is said of them."""
+
+    shard: ShardName
+    rounds: Rounds = field(repr=False)
+    layout: str
+    columns: ImportColumns
+    names: tuple[str, ...] = field(repr=False)
+    image_size: tuple[int, int] | None
+    schema: pa.Schema = field(repr=False)
+
+    @property
+    def size(self) -> int:
+        """How many touches it works on."""
+        return sum(len(items) for _, items in self.rounds)
+
+    def make(self) -> ShardContent:
+        """Read the touches; those that cannot be used are left out and listed."""
+        rows, skipped = [], []
+        used = {*self.columns.names(), self.columns.image}
+        used |= {NUMBERED} if self.columns.label == f"{NUMBERED}_name" else set()
+        others = Counter[str]()
+        contents = _images((item for _, items in self.rounds for item in items), self.layout)
+        for name, items in self.rounds:
+            touches: list[dict[str, Any]] = []
+            for item in items:
+                try:
+                    touch = self._touch(item, contents)
+                    if touches and any(touch[each] != touches[0][each] for each in _OF_ROUND):
+                        raise ItemError("round", "another label or object than the first touch of its round")
+                    touches.append(touch)
+                    others.update(name for name in item.fields if name not in used)
+                except ItemError as error:
+                    skipped.append(Skipped(item.number, error.reason, f"{item.name!r}: {error.message}"))
+            if touches:
+                of_round = {each: touches[0][each] for each in _OF_ROUND}
+                of_touch = {each: [touch[each] for touch in touches] for each in touches[0]}
+                rows.append({"id": name, **of_touch, **of_round})
+        counted = {printable(name): count for name, count in others.most_common(_MOST_FIELDS)}
+        statistics = {NOT_IMPORTED: dict(sorted(counted.items()))} if counted else None
+        table = pa.Table.from_pylist(rows, self.schema)
+        return ShardContent(table, tuple(skipped), statistics=statistics)
+
+    def _touch(self, item: Item, contents: Iterator[bytes | Exception]) -> dict[str, Any]:
+        """Return what the columns hold of a touch; ItemError where it cannot be used."""
+        if item.problem is not None:
+            raise item.problem
+        image = next(contents)
+        if isinstance(image, Exception):
+            raise ItemError("image", str(image)) from image
+        self._require_image(image)
+        values, columns = item.values, self.columns
+        label, object_id = _text(values, columns.label), 0
+        label = label if label in self.names else _integer_text(label)
+        if label not in self.names:
+            raise ItemError("label", f"the label {label[:_LONGEST_SHOWN]!r}; expected a class")
+        if columns.object_id:
+            text = _integer_text(_text(values, columns.object_id))
+            if not (text.isdecimal() and text.isascii() and len(text) < 19):
+                raise ItemError("object", f"the object {text[:_LONGEST_SHOWN]!r}; expected an integer")
+            object_id = int(text)
+        position = _numbers(values, columns.position, 2, "position")
+        pose = _numbers(values, columns.pose, 7, "pose")
+        wrong = bad_pose(np.array([pose[:3]]), np.array([pose[3:]])) if pose else None
+        if wrong is not None:
+            raise ItemError("pose", wrong[1])
+        return {
+            "label": self.names.index(label),
+            "object_id": object_id,
+            "pos_in_cell": position,
+            f"{_POSE}.position": pose[:3],
+            f"{_POSE}.quaternion": pose[3:],
+            "sensor_image": {"bytes": image, "path": Path(item.name).name},
+        }
+
+    def _require_image(self, image: bytes) -> None:
+        """Refuse what is not an intact image, upright and of the size of the others (ItemError)."""
+        try:
+            size = require_intact(image)
+        except ValueError as error:
+            raise ItemError("image", str(error)) from error
+        if _is_turned(image):
+            problem = "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
+            raise ItemError("image", problem)
+        if self.image_size is not None and size != self.image_size:
+            (height, width), (first_height, first_width) = size, self.image_size
+            problem = f"{width} x {height} pixels; expected {first_width} x {first_height} as in the first"
+            raise ItemError("size", problem)
+
+
+def _is_turned(image: bytes) -> bool:
+    """Return whether readers that obey what an image states of itself turn it; Pillow knows all places."""
+    if image[:2] == b"\xff\xd8" and b"\xff\xe1" not in image:
+        return False  # both stand in such a segment of a JPEG, and to open an image takes a while
+    from PIL import Image
+
+    try:
+        with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:
+            return opened.getexif().get(_ORIENTATION) in _TURNED
+    except (OSError, SyntaxError, ValueError, TypeError, struct.error):
+        return False  # such data turn nothing
+
+
+def _text(values: Mapping[str, Any], name: str | None) -> str:
+    """Return a value as text; nothing for what is none: JSON has NaN, lists and objects too."""
+    value = values.get(name) if name else None
+    is_none = value is None or value != value or isinstance(value, (list, dict))
+    return "" if is_none else str(value).strip()
+
+
+def _integer_text(text: str) -> str:
+    """Return ``"3"`` for ``"3.0"``: so tables have integers whose column has a gap."""
+    match = _NUMBER.fullmatch(text)
+    return text if match is None else match[1]
+
+
+def _numbers(
+    values: Mapping[str, Any], names: Sequence[str] | None, count: int, reason: str
+) -> tuple[float, ...]:
+    """Return the numbers of some columns, or of one that holds all of them; none for no columns."""
+    if not names:
+        return ()
+    found: Any = [values.get(name) for name in names]
+    if len(names) == 1:
+        found = found[0]
+        if isinstance(found, str):
+            found = found.replace(",", " ").strip("[]() ").split()
+    numbers: tuple[float, ...] = ()
+    with suppress(TypeError, ValueError, OverflowError):
+        numbers = tuple(float(value) for value in found)
+    if len(numbers) != count or not np.isfinite(numbers).all():
+        raise ItemError(reason, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} finite numbers")
+    return numbers

@@ -6,7 +6,7 @@ before they are read.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -14,29 +14,26 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.clip_columns import pose_sequences, poses, stamps_s
-from realtouch.clips import TouchClip
 from realtouch.columns import (
     entries_of,
     int_value,
     intended_positions,
     label_value,
     plain_value,
+    pose_sequences,
+    poses,
+    stamps_s,
     stored_rows,
     touch_total,
 )
 from realtouch.convert.plan import Choices, Made, RowChoice, Source
 from realtouch.damage import naming
-from realtouch.dataset import dataset_of
 from realtouch.exchange.images import image_column, require_intact
-from realtouch.images import SensorImages
+from realtouch.media import SensorImages, TouchClip
 from realtouch.poses import Poses
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.touch.jpeg import encode_image
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, column_type
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
@@ -53,45 +50,6 @@ def only_split(source: Source, choices: Choices, what: str) -> str:
     return next(iter(choices))
 
 
-def numbered_starts(
-    source: Source, split: str, chosen: Sequence[RowChoice], rows_per_shard: int
-) -> list[list[int]]:
-    """Return the numbers of the first episode and frame of each shard, and of one more.
-
-    InputError where there is none.
-    """
-    counts = _episode_lengths(source, split)[[each.row for each in chosen]]
-    if not counts.sum():
-        raise InputError(f"{source.name!r} has no touches in split {split!r}", next="choose another split")
-    ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
-    starts: list[list[int]] = ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist()
-    return starts
-
-
-def numbers_of_shard(
-    starts: Sequence[Sequence[int]], shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
-    """Return the number of each episode of a shard, of its first frame, and how many frames it has.
-
-    Raises IntegrityError where a round was left out, or lengths were not as stated.
-    """
-    if skipped:
-        raise IntegrityError(
-            f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
-            "nothing of this file was written",
-            next="leave the round out first (`realtouch select`)",
-        )
-    episode, frame = starts[shard.index]
-    firsts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
-    if starts[shard.index + 1] != [episode + len(firsts), frame + len(rows)]:
-        raise IntegrityError(
-            f"{shard}: {len(firsts):,} episodes of {len(rows):,} frames in all, other than "
-            "'video_length_frames' stated when the export was planned; nothing of this file was written",
-            next="run `realtouch verify` on the source",
-        )
-    return episode + np.arange(len(firsts)), frame + firsts, np.diff([*firsts, len(rows)])
-
-
 @dataclass(frozen=True)
 class Episodes:
     """Step of the export: the frames of the episodes of a row, numbered within each."""
@@ -103,8 +61,16 @@ class Episodes:
     @classmethod
     def of(cls, source: Source, split: str) -> Episodes:
         """Look at the first image of a split: all are to be of its size."""
-        size, fps = _first_image(source.shards[split])
-        return cls(fps, size, class_names(source.schema, CLASS_NAMES))
+        names = class_names(source.schema, CLASS_NAMES)
+        row = next(filter(touch_total, stored_rows(source.shards[split])), None)
+        if row is None:
+            raise InputError(
+                f"{source.name!r} has no touches in split {split!r}", next="choose another split"
+            )
+        if row.has(MEDIA_COLUMN["single"]):
+            return cls(1, SensorImages(row).size(0), names)
+        clip = TouchClip(row, 0)
+        return cls(max(1, round(clip.fps)), clip.size, names)
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns that the source can fill, and what the index says of episodes."""
@@ -171,10 +137,7 @@ class Episodes:
             times_s = stamps_s(row, touch)
             if times_s is not None:
                 columns[TIME] = times_s[0].astype(np.float32)
-            if clip.has_index:
-                yield touch, [clip.encoded(frame) for frame in range(len(clip))], columns
-            else:
-                yield touch, [encode_image(pixels) for pixels in clip.frames()], columns
+            yield touch, [clip.encoded(frame) for frame in range(len(clip))], columns
 
     def _require_size(self, row: Row, touch: int, image: bytes | memoryview) -> None:
         with naming(row, MEDIA_COLUMN["single" if row.has("sensor_image") else "seq"], touch):
@@ -195,27 +158,3 @@ def _states(pose: Poses) -> pa.Array:
 def _vectors(values: NDArray[Any]) -> pa.Array:
     flat = np.ascontiguousarray(values, np.float32).reshape(-1)
     return pa.FixedSizeListArray.from_arrays(pa.array(flat), values.shape[1])
-
-
-def _episode_lengths(source: Source, split: str) -> NDArray[np.int64]:
-    """Return the number of episodes and of frames of each row, shape (n, 2)."""
-    if source.kind == "single":
-        counts = dataset_of(source.shards[split]).touch_counts
-        return np.column_stack([counts > 0, counts]).astype(np.int64)
-    found = []
-    for shard in source.shards[split]:
-        if "video_length_frames" not in shard.types:
-            raise InputError(f"{shard.path!r} has no column 'video_length_frames'")
-        lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
-        found += [(len(each), sum(each)) for each in lengths]
-    return np.array(found, np.int64).reshape(-1, 2)
-
-
-def _first_image(shards: Sequence[Shard]) -> tuple[tuple[int, int], int]:
-    """Return height and width of the first image, and the frames per second; 1 of single images."""
-    rows = stored_rows(shards)
-    row = next(row for row in rows if touch_total(row))  # there is one: touches were counted
-    if row.has("sensor_image"):
-        return SensorImages(row).size(0), 1
-    clip = TouchClip(row, 0)
-    return clip.size, max(1, round(clip.fps))

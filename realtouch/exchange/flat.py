@@ -1,7 +1,125 @@
-"""Flat Parquet, for `datasets`, pandas and polars: the rows of touches, kept as they are."""
+"""One row a touch: the stored image as it is, and plain columns that every reader of tables knows.
+
+Formats whose unit is a touch pack these rows; of clips, a touch shows one frame.
+"""
 
 from __future__ import annotations
 
-from realtouch.exchange.touches import plan_rows as plan
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
 
-__all__ = ["plan"]
+import pyarrow as pa
+
+from realtouch.columns import label_value
+from realtouch.contact import ContactMethod
+from realtouch.convert.api import columns_of_touches, shown_touches
+from realtouch.convert.plan import (
+    Choices,
+    Conversion,
+    Made,
+    Pack,
+    RowChoice,
+    Source,
+    checksums,
+    marked_repetitions,
+)
+from realtouch.damage import damaged, naming
+from realtouch.exchange.images import image_column, require_intact
+from realtouch.rounds import touch_id
+from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
+from tactile_toolkit.read.columns import class_names
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, column_type
+
+IMAGE = "image"
+
+_GROUP_BYTES = 32 << 20
+_FRAMES_PER_CLIP = 64  # about; how much smaller the image of a clip is than the clip
+_MOST_ROWS_PER_GROUP = 1 << 14
+_NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
+
+
+def plan(
+    source: Source,
+    choices: Choices,
+    method: ContactMethod,
+    options: Mapping[str, Any],
+    *,
+    folder: str | None = None,
+    pack: Pack | None = None,
+    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = checksums,
+) -> Conversion:
+    """Plan an export with a row for each touch; of clips, a touch shows the frame by some method.
+
+    Without ``pack``, which makes files of them below ``folder``, the rows are kept as they are: flat Parquet.
+    """
+    is_seq = source.kind == "seq"
+    image_bytes = source.media_bytes() // (_FRAMES_PER_CLIP if is_seq else 1) or 1
+    return Conversion(
+        source,
+        "export",
+        {**options, **({"frame": method} if is_seq else {})},
+        _Touches(method, class_names(source.schema, CLASS_NAMES)),
+        marked_repetitions(source, choices),
+        rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
+        extra_dirs=() if folder is None else (folder,),
+        write_files=write_files,
+        pack=pack,
+    )
+
+
+@dataclass(frozen=True)
+class _Touches:
+    """Step of ``export``: a row becomes one row for each touch; of clips, with the frame of the contact.
+
+    JPEGs pass through as they are stored. ``names`` are those of the classes.
+    """
+
+    method: ContactMethod
+    names: tuple[str, ...]
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return plain columns: of what the source says, and nothing that it does not."""
+        has_object, has_position, *poses = (
+            column_type(source, name) is not None
+            for name in ("object_id", "pos_in_cell", *(f"{name}.position" for name in POSE_COLUMN.values()))
+        )
+        return pa.schema(
+            [
+                ("id", pa.string()),
+                (IMAGE, MEDIA_TYPE),
+                ("label", pa.int64()),
+                ("label_name", pa.string()),
+                *([("object_id", pa.int64())] if has_object else []),
+                ("round_id", pa.string()),
+                ("touch", pa.int64()),
+                ("frame", pa.int64()),
+                *((each, pa.float64()) for each in POSITION_COLUMNS if has_position),
+                *((each, pa.float64()) for each in POSE_COLUMNS if any(poses)),
+            ]
+        )
+
+    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+        """Return the touches of a row; one damaged touch leaves the round out, so that none is half there."""
+        label_value(row, self.names)
+        shown = list(shown_touches(row, self.method))
+        columns = columns_of_touches(row, shown, self.names)
+        name = str(row.value("id"))
+        if _NAME.fullmatch(name) is None:
+            problem = f"{name[:80]!r} cannot name files; expected letters, digits, '-' and '_'"
+            raise damaged(row, "id", problem)
+        kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
+        images: list[Any] = []
+        for each in shown:
+            images.append(each.stored)
+            where = f"frame {each.frame}: " if kind == "seq" else ""
+            with naming(row, MEDIA_COLUMN[kind], each.touch, where):
+                require_intact(images[-1])
+        columns["id"] = [touch_id(name, each.touch) for each in shown]
+        columns[IMAGE] = image_column(images, columns["id"])
+        schema = self.schema(row.group.table.schema)
+        return pa.table([pa.array(columns[each.name], each.type) for each in schema], schema=schema), {}

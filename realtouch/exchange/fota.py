@@ -15,10 +15,11 @@ from typing import Any
 import pyarrow as pa
 
 from realtouch.convert.plan import Made, checksums, with_files, write_changed
-from realtouch.exchange import tars
+from realtouch.exchange import webdataset
+from realtouch.exchange.flat import IMAGE
+from realtouch.exchange.flat import plan as plan_rows
 from realtouch.exchange.images import as_jpeg
 from realtouch.exchange.items import Item
-from realtouch.exchange.touches import IMAGE, plan_rows
 from realtouch.spec import POSE_COLUMNS, ImportColumns
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
@@ -44,7 +45,9 @@ def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
         (f"{fields['id']}.jpg", as_jpeg(image.as_py()["bytes"]), {**fields, **_pose_mm(fields)})
         for image, fields in zip(rows[IMAGE], index.to_pylist(), strict=True)
     )
-    return with_files(index, {f"{_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": tars.tar_of(samples)})
+    return with_files(
+        index, {f"{_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": webdataset.tar_of(samples)}
+    )
 
 
 def _pose_mm(fields: Mapping[str, Any]) -> dict[str, float]:
@@ -71,7 +74,7 @@ plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_counts)
 def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each sample of the tars of one split; the folder's name is that of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
-    for item in tars.items(home, columns, table):
+    for item in webdataset.items(home, columns, table):
         values = {"split": split, **item.values}
         if set(_POSE) <= set(values) and POSE_COLUMNS[0] not in values:
             for number, (theirs, ours) in enumerate(zip(_POSE, POSE_COLUMNS, strict=True)):

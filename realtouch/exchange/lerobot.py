@@ -2,16 +2,21 @@
 
 Facts of the format: frames lie in ``data/chunk-000/file-000.parquet``, 1,000 files a chunk, numbered over all
 episodes; ``meta`` says where each episode begins, what the features are, and their statistics.
+
+Sums of statistics are exact, so that every processor rounds alike.
 """
 
 from __future__ import annotations
 
+import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import (
@@ -19,15 +24,28 @@ from realtouch.convert.plan import (
     Conversion,
     Made,
     Source,
+    checksums,
+    files_of,
     with_files,
+    write_changed,
 )
-from realtouch.exchange.episodes import IMAGE, Episodes, numbered_starts, numbers_of_shard, only_split
-from realtouch.exchange.lerobot_meta import FILE_BYTES, FILES_PER_CHUNK, FOLDER, META_STYLE, WriteMeta
-from realtouch.exchange.lerobot_statistics import columns_of_episodes
+from realtouch.dataset import dataset_of
+from realtouch.exchange.episodes import IMAGE, Episodes, only_split
+from realtouch.exchange.images import decoded
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.touch.schema import with_features
+from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
 
+FOLDER = "lerobot"
+FILES_PER_CHUNK = 1000
+FILE_BYTES = 100 << 20
+META_STYLE = ParquetStyle(rows_per_group=1 << 12, compression_level=3)
+
+_VERSION = "v3.0"
 _GROUP_BYTES = 16 << 20
 _OF_EPISODE = ("round_id", "touch", "label", "object_id")
 
@@ -36,8 +54,11 @@ def plan(source: Source, choices: Choices, method: ContactMethod, options: Mappi
     """Plan a LeRobotDataset; reads footers, lengths and one header. InputError for several splits."""
     rows_per_shard = max(1, FILE_BYTES // source.row_bytes())
     split = only_split(source, choices, "LeRobotDataset")
-    starts = numbered_starts(source, split, choices[split], rows_per_shard)
-    step = Episodes.of(source, split)
+    step, chosen = Episodes.of(source, split), choices[split]
+    counts = _episode_lengths(source, split)[[each.row for each in chosen]]
+    ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
+    # Numbers of the first episode and frame of each shard, and of one more.
+    starts = ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist()
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
     image_bytes = source.media_bytes() if source.kind == "single" else source.media_bytes() // 64 or 1
     return Conversion(
@@ -54,6 +75,20 @@ def plan(source: Source, choices: Choices, method: ContactMethod, options: Mappi
     )
 
 
+def _episode_lengths(source: Source, split: str) -> NDArray[np.int64]:
+    """Return the number of episodes and of frames of each row, shape (n, 2)."""
+    if source.kind == "single":
+        counts = dataset_of(source.shards[split]).touch_counts
+        return np.column_stack([counts > 0, counts]).astype(np.int64)
+    found = []
+    for shard in source.shards[split]:
+        if "video_length_frames" not in shard.types:
+            raise InputError(f"{shard.path!r} has no column 'video_length_frames'")
+        lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
+        found += [(len(each), sum(each)) for each in lengths]
+    return np.array(found, np.int64).reshape(-1, 2)
+
+
 @dataclass(frozen=True)
 class _PackEpisodes:
     """Packs the frames of a shard and what is to be known of its episodes; keeps an index of those."""
@@ -63,9 +98,27 @@ class _PackEpisodes:
     rows_per_group: int
 
     def __call__(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
-        """Return the frames and episodes of a shard, numbered over the whole data set."""
+        """Return the frames and episodes of a shard, numbered over the whole data set.
+
+        Raises IntegrityError where a round was left out, or lengths were not as stated.
+        """
         rows = rows.combine_chunks()
-        episodes, firsts, lengths = numbers_of_shard(self.starts, shard, rows, skipped)
+        if skipped:
+            raise IntegrityError(
+                f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
+                "nothing of this file was written",
+                next="leave the round out first (`realtouch select`)",
+            )
+        episode, frame = self.starts[shard.index]
+        firsts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
+        if self.starts[shard.index + 1] != [episode + len(firsts), frame + len(rows)]:
+            raise IntegrityError(
+                f"{shard}: {len(firsts):,} episodes of {len(rows):,} frames in all, other than "
+                "'video_length_frames' stated when the export was planned; nothing of this file was written",
+                next="run `realtouch verify` on the source",
+            )
+        episodes, lengths = episode + np.arange(len(firsts)), np.diff([*firsts, len(rows)])
+        firsts += frame
         starts = firsts - firsts[:1]
         index = {"id": episodes, "first_frame": firsts, "frames": lengths}
         frames = rows.drop_columns(
@@ -105,3 +158,173 @@ class _PackEpisodes:
                 f"{FOLDER}/meta/episodes/{place}": encode_parquet(pa.table(meta), META_STYLE),
             },
         )
+
+
+@dataclass(frozen=True)
+class WriteMeta:
+    """Writes what a LeRobotDataset says of all its episodes, once they are there."""
+
+    split: str
+    fps: int
+    size: tuple[int, int]
+    tasks: tuple[str, ...]
+
+    def __call__(self, folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+        """Return the checksum of each file of the LeRobotDataset by its path."""
+        files = checksums(folder, manifest)
+        placed = [list(files_of(folder, record)) for record in manifest.shards if record.rows]
+        frames, episodes = (
+            [Shard(folder.address(path)) for path in paths] for paths in zip(*placed, strict=True)
+        )
+        info = self._info(frames[0].schema, sum(map(len, episodes)), sum(map(len, frames)))
+        meta = {
+            "info.json": _json_bytes(info),
+            "stats.json": _json_bytes(statistics_of_all(episodes, frames)),
+            "tasks.parquet": encode_parquet(_task_table(self.tasks), META_STYLE),
+        }
+        for name, content in meta.items():
+            path = f"{FOLDER}/meta/{name}"
+            files[path] = write_changed(folder, path, content)
+        return files
+
+    def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, Any]:
+        return {
+            "codebase_version": _VERSION,
+            "robot_type": None,
+            "total_episodes": episodes,
+            "total_frames": total_frames,
+            "total_tasks": len(self.tasks),
+            "chunks_size": FILES_PER_CHUNK,
+            "data_files_size_in_mb": FILE_BYTES >> 20,
+            "video_files_size_in_mb": 200,
+            "fps": self.fps,
+            "splits": {self.split: f"0:{episodes}"},
+            "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
+            "video_path": None,
+            "features": {each.name: self._feature(each) for each in frames},
+        }
+
+    def _feature(self, each: pa.Field) -> dict[str, Any]:
+        if each.type == MEDIA_TYPE:
+            return {"dtype": "image", "shape": [*self.size, 3], "names": ["height", "width", "channels"]}
+        if pa.types.is_fixed_size_list(each.type):
+            names = ["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"][: each.type.list_size]
+            return {"dtype": "float32", "shape": [len(names)], "names": names}
+        dtype = "float32" if pa.types.is_float32(each.type) else "int64"
+        return {"dtype": dtype, "shape": [1], "names": None}
+
+
+def _json_bytes(values: Mapping[str, Any]) -> bytes:
+    return (json.dumps(values, indent=4) + "\n").encode()
+
+
+def _task_table(tasks: Sequence[str]) -> pa.Table:
+    """Return the tasks as pandas stores a table whose rows go by name."""
+    table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)})
+    columns = [
+        {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": stored, "metadata": None}
+        for name, kind, stored in (("task_index", "int64", "int64"), ("task", "unicode", "object"))
+    ]
+    of_pandas = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
+    return table.replace_schema_metadata({"pandas": json.dumps({**of_pandas, "pandas_version": "2.0.0"})})
+
+
+_IMAGES_SEEN = 8
+"""Images of an episode that are decoded for its statistics."""
+
+_LEVELS = 256
+_QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}
+_NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
+
+
+def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int]) -> dict[str, pa.Array]:
+    """Return the statistics of each feature in each episode, as columns ``stats/FEATURE/STATISTIC``."""
+    columns = {}
+    for name in frames.column_names:
+        whole = frames.column(name).combine_chunks()
+        found = [_episode(whole.slice(*part)) for part in zip(starts, lengths, strict=True)]
+        flat = pa.list_(pa.float64())
+        data_type = pa.list_(pa.list_(flat)) if whole.type == MEDIA_TYPE else flat
+        for statistic in _NAMES:
+            values = [each[statistic] for each in found]
+            stored = pa.list_(pa.int64()) if statistic == "count" else data_type
+            columns[f"stats/{name}/{statistic}"] = pa.array(values, stored)
+    return columns
+
+
+def _episode(values: pa.Array) -> dict[str, Any]:
+    """Return the statistics of a feature in an episode; of images those of some, in shares of full colour."""
+    if values.type != MEDIA_TYPE:
+        numbers = _flat_rows(values)
+        found = [_statistics(*np.unique(column, return_counts=True)) for column in numbers.T]
+        return {**{name: [each[name] for each in found] for name in found[0]}, "count": [len(values)]}
+    from PIL import Image
+
+    seen = np.unique(np.linspace(0, len(values) - 1, _IMAGES_SEEN).round().astype(int)).tolist()
+    counts = np.zeros((3, _LEVELS), np.int64)
+    for number in seen:
+        image = values[number].as_py()
+        pixels = Image.fromarray(decoded(image["bytes"], image["path"]))
+        counts += np.reshape(pixels.histogram(), (3, _LEVELS))
+    found = [_statistics(np.flatnonzero(each) / (_LEVELS - 1), each[each > 0]) for each in counts]
+    return {**{name: [[[each[name]]] for each in found] for name in found[0]}, "count": [len(seen)]}
+
+
+def _statistics(values: NDArray[np.float64], counts: NDArray[np.int64]) -> dict[str, float]:
+    """Return the statistics of rising values that occur so many times."""
+    total, below = int(counts.sum()), np.cumsum(counts)
+    mean = math.fsum(values * counts) / total
+    spread = math.sqrt(math.fsum(counts * (values - mean) ** 2) / total)
+    found = {"min": values[0], "max": values[-1], "mean": mean, "std": spread}
+    for name, share in _QUANTILES.items():
+        rank = share * (total - 1)
+        ends = np.searchsorted(below, [math.floor(rank), math.ceil(rank)], side="right")
+        found[name] = values[ends[0]] + (values[ends[1]] - values[ends[0]]) * (rank % 1)
+    return {name: float(value) for name, value in found.items()}
+
+
+def statistics_of_all(episodes: Sequence[Shard], frames: Sequence[Shard]) -> dict[str, Any]:
+    """Return the statistics of all frames; of images put together from the episodes, as LeRobot does.
+
+    One number of each frame is in memory at a time: 8 bytes a frame.
+    """
+    found: dict[str, Any] = {}
+    for each in frames[0].schema:
+        if each.type == MEDIA_TYPE:
+            found[each.name] = _put_together(episodes, each.name)
+            continue
+        columns = []
+        for number in range(getattr(each.type, "list_size", 1)):
+            parts = [_flat_rows(shard.read(columns=[each.name]).column(0))[:, number] for shard in frames]
+            columns.append(_statistics(*np.unique(np.concatenate(parts), return_counts=True)))
+        numbers = {name: [column[name] for column in columns] for name in columns[0]}
+        found[each.name] = {**numbers, "count": [sum(map(len, frames))]}
+    return found
+
+
+def _put_together(episodes: Sequence[Shard], name: str) -> dict[str, Any]:
+    """Put the statistics of the images of all episodes together, weighed by their counts."""
+    columns = [f"stats/{name}/{statistic}" for statistic in _NAMES]
+    table = pa.concat_tables([shard.read(columns=columns) for shard in episodes])
+    parts = {each: _flat_rows(table[f"stats/{name}/{each}"]) for each in _NAMES}
+    weights = parts.pop("count")[:, 0]
+    total = int(weights.sum())
+
+    def weighed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.array([math.fsum(column * weights) / total for column in values.T])
+
+    found = {each: weighed(values) for each, values in parts.items()}
+    square = weighed(parts["std"] ** 2 + (parts["mean"] - found["mean"]) ** 2)
+    found |= {"min": parts["min"].min(axis=0), "max": parts["max"].max(axis=0), "std": np.sqrt(square)}
+    return {**{each: values.reshape(-1, 1, 1).tolist() for each, values in found.items()}, "count": [total]}
+
+
+def _flat_rows(values: pa.Array | pa.ChunkedArray) -> NDArray[np.float64]:
+    """Return lists of equal length, of whatever depth, as an array of a row for each."""
+    if isinstance(values, pa.ChunkedArray):
+        values = values.combine_chunks()
+    count = len(values)
+    while pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
+        values = values.flatten()
+    flat: NDArray[np.float64] = values.to_numpy().reshape(count, -1)
+    return flat.astype(np.float64, copy=False)

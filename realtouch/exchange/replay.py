@@ -3,17 +3,21 @@
 Facts of the format (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
 length along time, ``meta/episode_ends`` the number of the frame behind each episode; images are pixels. What
 the buffer is made of stays in ``data``: a row a frame, its image as it was stored. Writing needs no package;
-buffers of others, whose compressors are many, are read by Zarr itself.
+buffers of others, whose compressors are many, are read by Zarr itself. ``.zgroup`` and ``.zarray`` are JSON;
+a chunk is a file named by its number along each axis.
 """
 
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 import tempfile
+import zipfile
+import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO, Any, Self
 
 import numpy as np
 import pyarrow as pa
@@ -25,9 +29,8 @@ from realtouch.convert.plan import Choices, Conversion, Source
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
 from realtouch.exchange.images import decoded
 from realtouch.exchange.items import Item
-from realtouch.exchange.zarr_group import ZarrWriter, open_group, path_of_group
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -156,3 +159,56 @@ def _arrays(path: str) -> tuple[dict[str, Any], Any]:
         return data, group["meta/episode_ends"][:]
     except (KeyError, ValueError, OSError) as error:
         raise InputError(f"{path!r} is not a replay buffer of Zarr 2 ({error})") from error
+
+
+_LEVEL = 1
+
+
+class ZarrWriter(zipfile.ZipFile):
+    """A zip of arrays whose chunks follow each other along the first axis; equal arrays give equal bytes."""
+
+    def __init__(self, stream: IO[bytes], groups: Sequence[str]) -> None:
+        super().__init__(stream, "w")
+        for path in ("", *(f"{name}/" for name in groups)):
+            self._add(f"{path}.zgroup", json.dumps({"zarr_format": 2}).encode())
+
+    def __enter__(self) -> Self:
+        return self
+
+    def describe(self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str) -> None:
+        """Write what Zarr states of an array."""
+        stated = {
+            "zarr_format": 2,
+            "shape": list(shape),
+            "chunks": list(chunks),
+            "dtype": dtype,
+            "order": "C",
+        }
+        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
+        self._add(f"{path}/.zarray", json.dumps(stated, indent=4).encode())
+
+    def chunk(self, path: str, number: int, values: NDArray[Any]) -> None:
+        """Write a chunk, which holds the other axes completely."""
+        name = ".".join([str(number), *"0" * (values.ndim - 1)])
+        self._add(f"{path}/{name}", zlib.compress(np.ascontiguousarray(values).tobytes(), _LEVEL))
+
+    def _add(self, path: str, content: bytes) -> None:
+        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing
+
+
+def path_of_group(home: DataFolder) -> str:
+    """Return the group that a folder is, or the only one that it holds."""
+    if home.exists(".zgroup") or home.address().endswith(".zip"):
+        return home.address()
+    found = [name for name in home.names() if name.endswith((".zarr", ".zarr.zip"))]
+    if len(found) != 1:
+        raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(found) or 'none'}")
+    return home.address(found[0])
+
+
+def open_group(path: str) -> Any:
+    """Open a group, in a zip or not, with the package; raises what it raises."""
+    with needs_extra("importing a replay buffer", "zarr", "zarr"):
+        import zarr
+    place: Any = zarr.storage.ZipStore(path, mode="r") if path.endswith(".zip") else path
+    return zarr.open_group(place, mode="r", zarr_format=2)

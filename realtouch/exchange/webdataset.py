@@ -1,20 +1,133 @@
-"""WebDataset: tars in which each touch is an image and a JSON file of one name."""
+"""WebDataset: tars in which each touch is an image and a JSON file of one name, read by their headers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+import json
+import tarfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
+from itertools import groupby
+from pathlib import Path
+from typing import Any
 
 import pyarrow as pa
 
 from realtouch.convert.plan import Made, with_files
-from realtouch.exchange.tars import items, tar_of
-from realtouch.exchange.touches import IMAGE, plan_rows
+from realtouch.exchange.flat import IMAGE
+from realtouch.exchange.flat import plan as plan_rows
+from realtouch.exchange.items import HERE, IMAGE_ENDINGS, Item, require_columns
+from realtouch.spec import ImportColumns
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.store.folder import DataFolder, split_uri
+from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.shards import ShardName, Skipped
-
-__all__ = ["items", "plan"]
+from tactile_toolkit.touch.tars import files_of_tar
 
 _FOLDER = "webdataset"
+_MOST_TEXT_BYTES = 1 << 20  # of a file with fields; of a longer one nothing is read
+
+
+def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, Any]]]) -> bytes:
+    """Return a tar of images, each with its fields as JSON; the same samples give the same bytes."""
+    stream = io.BytesIO()
+    with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+        for name, image, fields in samples:
+            text = json.dumps(fields, ensure_ascii=False, separators=(",", ":")).encode()
+            for member, content in ((name, image), (f"{name.partition('.')[0]}.json", text)):
+                header = tarfile.TarInfo(member)
+                header.size = len(content)
+                tar.addfile(header, io.BytesIO(content))
+    return stream.getvalue()
+
+
+def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+    """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
+    if table is not None:
+        raise InputError("--table is about folders of images; a WebDataset has JSON files")
+    seen, known = set[str](), dict[str, None]()
+    for folder, name in _tars(home):
+        for key, members in groupby(_members(folder, name), key=lambda each: each[0]):
+            item = _sample(folder.address(name), key, list(members), columns)
+            if key in seen:
+                problem = ItemError("duplicate", f"the key {key!r} stands in an earlier sample")
+                item = replace(item, problem=problem)
+            seen.add(key)
+            known |= dict.fromkeys(item.values)
+            yield item
+    if seen:
+        require_columns(list(known), columns.found_in(known).names(), home.address())
+
+
+def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:
+    """Return the tars of a folder, or the one that was named itself, each with its folder."""
+    names = [name for name in home.sizes() if name.endswith(".tar") and not name.startswith(".")]
+    if names:
+        return [(home, name) for name in names]
+    place = home.address()
+    if Path(place).is_file() if home.is_local else place.endswith(".tar"):
+        return [split_uri(place)]
+    raise InputError(f"{place!r} holds no tars (*.tar); compressed ones are unpacked first")
+
+
+_Member = tuple[str, str, int, int, bytes]
+"""Key, ending, place and size of a file in a tar, and the content where it is small text."""
+
+
+def _members(folder: DataFolder, name: str) -> Iterator[_Member]:
+    try:
+        with folder.open(name) as stream:
+            for member in files_of_tar(stream, folder.size_bytes(name)):
+                start = member.offset_data
+                directory, slash, base = HERE.sub("", member.name).rpartition("/")
+                stem, _, ending = base.partition(".")
+                content = b""
+                if not _is_image(ending) and member.size <= _MOST_TEXT_BYTES:
+                    stream.seek(start)
+                    content = stream.read(member.size)
+                yield f"{directory}{slash}{stem}", ending.lower(), start, member.size, content
+    except (tarfile.TarError, OSError) as error:
+        raise IntegrityError(
+            f"{folder.address(name)!r} is not an intact tar ({error}); nothing was written",
+            next="fetch it again",
+        ) from error
+
+
+def _is_image(ending: str) -> bool:
+    """Return whether an ending is that of an image; there may be several: ``rgb.jpg``."""
+    return ending.lower().rpartition(".")[2] in IMAGE_ENDINGS
+
+
+def _sample(path: str, key: str, members: Sequence[_Member], columns: ImportColumns) -> Item:
+    """Put the files of one key together."""
+    wanted = None if columns.image in (None, "file") else str(columns.image).lower()
+    named = problem_of_name(key)
+    problem = ItemError("name", f"the key {named}") if named else None
+    images = [member for member in members if _is_image(member[1]) and wanted in (None, member[1])]
+    if not images:
+        expected = wanted or ", ".join(IMAGE_ENDINGS)
+        problem = problem or ItemError("missing", f"no image; expected one of {expected}")
+    values: dict[str, Any] = {}
+    for _, ending, _, _, content in members:
+        if ending == "json":
+            try:
+                values |= _fields(content)
+            except ItemError as error:
+                problem = problem or error
+        elif not _is_image(ending):
+            values.setdefault(ending, content.decode(errors="replace").strip())
+    _, _, start, size, _ = images[0] if images else ("", "", 0, 0, b"")
+    return Item(key, path, start, size, values, problem)
+
+
+def _fields(content: bytes) -> dict[str, Any]:
+    try:
+        return dict(json.loads(content))
+    except (ValueError, TypeError, RecursionError) as error:
+        raise ItemError(
+            "json", f"its JSON file cannot be read ({error}); expected an object of at most 1 MiB"
+        ) from error
 
 
 def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:

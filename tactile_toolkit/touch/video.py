@@ -1,25 +1,17 @@
-"""Clips: AVIs of JPEG frames, found through the index, so that one frame costs one JPEG; others by FFmpeg.
+"""Clips: AVIs of JPEG frames, found through the index, so that one frame costs one JPEG.
 
 Of AVIs only what the clips of touches use is read: RIFF with a video stream of MJPEG frames and an ``idx1``
-index. Each frame stands alone. The layout is that of Microsoft's AVI RIFF file reference. FFmpeg (PyAV) is
-needed only for files of another kind.
+index. Each frame stands alone. The layout is that of Microsoft's AVI RIFF file reference.
 """
 
 from __future__ import annotations
 
-import io
 import struct
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from fractions import Fraction
-from itertools import islice
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-
-from tactile_toolkit.errors import needs_extra
-from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS, Pixels, decode_image, room_for
 
 MAX_CLIP_FRAMES = 10_000
 """Longest clip that is read; a touch has 58 to 90 frames."""
@@ -31,35 +23,50 @@ _STREAM_HEADER = struct.Struct("<4s4s12xII")
 _ENTRY_BYTES = 16  # name of the chunk, flags, offset, size
 
 
-class NoIndexError(ValueError):
-    """The file is not an AVI with indexed MJPEG frames; it may be readable by other means."""
-
-
 class Avi:
     """An AVI of MJPEG frames, opened by its index, which leads to each frame alone.
 
-    Opening raises NoIndexError for another container or codec, or where no index leads to frames; ValueError
-    where the file is cut short, exceeds :data:`MAX_CLIP_FRAMES`, or has an index that leads out of it or does
-    not follow the stream.
+    Opening raises ValueError for another container or codec; where the file is cut short, exceeds
+    :data:`MAX_CLIP_FRAMES`, or has no index; and where that leads out of it or does not follow the stream.
     """
 
     def __init__(self, data: memoryview) -> None:
         name, size, kind = _RIFF.unpack_from(data) if len(data) >= _RIFF.size else (b"", 0, b"")
         if name != b"RIFF" or kind != b"AVI ":
-            raise NoIndexError(
-                f"{len(data):,} bytes that begin with {bytes(data[:12]).hex(' ')}; expected an AVI"
+            raise ValueError(
+                f"{len(data):,} bytes that begin with {bytes(data[:8]).hex(' ')}; expected an AVI with MJPEG "
+                "frames"
             )
         end = size + _CHUNK.size
         if end > len(data):
             raise ValueError(
                 f"an AVI cut short: {len(data):,} bytes are there; expected {end:,} by its header"
             )
-        parts = {name: (start, size) for name, start, size in _chunks(data, _RIFF.size, end)}
+        self.data = data
+        parts: dict[bytes, tuple[int, int]] = {}
+        stream, number, position = None, -1, _RIFF.size
+        while position + _CHUNK.size <= end:
+            name, size = _CHUNK.unpack_from(data, position)
+            start = position + _CHUNK.size
+            position = start + size + size % 2
+            if start + size > end:
+                raise ValueError(
+                    f"an AVI whose part {name!r} ends {start + size - end:,} bytes behind its end"
+                )
+            if name == b"LIST" and size >= 4:
+                name, start, size = bytes(data[start : start + 4]), start + 4, size - 4
+                if name in (b"hdrl", b"strl"):  # what is in these is looked at next
+                    position, number = start, number + (name == b"strl")
+            elif name == b"strh" and stream is None and size >= _STREAM_HEADER.size:
+                kind, codec, scale, rate = _STREAM_HEADER.unpack_from(data, start)
+                if kind == b"vids" and codec.upper() == b"MJPG" and scale and rate:
+                    stream, self.fps = number, rate / scale
+            parts[name] = (start, size)
         missing = [name for name in (b"hdrl", b"movi", b"idx1") if name not in parts]
         if missing:
-            raise NoIndexError(f"an AVI without {missing[0].decode()!r}; expected an index of MJPEG frames")
-        self.data = data
-        stream, self.fps = _mjpeg_stream(data, *parts[b"hdrl"])
+            raise ValueError(f"an AVI without {missing[0].decode()!r}; expected an index of MJPEG frames")
+        if stream is None:
+            raise ValueError("an AVI without an MJPEG stream; expected one")
         # Compressed and plain frames of the stream.
         self._names = (b"%02ddc" % stream, b"%02ddb" % stream)
         self._read_index(parts[b"idx1"], parts[b"movi"])
@@ -68,39 +75,37 @@ class Avi:
         return len(self.sizes)
 
     def _read_index(self, index: tuple[int, int], movie: tuple[int, int]) -> None:
-        entries = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0]).reshape(-1, 4)
-        plain, packed = (int.from_bytes(name, "little") for name in self._names)
-        is_frame = (entries[:, 0] == plain) | (entries[:, 0] == packed)
-        # Counted, for `all` and a choice of all take most of the time in which a clip opens.
-        if np.count_nonzero(is_frame) < len(entries):
-            entries = entries[is_frame]
-        if len(entries) > MAX_CLIP_FRAMES:
-            raise ValueError(f"a clip of {len(entries):,} frames; the limit is {MAX_CLIP_FRAMES:,}")
-        self.stored = entries[:, 3] > 0
-        """Which frames in the count of the file are stored; a repeated one takes no bytes."""
-        if np.count_nonzero(self.stored) < len(entries):
-            entries = entries[self.stored]
+        stored = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0])
+        # Most of the time in which a clip opens goes to calls of numpy, so that there are few.
+        names, _, offsets, sizes = stored.reshape(-1, 4).T.astype(np.int64)
+        packed, plain = (int.from_bytes(name, "little") for name in self._names)
+        if np.count_nonzero(names == packed) < len(names):
+            is_frame = (names == packed) | (names == plain)
+            offsets, sizes = offsets[is_frame], sizes[is_frame]
+        if len(sizes) > MAX_CLIP_FRAMES:
+            raise ValueError(f"a clip of {len(sizes):,} frames; the limit is {MAX_CLIP_FRAMES:,}")
+        self._all_sizes = sizes
+        if np.count_nonzero(sizes) < len(sizes):  # a repeated frame takes no bytes
+            offsets, sizes = offsets[sizes > 0], sizes[sizes > 0]
         # Writers differ in where offsets count from: the list of frames, or the file.
-        first = int(entries[0, 2]) if len(entries) else 0
-        bases = [base for base in (movie[0] - 4, 0) if self.data[base + first :][:4] in self._names]
-        if not len(entries) or not bases:
-            raise NoIndexError("an AVI whose index does not lead to frames")
-        # Begin of the movie, start and end of each frame, end of the movie: a small file whose frames overlap
-        # would decode to any amount of pixels.
-        edges = np.empty(2 * len(entries) + 2, np.int64)
-        edges[0], edges[-1] = movie[0], sum(movie)
-        self.starts, self.sizes = edges[1:-1:2], entries[:, 3]
-        np.add(entries[:, 2], bases[0] + _CHUNK.size, out=self.starts)
-        np.add(self.starts, self.sizes, out=edges[2:-1:2])
-        if np.count_nonzero(edges[1:] < edges[:-1]):
-            fits = (self.starts >= edges[:-2:2]) & (edges[2:-1:2] <= edges[-1])
+        first = int(offsets[0]) if len(offsets) else 0
+        places = ((base, base + first) for base in (movie[0] - 4, 0))
+        bases = [base for base, at in places if self.data[at : at + 4].tobytes() in self._names]
+        if not len(offsets) or not bases:
+            raise ValueError("an AVI whose index does not lead to frames; expected one of MJPEG frames")
+        self.starts, self.sizes = offsets + (bases[0] + _CHUNK.size), sizes
+        ends = self.starts + sizes
+        # A small file whose frames overlap would decode to any amount of pixels.
+        is_early = self.starts[1:] < ends[:-1]
+        if np.count_nonzero(is_early) or self.starts[0] < movie[0] or ends[-1] > sum(movie):
+            fits = np.append(self.starts[0] >= movie[0], ~is_early) & (ends <= sum(movie))
             found = f"frame {fits.argmin()} of {len(self)} outside of it or over another"
             raise ValueError(f"an AVI whose index has {found}; expected that of the stream")
 
     @property
     def slots(self) -> NDArray[np.int64]:
         """Number of each frame in the count of the file, in which a repeated frame has a slot too."""
-        return np.flatnonzero(self.stored)
+        return np.flatnonzero(self._all_sizes)
 
     def frame(self, number: int) -> memoryview:
         """Return the JPEG of one frame; ValueError where the stream has no frame of that size there."""
@@ -110,37 +115,6 @@ class Avi:
             where = f"frame {number} of {len(self)} where the stream has no frame of that size"
             raise ValueError(f"an AVI whose index names {where}")
         return self.data[start : start + size]
-
-
-def _chunks(data: memoryview, position: int, end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Yield name, start and size of each chunk; a list goes by the name of its kind, its start after that."""
-    while position + _CHUNK.size <= end:
-        name, size = _CHUNK.unpack_from(data, position)
-        start = position + _CHUNK.size
-        position = start + size + size % 2
-        if start + size > end:
-            raise ValueError(f"an AVI whose part {name!r} ends {start + size - end:,} bytes behind its end")
-        if name == b"LIST" and size >= 4:
-            yield bytes(data[start : start + 4]), start + 4, size - 4
-        else:
-            yield name, start, size
-
-
-def _mjpeg_stream(data: memoryview, start: int, size: int) -> tuple[int, float]:
-    """Return number and frame rate of the first MJPEG stream among the headers."""
-    number = -1
-    for part, stream_start, stream_size in _chunks(data, start, start + size):
-        if part != b"strl":
-            continue
-        number += 1
-        for name, header_start, length in _chunks(data, stream_start, stream_start + stream_size):
-            if name != b"strh" or length < _STREAM_HEADER.size:
-                continue
-            kind, codec, scale, rate = _STREAM_HEADER.unpack_from(data, header_start)
-            if kind != b"vids" or codec.upper() != b"MJPG" or not scale or not rate:
-                break
-            return number, rate / scale
-    raise NoIndexError("an AVI without an MJPEG stream; expected one")
 
 
 def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> bytes:
@@ -175,100 +149,3 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
 def _chunk(name: bytes, content: bytes) -> bytes:
     # RIFF fills chunks up to an even length, which their size does not count.
     return name + struct.pack("<I", len(content)) + content + b"\0" * (len(content) % 2)
-
-
-def require_video(data: memoryview) -> str:
-    """Return the container of a clip as FFmpeg calls it; ValueError unless it is an AVI or Matroska.
-
-    Left to itself FFmpeg takes text for a play list, and opens the files and addresses that it names.
-    """
-    start = bytes(data[:12])
-    if start[:4] == b"RIFF" and start[8:] == b"AVI ":
-        return "avi"
-    if start[:4] == b"\x1aE\xdf\xa3":
-        return "matroska"
-    raise ValueError(
-        f"{len(data):,} bytes that begin with {start[:8].hex(' ')}; expected an AVI with MJPEG frames, or "
-        "Matroska"
-    )
-
-
-@contextmanager
-def _ffmpeg_stream(data: memoryview) -> Iterator[Any]:
-    """Open a clip; raises ValueError when it cannot be read or its frames exceed the limit."""
-    name = require_video(data)
-    with needs_extra("a clip that is not an indexed AVI of JPEG frames", "av", "video"):
-        import av
-    # Nothing but these bytes: no other format inside, and no protocol to open anything by.
-    options = {"format_whitelist": name, "protocol_whitelist": "none"}
-    try:
-        container = av.open(io.BytesIO(data), format=name, options=options)
-        stream = container.streams.video[0]
-        pixels = stream.width * stream.height
-    except (av.FFmpegError, IndexError, AttributeError) as error:  # no video; a codec that is not known
-        raise ValueError(
-            f"{len(data):,} bytes in which FFmpeg finds no clip to decode; expected one in {name}"
-        ) from error
-    with container:
-        if pixels > MAX_IMAGE_PIXELS:
-            raise ValueError(f"a clip of {pixels:,} pixels a frame; the limit is {MAX_IMAGE_PIXELS:,} pixels")
-        try:
-            yield stream
-        except av.FFmpegError as error:
-            raise ValueError(f"a clip with a frame that cannot be decoded ({error})") from error
-
-
-def ffmpeg_frames(data: memoryview, wanted: Sequence[int], count: int) -> Pixels:
-    """Decode frames of a clip, reading it up to the last one wanted; shape (n, H, W, 3), uint8.
-
-    ``count`` is how many frames it should have, for messages. Raises ValueError when a frame is missing or
-    damaged, or the clip cannot be read or exceeds the limits.
-    """
-    chosen = sorted(set(wanted))
-    found = 0
-    with _ffmpeg_stream(data) as stream:
-        pixels = room_for(len(chosen), (stream.height, stream.width))
-        for number, frame in islice(_decoded(stream, set(chosen)), len(chosen)):
-            if frame.shape != pixels.shape[1:]:
-                raise ValueError(f"frame {number} of another size than the clip states")
-            pixels[found] = frame
-            found += 1
-    if found < len(chosen):
-        raise ValueError(f"a clip that ends before frame {chosen[found]}; expected {count} frames")
-    return pixels[np.searchsorted(chosen, wanted)]
-
-
-def _decoded(stream: Any, chosen: set[int]) -> Iterator[tuple[int, Pixels]]:
-    """Yield the chosen frames with their numbers, refusing what FFmpeg would patch up and pass on."""
-    stream.codec_context.options = {"err_detect": "explode", "max_pixels": str(MAX_IMAGE_PIXELS)}
-    # FFmpeg conceals damage inside a JPEG; libjpeg reports it. Each stands alone: others need no decoding.
-    is_jpeg = stream.codec_context.name == "mjpeg"
-    coded, shown = -1, 0
-    for packet in stream.container.demux(stream):
-        coded += packet.size > 0
-        if is_jpeg and packet.size and coded in chosen:
-            yield coded, decode_image(bytes(packet))
-        # Frames come out later than they go in, and once more at the end of the file; they are counted in
-        # the order in which they are shown, which is that in which they come out.
-        for frame in () if is_jpeg else packet.decode():
-            if frame.is_corrupt:
-                raise ValueError(f"frame {shown} is damaged")
-            if shown in chosen:
-                yield shown, frame.to_ndarray(format="rgb24")
-            shown += 1
-
-
-def ffmpeg_facts(data: memoryview) -> tuple[tuple[int, int], float, int]:
-    """Return height and width of a clip's frames, pixels, the frames per second that it states, and how many.
-
-    They are counted without decoding them.
-    """
-    with _ffmpeg_stream(data) as stream:
-        if not stream.average_rate:
-            raise ValueError("a clip without a frame rate")
-        size, fps = (int(stream.height), int(stream.width)), float(stream.average_rate)
-        coded = (packet for packet in stream.container.demux(stream) if packet.size)
-        count = sum(1 for _ in islice(coded, MAX_CLIP_FRAMES + 1))
-    if count > MAX_CLIP_FRAMES:
-        raise ValueError(f"a clip of more than {MAX_CLIP_FRAMES:,} frames, which is the limit")
-    return size, fps, count

@@ -11,15 +11,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import realtouch
-from realtouch.clips import TouchClip
 from realtouch.contact import (
     CLOCK_TOLERANCE_S,
     contact_heights_m,
     contact_window,
 )
+from realtouch.media import TouchClip
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.touch.jpeg import decode_image, encode_image
-from tactile_toolkit.touch.video import MAX_CLIP_FRAMES, Avi, NoIndexError, ffmpeg_frames, write_avi
+from tactile_toolkit.touch.video import MAX_CLIP_FRAMES, Avi, write_avi
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 
@@ -34,7 +34,7 @@ def clip(seq_folder: Path) -> TouchClip:
 
 def test_frames_show_what_was_encoded(clip: TouchClip, truth: list[RoundTruth]) -> None:
     made = truth[0].touches[0]
-    assert (len(clip), clip.size, clip.fps, clip.has_index) == (made.frames, (72, 96), 25.0, True)
+    assert (len(clip), clip.size, clip.fps) == (made.frames, (72, 96), 25.0)
     frames = clip.frames()
     assert frames.shape == made.pixels.shape
     assert np.abs(frames.astype(int) - made.pixels).mean() < 3
@@ -199,10 +199,8 @@ def test_an_avi_of_ours_reads_back_and_in_ffmpeg() -> None:
     assert data == write_avi(jpegs, 24, 16, 25.0)
     avi = Avi(memoryview(data))
     assert [bytes(avi.frame(frame)) for frame in range(10)] == jpegs
-    from tactile_toolkit.touch.video import ffmpeg_facts, ffmpeg_frames
-
-    assert ffmpeg_facts(memoryview(data)) == ((16, 24), 25.0, 10)
-    pixels = ffmpeg_frames(memoryview(data), range(10), 10)
+    pixels = decode_with_ffmpeg(memoryview(data))
+    assert pixels.shape == (10, 16, 24, 3)
     assert np.abs(pixels.astype(int) - FRAMES).max() <= 6
 
 
@@ -224,47 +222,31 @@ def test_hostile_counts_are_refused() -> None:
         Avi(memoryview(write_avi([b"x"] * (MAX_CLIP_FRAMES + 1), 24, 16, 25.0)))
 
 
-def test_without_an_index_ffmpeg_finds_frames(seq_rows: list[dict], tmp_path: Path) -> None:
-    def strip(row: dict, _: int) -> None:
-        for blob in row["sensor_video"]:
-            blob["bytes"] = blob["bytes"].replace(b"idx1", b"JUNK")
-
-    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=strip))
-    clip = realtouch.load(tmp_path)[0].sensor_video[1]
-    with pytest.raises(NoIndexError):
-        Avi(clip.data)
-    assert not clip.has_index
-    frames = clip.frames()
-    assert frames.shape == (len(clip), 72, 96, 3)
-    np.testing.assert_array_equal(clip[7], frames[7])
-    assert clip.contact_frame("contact_end").shape == (72, 96, 3)
-    with pytest.raises(InputError, match="not an indexed AVI"):
-        clip.encoded(0)
-
-
-def test_other_containers_go_through_ffmpeg(
-    truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path
+@pytest.mark.parametrize(
+    ("kind", "problem"),
+    [
+        ("no index", "an AVI without 'idx1'; expected an index of MJPEG frames"),
+        ("avi", "an AVI without an MJPEG stream; expected one"),
+        ("matroska", "bytes that begin with 1a 45 df a3 .*; expected an AVI with MJPEG frames"),
+    ],
+)
+def test_clips_of_other_kinds_are_damage(
+    kind: str, problem: str, truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path
 ) -> None:
     def other(row: dict, _: int) -> None:
-        for blob, touch in zip(row["sensor_video"], truth[0].touches, strict=True):
-            blob["bytes"] = factories.encode_avi(touch.pixels, "mpeg4", "matroska")
+        data = row["sensor_video"][0]["bytes"].replace(b"idx1", b"JUNK")
+        if kind != "no index":
+            data = factories.encode_avi(truth[0].touches[0].pixels, "mpeg4", kind)
+        row["sensor_video"][0]["bytes"] = data
 
     factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=other))
-    clip = realtouch.load(tmp_path)[0].sensor_video[0]
-    assert (clip.has_index, clip.fps) == (False, 25.0)
-    assert np.abs(clip.frames().astype(int) - truth[0].touches[0].pixels).mean() < 6
-
-
-def test_frames_before_damage_are_decoded_and_those_in_it_refused(truth: list[RoundTruth]) -> None:
-    """Of a codec whose frames follow from those before, so that FFmpeg would patch up what is damaged."""
-    pixels = truth[0].touches[0].pixels
-    data = bytearray(factories.encode_avi(pixels, "mpeg4", "matroska"))
-    first = ffmpeg_frames(memoryview(bytes(data)), [0, 1], len(pixels))
-    middle = len(data) * 2 // 3
-    data[middle : middle + 400] = bytes(400)
-    np.testing.assert_array_equal(ffmpeg_frames(memoryview(data), [0, 1], len(pixels)), first)
-    with pytest.raises(ValueError, match="frame"):
-        ffmpeg_frames(memoryview(data), range(len(pixels)), len(pixels))
+    record = realtouch.load(tmp_path)[0]
+    assert record.sensor_video[1].frames().shape[1:] == (72, 96, 3)
+    for ask in (lambda: record.sensor_video[0], record.contact_frames):
+        with pytest.raises(IntegrityError, match=f"row 0, touch 0, field 'sensor_video': .*{problem}"):
+            ask()
+    assert [each.touch for each in realtouch.verify(tmp_path).findings] == [0]
+    assert len(realtouch.load(tmp_path, on_error="skip").touches()) == record.touch_count - 1
 
 
 def test_torchcodec_is_an_extra(clip: TouchClip, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -291,59 +273,6 @@ def test_a_clip_of_another_length_is_named(seq_rows: list[dict], tmp_path: Path)
 
 def _copy(row: dict) -> dict:
     return {**row, "sensor_video": [dict(blob) for blob in row["sensor_video"]]}
-
-
-def test_sound_without_a_video_is_refused() -> None:
-    sound = io.BytesIO()
-    with av.open(sound, "w", format="matroska") as output:
-        track = output.add_stream("pcm_s16le", rate=8000, layout="mono")
-        frame = av.AudioFrame.from_ndarray(np.zeros((1, 800), np.int16), layout="mono")
-        frame.sample_rate = 8000
-        output.mux(track.encode(frame))
-        output.mux(track.encode(None))
-    with pytest.raises(ValueError, match="FFmpeg finds no clip"):
-        ffmpeg_frames(memoryview(sound.getvalue()), [0], 1)
-
-
-def test_ffmpeg_hands_on_no_damaged_frame(seq_rows: list[dict], tmp_path: Path) -> None:
-    """FFmpeg fills damaged parts of a frame with what it guesses; JPEGs go to libjpeg."""
-
-    def damage(row: dict, _: int) -> None:
-        data = bytearray(row["sensor_video"][0]["bytes"])
-        found = Avi(memoryview(bytes(data)))
-        end = int(found.starts[6] + found.sizes[6])
-        data[end - 60 : end - 2] = bytes(58)
-        row["sensor_video"][0]["bytes"] = bytes(data).replace(b"idx1", b"JUNK")
-
-    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=damage))
-    clip = realtouch.load(tmp_path)[0].sensor_video[0]
-    assert not clip.has_index
-    assert clip[5].shape == clip[7].shape == (72, 96, 3)
-    for ask in (lambda: clip[6], clip.frames, lambda: clip[5:8]):
-        with pytest.raises(IntegrityError, match=r"row 0, touch 0, field 'sensor_video'"):
-            ask()
-
-
-def test_clips_that_are_no_jpegs_need_an_extra(
-    truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """What is missing is a package: nothing is listed as damaged, or left out."""
-
-    def other(row: dict, _: int) -> None:
-        row["sensor_video"][0]["bytes"] = factories.encode_avi(truth[0].touches[0].pixels, "mpeg4")
-
-    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=other))
-    monkeypatch.setitem(sys.modules, "av", None)
-    record = realtouch.load(tmp_path)[0]
-    assert record.sensor_video[1].frames().shape[1:] == (72, 96, 3)
-    for ask in (
-        record.sensor_video[0].frames,
-        record.contact_frames,
-        lambda: realtouch.verify(tmp_path),
-        lambda: realtouch.load(tmp_path, on_error="skip"),
-    ):
-        with pytest.raises(MissingExtraError, match=r"AVI of JPEG frames needs .*the extra `video`"):
-            ask()
 
 
 def test_an_index_with_an_entry_that_leads_nowhere(seq_rows: list[dict], tmp_path: Path) -> None:

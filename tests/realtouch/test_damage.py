@@ -279,7 +279,7 @@ def test_quick_verification_decodes_nothing(
     single_rows: list[dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = damaged_set(tmp_path, single_rows, "single", no_jpeg)
-    monkeypatch.setattr("realtouch.images.decode_image", lambda *_: pytest.fail("a picture was decoded"))
+    monkeypatch.setattr("realtouch.media.decode_image", lambda *_: pytest.fail("a picture was decoded"))
     assert [finding.touch for finding in realtouch.verify(str(folder), quick=True).findings] == [1]
 
 

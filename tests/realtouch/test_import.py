@@ -77,7 +77,7 @@ def test_what_an_export_wrote_is_imported_by_its_own_path(
 def test_a_shard_holds_no_more_touches_than_a_worker_can(
     single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("realtouch.exchange.importing._TOUCHES_PER_SHARD", 10)
+    monkeypatch.setattr("realtouch.exchange.api._TOUCHES_PER_SHARD", 10)
     realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
     manifest = realtouch.import_images(tmp_path / "there", tmp_path / "back", "folder", COLUMNS)
     assert [record.rows for record in manifest.shards_of("train")] == [2, 1], "rounds of five touches"

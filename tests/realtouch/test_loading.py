@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.clip_columns import contact_z_m
+from realtouch.columns import contact_z_m
 from tactile_toolkit.errors import InputError, IntegrityError
 from tests.processes import printed_by
 from tests.realtouch import factories

@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.clip_columns import contact_z_m, pose_sequences
+from realtouch.columns import contact_z_m, pose_sequences
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import Row

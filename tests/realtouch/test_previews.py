@@ -29,7 +29,7 @@ from realtouch.previews import (
     plan_previews,
     timeline,
 )
-from realtouch.touch import Touch
+from realtouch.rounds import Touch
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 from tests.realtouch.conftest import SIZE, TOUCHES

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import realtouch
-from realtouch.images import in_parallel
+from realtouch.media import in_parallel
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch.video import Avi, write_avi
 from tests.realtouch import factories
@@ -42,27 +42,6 @@ def test_a_damaged_file_raises_or_gives_frames_of_its_stream(
             assert (avi.starts[1:] >= (avi.starts + avi.sizes)[:-1]).all()
             for frame in range(len(avi)):
                 assert len(avi.frame(frame)) == avi.sizes[frame]
-
-
-@pytest.mark.parametrize("codec", ["mpeg4", "libx264"])
-def test_other_codecs_in_an_avi_are_left_to_ffmpeg(
-    codec: str, truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path
-) -> None:
-    import av
-
-    if codec not in av.codecs_available:
-        pytest.skip(f"this build of PyAV has no encoder {codec}")
-
-    def other(row: dict, _: int) -> None:
-        for blob, touch in zip(row["sensor_video"], truth[0].touches, strict=True):
-            blob["bytes"] = factories.encode_avi(touch.pixels, codec)
-
-    row = {**seq_rows[0], "sensor_video": [dict(blob) for blob in seq_rows[0]["sensor_video"]]}
-    factories.write_set(tmp_path, {"train": [row]}, "seq", Layout(edit=other))
-    record = realtouch.load(tmp_path)[0]
-    assert not any(clip.has_index for clip in record.sensor_video)
-    expected = np.stack([clip.contact_frame() for clip in record.sensor_video])
-    np.testing.assert_array_equal(record.contact_frames(), expected)
 
 
 @pytest.mark.parametrize(

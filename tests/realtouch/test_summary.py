@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.images import contact_sheet
+from realtouch.media import contact_sheet
 from tactile_toolkit.errors import InputError
 
 

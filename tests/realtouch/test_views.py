@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.touch import Touch
+from realtouch.rounds import Touch
 from tactile_toolkit.errors import InputError, IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout

@@ -1,0 +1,529 @@
+"""The images and clips of a round, decoded when they are asked for; threads; sheets of pictures.
+
+Frames of a clip are found through the file's index and decoded one by one, only those asked for: an AVI of
+MJPEG frames is a string of JPEGs, which libjpeg decodes.
+"""
+
+from __future__ import annotations
+
+import html
+import operator
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from functools import partial
+from typing import TYPE_CHECKING, Any, overload
+
+import numpy as np
+from numpy.typing import DTypeLike, NDArray
+
+from realtouch.columns import (
+    clip_length,
+    entries_of,
+    pose_sequences,
+    stamps_s,
+    stored_clip,
+    times_of_touches,
+    touch_total,
+)
+from realtouch.contact import ContactMethod, best_of, contact_window, require_method
+from realtouch.damage import damaged, naming
+from realtouch.poses import Poses
+from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
+from tactile_toolkit.pictures.sheets import TILE_STYLE, Sheet, Tile, figure_html, sheet
+from tactile_toolkit.read.columns import BytesColumn
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.sequence import checked_index, positions
+from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized, room_for
+from tactile_toolkit.touch.video import Avi
+
+if TYPE_CHECKING:
+    from torchcodec.decoders import VideoDecoder
+
+# Long enough that taking a run costs nothing, short enough that threads end together.
+_LONGEST_RUN = 16
+
+
+class SensorImages(Sequence[Pixels]):
+    """The images of one round; each is decoded when it is asked for, none is kept.
+
+    ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
+    Safe to share between threads and to pickle.
+    """
+
+    __slots__ = ("_blobs", "_count", "_row", "_start")
+
+    def __init__(self, row: Row) -> None:
+        column = row.group.nested("sensor_image")
+        start, stop = column.inside(0, row.index, row.index + 1)
+        self._row = row
+        self._blobs: BytesColumn = column.values
+        self._start, self._count = start, stop - start
+
+    def __len__(self) -> int:
+        return self._count
+
+    def __getitem__(self, index: Any) -> Pixels:  # type: ignore[override]
+        """Decode one image, or some into one array.
+
+        Raises IntegrityError when an image is damaged, or differs in size from the others asked for; it names
+        file, row and touch.
+        """
+        if isinstance(index, (slice, list, tuple, np.ndarray)):
+            return self.batch(index)
+        return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
+
+    def __iter__(self) -> Iterator[Pixels]:
+        return (self._decode(touch) for touch in range(self._count))
+
+    def batch(self, index: Any = slice(None), *, threads: int = 1, out: Pixels | None = None) -> Pixels:
+        """Decode several images into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which touches; all by default.
+        threads : int
+            How many to decode at a time.
+        out : ndarray, shape (n, H, W, 3), uint8, optional
+            Where to put them, to spare the memory of a new array per batch; each image C-contiguous.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        InputError
+            ``out`` is not such an array.
+        IntegrityError
+            As for indexing; or the images exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+        """
+        touches = positions(index, self._count).tolist()
+        first = touches[0] if len(touches) else 0
+        size = self.size(first) if self._count else (0, 0)
+        with naming(self._row, "sensor_image", first):
+            pixels = room_for(len(touches), size, out)
+        self.decode_into(pixels, touches, threads=threads)
+        return pixels
+
+    def decode_into(self, out: Pixels, touches: Sequence[int], *, threads: int = 1) -> None:
+        """Decode several images into an array of their size, such as ``room_for`` gives."""
+        in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
+
+    def encoded(self, touch: int) -> memoryview:
+        """Return the stored bytes of one image, without a copy; raises IntegrityError when there are none."""
+        place = checked_index(touch, self._count, "touch", "touches")
+        blob = self._blobs[self._start + place]
+        if blob is None or len(blob) == 0:
+            raise damaged(self._row, "sensor_image", "no bytes are stored; expected a JPEG", place)
+        return blob
+
+    def size(self, touch: int = 0) -> tuple[int, int]:
+        """Return height and width of one image from its header."""
+        with naming(self._row, "sensor_image", touch):
+            return image_size(self.encoded(touch))
+
+    def _decode(self, touch: int, out: Pixels | None = None) -> Pixels:
+        with naming(self._row, "sensor_image", touch):
+            return decode_image(self.encoded(touch), out)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (SensorImages, (self._row,))
+
+    def __repr__(self) -> str:
+        return f"SensorImages({self._count} touches)"
+
+
+def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
+    """Do ``count`` pieces of work, numbered from 0, in some threads; the first error ends all of them.
+
+    Each takes a run of pieces at a time: neighbours share pages of the array that they are written to.
+    """
+    length = max(1, min(_LONGEST_RUN, count // max(1, 4 * threads)))
+    runs = (range(start, min(start + length, count)) for start in range(0, count, length))
+    deque(in_threads(lambda run: deque(map(work, run), maxlen=0), runs, max(1, threads)), maxlen=0)
+
+
+MOST_TILES = 32
+"""Touches that a notebook shows of a round."""
+
+_TILE_WIDTH = 120
+_GAP = 4
+
+
+def evenly_spaced(count: int, most: int) -> list[int]:
+    """Choose up to ``most`` of ``count`` indices, first and last among them."""
+    indices: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    return indices
+
+
+def fitted(image: Pixels, width: int) -> Pixels:
+    """Return an image, (H, W, 3), at another width in pixels, its proportions kept."""
+    return resized(image, width, max(1, round(width * image.shape[0] / image.shape[1])))
+
+
+def contact_sheet(images: Sequence[Pixels], columns: int = 8, tile_width: int = _TILE_WIDTH) -> Pixels:
+    """Lay RGB images, (H, W, 3), out in rows of ``columns``, each ``tile_width`` pixels wide.
+
+    All get the proportions of the first.
+    """
+    height = fitted(images[0], tile_width).shape[0]
+    tiles = [Tile(resized(image, tile_width, height)) for image in images]
+    return sheet(tiles, Sheet(min(columns, len(images)), gap_px=_GAP, margin_px=_GAP))
+
+
+def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], Pixels]]]) -> str:
+    """Return a notebook's view of a round: a caption, which counts damaged pictures, and the others."""
+    tiles = []
+    for caption, read in pictures:
+        with suppress(IntegrityError):
+            tiles.append(touch_html(read(), caption))
+    if len(tiles) < len(pictures):
+        missing = f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"
+        words = [*words, missing]
+    grid = f'<div style="display:flex;flex-wrap:wrap;gap:{_GAP}px">{"".join(tiles)}</div>'
+    return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
+
+
+def touch_html(picture: Pixels, caption: str) -> str:
+    """Return a notebook's view of a touch: its picture and what it is."""
+    return figure_html(fitted(picture, _TILE_WIDTH), caption, TILE_STYLE)
+
+
+_SHOWN_FRAMES = 8
+
+
+class TouchClip(Sequence[Pixels]):
+    """The clip of one touch.
+
+    ``clip[i]`` gives (H, W, 3) uint8; a slice, ints or a boolean mask give (n, H, W, 3). No frame is kept.
+    Iterating yields ``{"data": (3, H, W) uint8, "pts": seconds}`` per frame, as the ``VideoReader`` of
+    torchvision did; use :meth:`frames`, or ``numpy.asarray``, for arrays. Safe to share between threads and
+    to pickle.
+
+    Parameters
+    ----------
+    row : Row
+        The round.
+    touch : int
+        Number of the touch in it.
+
+    Attributes
+    ----------
+    data : memoryview
+        The file as it is stored.
+    touch : int
+        Number of the touch in its round.
+
+    Raises
+    ------
+    IntegrityError
+        The clip is not an indexed AVI of JPEGs, cut short, damaged, exceeds the limits or has another length
+        than the round states; names file, row and touch.
+    """
+
+    __slots__ = ("_avi", "_row", "data", "touch")
+
+    def __init__(self, row: Row, touch: int) -> None:
+        self._row, self.touch = row, touch
+        self.data = stored_clip(row, touch)
+        stated = clip_length(row, touch)
+        try:
+            self._avi = Avi(self.data)
+        except ValueError as error:
+            raise damaged(row, "sensor_video", str(error), touch) from error
+        if len(self._avi) != stated:
+            problem = f"a clip of {len(self._avi)} frames; expected {stated} by 'video_length_frames'"
+            raise damaged(row, "sensor_video", problem, touch)
+
+    def __len__(self) -> int:
+        return len(self._avi)
+
+    def __getitem__(self, index: Any) -> Pixels:  # type: ignore[override]
+        """Decode one frame, or some into one array.
+
+        Raises
+        ------
+        IntegrityError
+            A frame is damaged; names file, row and touch.
+        """
+        if isinstance(index, (slice, list, tuple, np.ndarray)):
+            return self.frames(index)
+        return self._decode(checked_index(operator.index(index), len(self), "frame", "frames"))
+
+    def frames(self, index: Any = slice(None), *, threads: int = 1) -> Pixels:
+        """Decode frames into one array.
+
+        Parameters
+        ----------
+        index : slice, sequence of int, or boolean mask
+            Which frames; all by default.
+        threads : int
+            How many frames to decode at a time.
+
+        Returns
+        -------
+        ndarray, shape (n, H, W, 3), uint8
+
+        Raises
+        ------
+        IntegrityError
+            A frame is damaged, or they exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+        """
+        wanted = positions(index, len(self)).tolist()
+        with naming(self._row, "sensor_video", self.touch):
+            pixels = room_for(len(wanted), self.size)
+        in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
+        return pixels
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:  # type: ignore[override]
+        """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
+        to_data: Callable[[Pixels], Any] = np.asarray
+        # Consumers of torchvision's reader expect tensors; without torch the arrays do.
+        with suppress(ImportError):
+            import torch
+
+            to_data = torch.from_numpy
+        for frame, time_s in enumerate(self.media_times_s):
+            pixels = np.ascontiguousarray(self[frame].transpose(2, 0, 1))
+            yield {"data": to_data(pixels), "pts": float(time_s)}
+
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+        """Return all frames, shape (N, H, W, 3), for numpy: the items of an iteration are not arrays."""
+        if copy is False:
+            raise ValueError("frames are decoded into a new array; a clip cannot be an array without a copy")
+        return np.asarray(self.frames(), dtype)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of a frame, pixels."""
+        data = self.encoded(0)
+        with naming(self._row, "sensor_video", self.touch):
+            return image_size(data)
+
+    @property
+    def fps(self) -> float:
+        """Frames per second that the file states; 25 in the published sets."""
+        return self._avi.fps
+
+    @property
+    def media_times_s(self) -> NDArray[np.float64]:
+        """Time of each frame on the file's own clock, shape (N,), seconds from its first frame."""
+        return self._avi.slots / self.fps  # a repeated frame takes a slot of time
+
+    def encoded(self, frame: int) -> memoryview:
+        """Return the JPEG of one frame as it is stored.
+
+        Parameters
+        ----------
+        frame : int
+            Which frame; from the end where negative.
+
+        Returns
+        -------
+        memoryview
+
+        Raises
+        ------
+        IntegrityError
+            The index does not lead to the frame; names file, row and touch.
+        """
+        number = checked_index(frame, len(self), "frame", "frames")
+        try:
+            return self._avi.frame(number)
+        except ValueError as error:
+            raise damaged(self._row, "sensor_video", str(error), self.touch) from error
+
+    def decode_into(self, out: Pixels, frame: int) -> None:
+        """Decode one frame into an array of its size.
+
+        Parameters
+        ----------
+        out : ndarray, shape (H, W, 3), uint8
+            Where to put it.
+        frame : int
+            Which frame.
+        """
+        self._decode(frame, out)
+
+    @property
+    def timestamps_s(self) -> NDArray[np.float64]:
+        """Time stamp of each frame, shape (N,), float64, seconds on the clock of the recording.
+
+        Those stored with the round; the file's own clock in data sets without them.
+        """
+        times = stamps_s(self._row, self.touch)
+        return self.media_times_s if times is None else times[0]
+
+    def at(self, time_s: float) -> Pixels:
+        """Decode the frame shown at a time: the last one stamped at or before it, (H, W, 3) uint8.
+
+        Raises
+        ------
+        InputError
+            The time lies before the first frame, or more than one frame's duration after the last.
+        """
+        times = self.timestamps_s
+        if not len(times) or not times[0] <= time_s <= times[-1] + 1.0 / self.fps:
+            span = f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no frames"
+            raise InputError(f"no frame at {time_s} s; expected a time within the clip, {span}")
+        return self[int(np.searchsorted(times, time_s, side="right")) - 1]
+
+    @property
+    def poses(self) -> Poses:
+        """Pose of the gel in each frame, N poses, metres, cell frame."""
+        return pose_sequences(self._row, self.touch)[0]
+
+    @property
+    def contact_window(self) -> slice:
+        """Frames from first to last registered contact; see :func:`realtouch.contact.contact_window`."""
+        return contact_windows(self._row, self.touch)[0]
+
+    def contact_index(self, method: str = "contact_end") -> int:
+        """Choose the frame that shows the contact.
+
+        Parameters
+        ----------
+        method : str
+            ``"contact_start"`` and ``"contact_end"``: first and last frame of :attr:`contact_window`;
+            ``"peak"``: the frame of the window with the lowest gel, the earliest of equals; ``"best"``: the
+            frame of the whole clip that changed most, see :func:`realtouch.best_frame`.
+
+        Returns
+        -------
+        int
+
+        Raises
+        ------
+        InputError
+            The method is unknown.
+        """
+        chosen = require_method(method)
+        if chosen == "best":
+            return best_of(self.frames())[0]
+        return contact_frames_of(self._row, chosen, self.touch)[0]
+
+    def contact_frame(self, method: str = "contact_end") -> Pixels:
+        """Decode the frame that shows the contact, (H, W, 3) uint8; see :meth:`contact_index`."""
+        return self[self.contact_index(method)]
+
+    def to_torchcodec(self) -> VideoDecoder:
+        """Return a ``torchcodec`` decoder of the clip, as `datasets` hands them out.
+
+        Raises
+        ------
+        MissingExtraError
+            torchcodec is not installed.
+        """
+        with needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
+            from torchcodec.decoders import VideoDecoder
+        return VideoDecoder(bytes(self.data))
+
+    def _decode(self, frame: int, out: Pixels | None = None) -> Pixels:
+        try:
+            return decode_image(self._avi.frame(frame), out)
+        except ValueError as error:
+            raise damaged(self._row, "sensor_video", f"frame {frame}: {error}", self.touch) from error
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (TouchClip, (self._row, self.touch))
+
+    def __repr__(self) -> str:
+        return f"TouchClip(touch {self.touch}, {len(self)} frames)"
+
+    def _repr_html_(self) -> str:
+        """Show frames from first to last in a notebook; those that are damaged are left out."""
+        frames = evenly_spaced(len(self), _SHOWN_FRAMES)
+        pictures = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
+        return round_html(f"Touch {self.touch}", [f"{len(self)} frames"], pictures)
+
+
+class SensorClips(Sequence[TouchClip]):
+    """The clips of one round; each is opened when it is asked for."""
+
+    __slots__ = ("_count", "row")
+
+    def __init__(self, row: Row) -> None:
+        _, start, stop = entries_of(row, "sensor_video")
+        self.row, self._count = row, stop - start
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> TouchClip: ...
+    @overload
+    def __getitem__(self, index: slice | Sequence[int]) -> list[TouchClip]: ...
+    def __getitem__(self, index: Any) -> TouchClip | list[TouchClip]:
+        """Open one clip, or some; raises as :class:`TouchClip`."""
+        if isinstance(index, (slice, list, tuple, np.ndarray)):
+            return [TouchClip(self.row, touch) for touch in positions(index, self._count).tolist()]
+        return TouchClip(self.row, checked_index(operator.index(index), self._count, "touch", "touches"))
+
+    def room(self, count: int, out: Pixels | None = None) -> Pixels:
+        """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
+
+        Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
+        :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+        """
+        size = self[0].size if self._count else (0, 0)
+        with naming(self.row, "sensor_video"):
+            return room_for(count, size, out)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (SensorClips, (self.row,))
+
+    def __repr__(self) -> str:
+        return f"SensorClips({self._count} touches)"
+
+
+def contact_windows(row: Row, touch: int | None = None) -> list[slice]:
+    """Return the frames of contact of every clip of a round, or of one alone: see :func:`contact_window`.
+
+    Opens clips only where the times of frames are not stored. Raises IntegrityError when times are missing or
+    impossible.
+    """
+    times = stamps_s(row, touch)
+    if times is None:
+        touches = range(touch_total(row)) if touch is None else [touch]
+        times = [TouchClip(row, each).media_times_s for each in touches]
+    ends = (each.tolist() for each in times_of_touches(row, touch))
+    return [contact_window(*each) for each in zip(times, *ends, strict=True)]
+
+
+def contact_frames_of(row: Row, method: ContactMethod, touch: int | None = None) -> list[int]:
+    """Return the frame of every clip of a round, or of one, that shows the contact: by time or pose.
+
+    See :meth:`TouchClip.contact_index`. Raises IntegrityError as :func:`contact_windows`, and for poses.
+    """
+    windows = contact_windows(row, touch)
+    if method == "contact_start":
+        return [window.start for window in windows]
+    if method == "contact_end":
+        return [window.stop - 1 for window in windows]
+    pressed = zip(pose_sequences(row, touch), windows, strict=True)
+    return [window.start + int(np.argmin(each.position_m[window, 2])) for each, window in pressed]
+
+
+def decode_frames(
+    clips: SensorClips, touches: Sequence[int], frames: Sequence[int], out: Pixels, threads: int
+) -> None:
+    """Decode one frame each of n clips into ``out``, shape (n, H, W, 3), uint8, in some threads.
+
+    Raises IntegrityError when a frame is damaged or of another size; it names file, row and touch.
+    """
+    opened = {touch: clips[touch] for touch in dict.fromkeys(touches)}
+    # All are found before the first is decoded: to take turns, each would empty the other's caches of the
+    # processor, which costs a tenth of the time.
+    encoded = [opened[touch].encoded(frame) for touch, frame in zip(touches, frames, strict=True)]
+
+    def decode(number: int) -> None:
+        try:
+            decode_image(encoded[number], out[number])
+        except ValueError as error:
+            problem = f"frame {frames[number]}: {error}"
+            raise damaged(clips.row, "sensor_video", problem, touches[number]) from error
+
+    in_parallel(decode, len(encoded), threads)
