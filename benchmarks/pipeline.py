@@ -29,9 +29,10 @@ from pathlib import Path
 from typing import Any
 
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.run.threads import limit_threads
+from tactile_toolkit.run.threads import keep_memory, limit_threads
 
 limit_threads()
+keep_memory()
 
 import numpy as np
 from figures import tell

@@ -168,8 +168,8 @@ def clean(mask: Mask, spec: SolidSpec) -> Mask:
         window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
         # Corners first: whole pieces that go later cannot leave a new contact at a corner behind.
         inked = repair_corners(np.pad(mask[window], 1))
-        # The corner of the padding is the paper around the digit, which is not a pinhole.
-        inked = ~_without_small(~inked, pinhole_px, always=(0, 0))
+        # The first piece is the padding and the paper around the digit, which is not a pinhole.
+        inked = ~_without_small(~inked, pinhole_px, first_stays=True)
         inked = _without_small(inked, speck_px)
         cleaned[window] = _without_attached_specks(inked, speck_px)[1:-1, 1:-1]
     if not cleaned.any():
@@ -191,19 +191,26 @@ def repair_corners(mask: Mask) -> Mask:
         mask[1:, 1:] |= rising
 
 
-def _without_small(mask: Mask, min_px: float, always: tuple[int, int] | None = None) -> Mask:
-    """Drop the pieces smaller than a limit; the piece at the pixel ``always`` stays whatever its size."""
-    from scipy import ndimage
+def _without_small(mask: Mask, min_px: float, *, first_stays: bool = False) -> Mask:
+    """Drop the pieces smaller than a limit; the first one may stay whatever its size."""
+    runs, piece = _pieces(mask)
+    small = np.bincount(piece, runs[:, 2] - runs[:, 1])[piece] < min_px
+    if first_stays:
+        small[piece == 0] = False
+    if small.any():
+        mask = mask.copy()
+        for row, begin, end in runs[small].tolist():
+            mask[row, begin:end] = False
+    return mask
 
-    labels, count = ndimage.label(mask)
-    # One piece, as with most digits: nothing to look up pixel by pixel.
-    if count == 1 and (always is not None or np.count_nonzero(mask) >= min_px):
-        return mask
-    keep = np.bincount(labels.ravel()) >= min_px
-    if always is not None:
-        keep[labels[always]] = True
-    keep[0] = False
-    return np.asarray(keep[labels])
+
+def _pieces(mask: Mask) -> tuple[Places, Places]:
+    """Return the runs of marked pixels, (row, begin, end) each, and the first run of the piece of each."""
+    from mnist3d import kernels
+    from tactile_toolkit.mesh.nearness import connected
+
+    runs, touching = kernels.runs(mask)
+    return runs, connected(touching[:, 0], touching[:, 1], len(runs))
 
 
 def _without_attached_specks(mask: Mask, min_px: float) -> Mask:
@@ -259,9 +266,8 @@ def grown(mask: Mask, *, corners: bool = True) -> Mask:
 
 def count_bodies_and_holes(mask: Mask) -> tuple[int, int]:
     """Count the pieces of clean ink and the spots of paper that ink encloses; outside the mask is paper."""
-    from scipy import ndimage
-
-    bodies = int(ndimage.label(mask)[1])
+    runs, piece = _pieces(mask)
+    bodies = int(np.count_nonzero(piece == np.arange(len(runs))))
     # Bodies less holes are corners less sides and squares of what the centres of neighbouring pixels span.
     beside, below = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
     sides = np.count_nonzero(beside) + np.count_nonzero(below)

@@ -278,37 +278,9 @@ def signed_distance_px(mask: Mask, inside_px: float, outside_px: float) -> Singl
     along the rows, then over the offsets of the columns (Felzenszwalb and Huttenlocher 2012 write the
     transform that way); with a short reach plain passes over small integers beat their lower envelope.
     """
-    width, far = mask.shape[1], math.ceil(max(inside_px, outside_px)) + 1
-    columns = np.arange(width, dtype=np.int16)
-    # Where the run of ink or paper along the row begins and ends, for every pixel of it.
-    changes = mask[:, 1:] != mask[:, :-1]
-    first, last = (np.full(mask.shape, end, np.int16) for end in (-far, width + far))
-    np.copyto(first[:, 1:], columns[1:], where=changes)
-    np.copyto(last[:, :-1], columns[:-1], where=changes)
-    np.maximum.accumulate(first, axis=1, out=first)
-    np.minimum.accumulate(last[:, ::-1], axis=1, out=last[:, ::-1])
-    along_rows = np.minimum(columns - first, last - columns) + np.int16(1)
-    inside = _distance_px(along_rows * mask, inside_px + 0.5)
-    outside = _distance_px(along_rows * ~mask, outside_px + 0.5)
-    return np.where(mask, inside - np.float32(0.5), np.float32(0.5) - outside)
+    from mnist3d import kernels
 
-
-def _distance_px(along_rows: NDArray[np.int16], reach_px: float) -> Singles:
-    """Return the distance to the nearest 0, up to a reach below 128, from that within each row."""
-    reach, height = math.ceil(reach_px), len(along_rows)
-    along_rows = np.minimum(along_rows, np.int16(reach))
-    # Sums of two squares below 128^2 fit 16 bits, which halves the memory that is walked through.
-    squared = along_rows * along_rows
-    padded = np.pad(squared, ((reach, reach), (0, 0)), constant_values=reach * reach)
-    beside = np.empty_like(squared)
-    for offset in range(1, reach):
-        if offset * offset >= squared.max():
-            break
-        above, below = reach - offset, reach + offset
-        np.minimum(padded[above : above + height], padded[below : below + height], out=beside)
-        beside += np.int16(offset * offset)
-        np.minimum(squared, beside, out=squared)
-    return np.asarray(np.minimum(np.sqrt(squared, dtype=np.float32), np.float32(reach_px)))
+    return np.asarray(kernels.signed_distance_px(mask, inside_px + 0.5, outside_px + 0.5))
 
 
 def _first_pitch_px(distance: Singles, spec: SolidSpec) -> float:
@@ -373,48 +345,17 @@ def _blurred(values: Singles, rows: Doubles, columns: Doubles, sigma_per_pitch: 
     Values and weights lie on grids so coarse that every product and every sum of them is exact in double
     precision: so they are the same bits on every processor.
     """
-    down, across = map(_weights, (rows, columns), values.shape, (sigma_per_pitch, sigma_per_pitch))
-    halfway = _on_grid(down @ values.astype(np.float64), _FACTOR_GRAIN_PX)
-    return _on_grid((across @ np.ascontiguousarray(halfway.T)).T, GRAIN_PX).astype(np.float32)
+    from mnist3d import kernels
+
+    blur = sigma_per_pitch, BELL_REACH, _WEIGHT_GRAIN
+    halfway = _on_grid(kernels.blurred(values, rows, *blur), _FACTOR_GRAIN_PX)
+    across = kernels.blurred(np.ascontiguousarray(halfway.T), columns, *blur)
+    return _on_grid(across.T, GRAIN_PX).astype(np.float32)
 
 
 def _on_grid(values: NDArray[F], grain: float) -> NDArray[F]:
     # Powers of two of the type of the values: nothing but the rounding changes a bit.
     return np.asarray(np.round(values * values.dtype.type(1 / grain)) * values.dtype.type(grain))
-
-
-def _weights(nodes: Doubles, count: int, sigma_per_pitch: float) -> Any:
-    """Return a sparse matrix from pixels to nodes; a node one pixel from the next is not blurred."""
-    from scipy.sparse import csr_array
-
-    # Pitches differ along an axis: each node is blurred as the finer of its two sides needs.
-    gaps = np.diff(nodes)
-    pitch = np.minimum(np.append(gaps, gaps[-1]), np.append(gaps[0], gaps))
-    sigma = np.where(pitch > 1, sigma_per_pitch * pitch, 0)
-    # Twice a bell less a wider one: it lets the waves pass that a bell wears down, so that tips, notches and
-    # ridges lose less than half as much, and still holds back what the lattice cannot carry.
-    reach = math.ceil(2**0.5 * BELL_REACH * float(sigma.max()))
-    pixels = np.floor(nodes).astype(np.intp)[:, None] + np.arange(-reach, reach + 2)
-    inside = (pixels >= 0) & (pixels < count)
-    squared = np.where(inside, (nodes[:, None] - pixels) ** 2, np.inf)
-    narrow, wide = bump_kernel(squared, sigma), bump_kernel(squared, 2**0.5 * sigma)
-    weights = _on_grid(2 * narrow - wide, _WEIGHT_GRAIN)
-    # A row reaches as far as the widest bell does; most outer weights round to nothing.
-    kept = weights != 0
-    starts = np.append(0, np.cumsum(np.count_nonzero(kept, axis=1)))
-    return csr_array((weights[kept], pixels[kept], starts), shape=(len(weights), count))
-
-
-def bump_kernel(squared: Doubles, sigma: Doubles) -> Doubles:
-    """Return rows of weights that add up to 1, near a Gaussian; where sigma is 0 the node itself counts.
-
-    Made of products and sums alone; exponentials differ from processor to processor.
-    """
-    radius = np.maximum(BELL_REACH * sigma, 0.5)[:, None]
-    bell = np.maximum(1 - squared / radius**2, 0)
-    bell *= bell
-    bell *= bell
-    return np.asarray(bell / bell.sum(axis=1, keepdims=True))
 
 
 def _linear(nodes: Doubles, pixels: Places) -> tuple[NDArray[Any], ...]:

@@ -239,14 +239,11 @@ def bodies_and_holes(vertices: int, faces: NDArray[Any], rim: int = 0) -> tuple[
 
     With a ``rim``, the number of vertices in the mid-plane, the surface is the upper half of one.
     """
-    from scipy import sparse
-    from scipy.sparse import csgraph
+    from tactile_toolkit.mesh.nearness import connected
 
-    # Nodes for the triangles and then for the vertices; only the former lead anywhere, and to three each.
-    starts = np.minimum(3 * np.arange(len(faces) + vertices + 1), 3 * len(faces))
-    weights, nodes = np.ones(3 * len(faces)), faces.ravel() + len(faces)
-    links = sparse.csr_matrix((weights, nodes, starts), shape=(len(starts) - 1, len(starts) - 1))
-    bodies = int(csgraph.connected_components(links, directed=False)[0])
+    corners = faces.astype(np.int64)
+    least = connected(corners[:, :2].ravel(), corners[:, 1:].ravel(), vertices)
+    bodies = int(np.count_nonzero(least == np.arange(vertices)))
     # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
     euler = 2 * vertices - rim - len(faces) if rim else vertices - len(faces) // 2
     return bodies, bodies - euler // 2

@@ -45,22 +45,15 @@ def self_crossing(vertices_mm: Numbers, faces: Indices, bodies: int = 1) -> Numb
         return None
     if bodies == 1:
         return _crossing_among(vertices_mm, faces, suspects)
-    body = _connected(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), len(vertices_mm))[faces[:, 0]]
+    from tactile_toolkit.mesh.nearness import connected
+
+    body = connected(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), len(vertices_mm))[faces[:, 0]]
     for one in np.unique(body[suspects]):
         own = np.flatnonzero(body == one)
         place = _crossing_among(vertices_mm, faces[own], np.flatnonzero(np.isin(own, suspects)))
         if place is not None:
             return place
     return None
-
-
-def _connected(ends: Indices, others: Indices, count: int) -> Indices:
-    """Return a number for each thing, shape (count,), that is the same for those that pairs connect."""
-    from scipy import sparse
-    from scipy.sparse import csgraph
-
-    links = sparse.coo_matrix((np.ones(len(ends), np.int8), (ends, others)), shape=(count, count))
-    return np.asarray(csgraph.connected_components(links, directed=False)[1], np.int64)
 
 
 # --- proof for what is made of two reliefs back to back -------------------------------------------
@@ -100,7 +93,7 @@ def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
 
 def _rim_is_simple(points: Numbers, upper: Indices, on_level: NDArray[np.bool_]) -> bool:
     """Return whether the rim of the upper half is lines apart from each other that wind once at most."""
-    from tactile_toolkit.mesh.nearness import near_pairs
+    from tactile_toolkit.mesh.nearness import connected, near_pairs
 
     both = on_level & np.roll(on_level, -1, axis=0)
     start, end = upper[both], np.roll(upper, -1, axis=0)[both]
@@ -121,7 +114,7 @@ def _rim_is_simple(points: Numbers, upper: Indices, on_level: NDArray[np.bool_])
     if not np.where(joined, (turn_c != 0) | (turn_d != 0) | onwards, apart).all():
         return False
     # Simple closed lines: how often each is wound around by the others, 0 times or once and it winds back.
-    line = _connected(start, end, len(points))[start]
+    line = connected(start, end, len(points))[start]
     for number in np.unique(line):
         own = line == number
         area = _turn(np.zeros_like(p[own]), p[own], q[own]).sum()

@@ -44,6 +44,7 @@ def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> 
 def prepare_batch_process() -> None:
     """Set up a process that only works off tasks and then ends: one thread of work, a quick start."""
     limit_threads()
+    keep_memory()
     skip_pandas()
 
 
@@ -67,6 +68,21 @@ def limit_threads() -> None:
         manifold3d.Manifold.cube((1.0, 1.0, 1.0)).status()
     finally:
         os.sched_setaffinity(0, allowed)
+
+
+def keep_memory() -> None:
+    """Keep freed memory of up to 64 MB in this process, where the C library is one that can be told (glibc).
+
+    Otherwise the pages of arrays go back to the system after each item and are cleared again for the next:
+    500 of them take a twenty-fifth of the time of a digit. The peak of the memory stays the same.
+    """
+    import ctypes  # not for every command line
+
+    set_option = getattr(ctypes.CDLL(None), "mallopt", None) if os.name == "posix" else None
+    if set_option is not None:
+        trim_threshold, mmap_threshold = -1, -3  # malloc.h
+        set_option(trim_threshold, 64 << 20)
+        set_option(mmap_threshold, 32 << 20)
 
 
 def skip_pandas() -> None:

@@ -1,0 +1,122 @@
+"""The loops of a digit that numpy would walk through many times, compiled by numba.
+
+As :mod:`tactile_toolkit.mesh.nearness`, which see for numba: imported by the functions that call it, and all
+in one file, with IEEE operations in the order in which they stand.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tactile_toolkit.mesh.nearness import compiled
+
+
+@compiled
+def signed_distance_px(mask: Any, inside_px: float, outside_px: float) -> Any:
+    """See :func:`mnist3d.lattice.signed_distance_px`; reaches are those from the middle of the pixels."""
+    height, width = mask.shape
+    reaches = int(np.ceil(outside_px)), int(np.ceil(inside_px))
+    far = max(reaches)
+    # Squared distances within each row: those of ink, 0 on paper, and the other way around. Below 128^2 they
+    # fit 16 bits, so that sixteen at a time are worked on.
+    along = np.zeros((2, height, width), np.int16)
+    found = np.empty((height, width), np.float32)
+    for row in range(height):
+        begin = -far
+        for column in range(width + 1):
+            if column == width or (column and mask[row, column] != mask[row, column - 1]):
+                kind = int(mask[row, column - 1])
+                end = column if column < width else width + far
+                first = max(begin, 0)
+                for place in range(first, column):
+                    nearest = min(place - begin + 1, end - place, reaches[kind])
+                    along[kind, row, place] = nearest * nearest
+                begin = column
+    ink = -mask.astype(np.int16)  # all bits, or none
+    for row in range(height):
+        least, own = along[0, row] + along[1, row], ink[row]
+        most = least.max()
+        for offset in range(1, far):
+            added = np.int16(offset * offset)
+            if added >= most:
+                break
+            for other in (row - offset, row + offset):
+                if 0 <= other < height:
+                    paper, inked = along[0, other], along[1, other]
+                    for column in range(width):
+                        squared = (inked[column] & own[column]) | (paper[column] & ~own[column])
+                        least[column] = min(least[column], np.int16(squared + added))
+        for column in range(width):
+            away = np.sqrt(np.float32(least[column]))
+            if ink[row, column]:
+                found[row, column] = min(away, np.float32(inside_px)) - np.float32(0.5)
+            else:
+                found[row, column] = np.float32(0.5) - min(away, np.float32(outside_px))
+    return found
+
+
+@compiled
+def blurred(values: Any, nodes: Any, sigma_per_pitch: float, bell_reach: float, grain: float) -> Any:
+    """Return what a blur as wide as nodes lie apart leaves at them of values, along the first axis.
+
+    Weights are twice a bell less a wider one, rounded to a grain. They let the waves pass that a bell wears
+    down, so that tips, notches and ridges lose less than half as much, and still hold back what the lattice
+    cannot carry. A bell is near a Gaussian and made of products and sums alone; exponentials differ from
+    processor to processor. A node one pixel from the next is not blurred.
+    """
+    found = np.zeros((len(nodes), values.shape[1]))
+    weights = np.empty((2, len(values)))
+    for node in range(len(nodes)):
+        # Pitches differ along an axis: each node is blurred as the finer of its two sides needs.
+        before, after = max(node, 1), min(node + 1, len(nodes) - 1)
+        pitch = min(nodes[before] - nodes[before - 1], nodes[after] - nodes[after - 1])
+        sigma = sigma_per_pitch * pitch if pitch > 1 else 0.0
+        radii = max(bell_reach * sigma, 0.5), max(bell_reach * (2**0.5 * sigma), 0.5)
+        first = max(math.ceil(nodes[node] - radii[1]), 0)
+        last = min(math.floor(nodes[node] + radii[1]), len(values) - 1)
+        for bell in range(2):
+            total = 0.0
+            for pixel in range(first, last + 1):
+                away = nodes[node] - pixel
+                weight = max(1 - away * away / (radii[bell] * radii[bell]), 0.0)
+                weight *= weight
+                weights[bell, pixel] = weight * weight
+                total += weight * weight
+            weights[bell, first : last + 1] /= total
+        for pixel in range(first, last + 1):
+            weight = np.rint((2 * weights[0, pixel] - weights[1, pixel]) / grain) * grain
+            if weight != 0:
+                for place in range(values.shape[1]):
+                    found[node, place] += weight * values[pixel, place]
+    return found
+
+
+@compiled
+def runs(mask: Any) -> tuple[Any, Any]:
+    """Return the runs of marked pixels, (row, begin, end) each, and the pairs of them that touch."""
+    height, width = mask.shape
+    found = np.empty((height * (width // 2 + 1), 3), np.int64)
+    pairs = np.empty((2 * len(found), 2), np.int64)
+    count = touching = above = 0
+    for row in range(height):
+        first, begin = count, -1
+        for column in range(width + 1):
+            if column < width and mask[row, column]:
+                begin = column if begin < 0 else begin
+            elif begin >= 0:
+                found[count, 0], found[count, 1], found[count, 2] = row, begin, column
+                while above < first and found[above, 2] <= begin:
+                    above += 1
+                beside = above
+                while beside < first and found[beside, 1] < column:
+                    pairs[touching, 0], pairs[touching, 1] = count, beside
+                    touching += 1
+                    beside += 1
+                # The last of them may touch the next run, too.
+                above = max(above, beside - 1)
+                count, begin = count + 1, -1
+        above = first
+    return found[:count], pairs[:touching]
