@@ -345,3 +345,31 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     tables = ("--format", "flat", "--out", tmp_path / "wrenches", "-q")
     assert command_line.call("env-assets", "export", wrench, *tables) == 0
     assert command_line.call("env-assets", "verify", tmp_path / "wrenches") == 0
+
+
+@pytest.mark.parametrize(
+    ("plate", "words"), [((), "; 2 were there already"), (("--plate", "130x130"), "; 1 was there already")]
+)
+def test_what_was_there_already_is_counted(
+    plate: tuple[str, ...], words: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ("export", folder, "--split", "printed_test", "--limit", "2", *plate, "--out", tmp_path)
+    assert call(*arguments) == 0
+    assert "there already" not in capsys.readouterr().out
+    assert call(*arguments) == 0
+    assert words in capsys.readouterr().out
+
+
+def test_tables_of_some_of_each_class_are_not_taken_for_others(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("export", folder, "--split", "printed_test", "--format", "flat", "--workers", "1", "-q")
+    assert call(*words, "--out", tmp_path / "all") == 0
+    options = json.loads((tmp_path / "all" / "manifest.json").read_text())["spec"]["options"]
+    assert options == {"layout": "flat", "ids": None, "labels": None, "limit": None}
+    some = (*words, "--out", tmp_path / "some", "--labels", "3,5")
+    assert call(*some, "--per-class", "1") == 0
+    options = json.loads((tmp_path / "some" / "manifest.json").read_text())["spec"]["options"]
+    assert options == {"layout": "flat", "ids": None, "labels": "3,5", "limit": None, "per_class": 1}
+    assert call(*some, "--per-class", "2") == 2
+    assert "options.per_class is 1 there, 2 was asked for" in capsys.readouterr().err

@@ -376,3 +376,19 @@ def test_verify_reads_a_tar_of_others_to_its_end(single_folder: Path, tmp_path: 
     (out / "manifest.json").write_text(json.dumps(manifest))
     findings = realtouch.verify(out).findings
     assert any("'odd.jpg' is sparse, or its size is not a number" in each.problem for each in findings)
+
+
+def test_lerobot_is_told_the_form_of_every_column(source: Path, tmp_path: Path) -> None:
+    realtouch.export(source, tmp_path, "lerobot", split="train")
+    features = json.loads((tmp_path / "lerobot" / "meta" / "info.json").read_text())["features"]
+    picture = {"dtype": "image", "shape": [72, 96, 3], "names": ["height", "width", "channels"]}
+    assert features.pop("observation.images.tactile") == picture
+    state = {"dtype": "float32", "shape": [7], "names": ["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"]}
+    assert features.pop("observation.state") == state
+    assert features.pop("action") == {"dtype": "float32", "shape": [2], "names": ["x_m", "y_m"]}
+    assert features.pop("timestamp") == {"dtype": "float32", "shape": [1], "names": None}
+    # All others are single integers, as they are stored.
+    frames = pq.read_table(tmp_path / "lerobot" / "data")
+    for name, feature in features.items():
+        kind = "float32" if frames.schema.field(name).type == pa.float32() else "int64"
+        assert feature == {"dtype": kind, "shape": [1], "names": None}, name

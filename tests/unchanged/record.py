@@ -7,9 +7,11 @@ review shows the rest.
 from __future__ import annotations
 
 import hashlib
+import inspect
 import io
 import json
 import tempfile
+from collections.abc import Iterator
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
 from importlib.metadata import version
@@ -42,6 +44,7 @@ from tests.tactile_toolkit.printing.solids import box, ell, named, ring
 
 FOLDER = Path(__file__).parent
 PACKAGES = ("mnist3d", "starstruck_gen", "realtouch", "realtouch.torch", "tactile_sim", "env_assets")
+OUR_PACKAGES = {name.partition(".")[0] for name in PACKAGES} | {"tactile_toolkit"}
 COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
 """Modules of ``cli``."""
 LIBRARIES = (
@@ -69,17 +72,39 @@ def public_names(package: str) -> list[str]:
 
 
 def defaults_and_limits(package: str) -> dict[str, str]:
-    """Return the default of each field of the public dataclasses, and which values it takes if it says so."""
+    """Return the defaults of public dataclasses, functions and methods, and which values fields take."""
     found = {}
     for name in public_names(package):
         kind = getattr(import_module(package), name)
         for each in fields(kind) if isinstance(kind, type) and is_dataclass(kind) else ():
-            if each.default is None or isinstance(each.default, (bool, int, float, str, tuple)):
+            if _is_plain(each.default):
                 rule = each.metadata.get("rule")
                 found[f"{name}.{each.name}"] = repr(each.default) + (
                     f"; {rule.expected}" if rule and rule.expected else ""
                 )
+        for called, function in _functions(name, kind):
+            for each in inspect.signature(function).parameters.values():
+                if each.default is not each.empty and _is_plain(each.default):
+                    found[f"{called}({each.name})"] = repr(each.default)
     return found
+
+
+def _is_plain(default: Any) -> bool:
+    return default is None or isinstance(default, (bool, int, float, str, tuple))
+
+
+def _functions(name: str, public: Any) -> Iterator[tuple[str, Any]]:
+    """Yield a public function, or the public methods of a class that are our own."""
+    if inspect.isfunction(public):
+        yield name, public
+    if not inspect.isclass(public):
+        return
+    for method, function in inspect.getmembers(public, inspect.isroutine):
+        is_ours = (getattr(function, "__module__", None) or "").partition(".")[0] in OUR_PACKAGES
+        # Users call a constructor whose parameters are described.
+        is_public = "Parameters\n" in (public.__doc__ or "") if method == "__init__" else method[0] != "_"
+        if is_ours and is_public:
+            yield f"{name}.{method}", function
 
 
 def helps(command_line: str) -> str:

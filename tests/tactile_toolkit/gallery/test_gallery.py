@@ -482,3 +482,8 @@ def test_a_link_stays_a_link(tmp_path):
     assert (tmp_path / "link").is_symlink()
     assert len(entries(tmp_path / "real" / "items")) == 4
     assert entries(tmp_path) == ["link", "real"]
+
+
+def test_items_are_listed_with_their_titles(tmp_path):
+    build(tmp_path / "site")
+    assert index_of(tmp_path / "site")["titles"] == [f"toy {number % 10}" for number in range(20)]
