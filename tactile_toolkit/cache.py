@@ -203,34 +203,28 @@ class MemoryCache(Generic[K, V]):
     def put(self, key: K, value: V) -> V:
         """Keep a value, and let go of those used longest ago while there are too many; returns it."""
         with _LOCK:
-            self.pop(key)
             size = 1 if self._size_of is None else self._size_of(value)
+            self.size += size - self._kept.pop(key, (None, 0))[1]
             self._kept[key] = value, size
-            self.size += size
             while self.size > self.limit and len(self._kept) > min(self.limit, 1):
-                self.pop(next(iter(self._kept)))
+                self.size -= self._kept.popitem(last=False)[1][1]
         return value
 
     def get_or_make(self, key: K, make: Callable[[], V]) -> V:
         """Return what is kept under a key, or make it and keep it; of values made at once the first stays."""
         found = self.get(key)
-        if found is None:
-            made = make()  # outside the lock: threads wait for nothing but their own
-            with _LOCK:
-                found = self.get(key)
-                return self.put(key, made) if found is None else found
-        return found
+        if found is not None:
+            return found
+        made = make()  # outside the lock: threads wait for nothing but their own
+        with _LOCK:
+            found = self.get(key)
+            return self.put(key, made) if found is None else found
 
     def clear(self) -> None:
         """Let go of all values."""
         with _LOCK:
             self._kept.clear()
             self.size = 0
-
-    def pop(self, key: K) -> None:
-        """Let go of a value, where it is kept."""
-        with _LOCK:
-            self.size -= self._kept.pop(key, (None, 0))[1]
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (type(self), (self.limit, self._size_of))

@@ -241,6 +241,7 @@ def _splits_in(files: Iterable[ShardFile]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(file.split for file in files))
 
 
+@without_collecting()
 def _recorded_shards(folder: DataFolder, manifest: Manifest, split: str) -> tuple[Shard, ...]:
     root, records = folder.address(), manifest.shards_of(split)
     if not records or len(records) != records[0].shard.count:
@@ -259,13 +260,12 @@ def _recorded_shards(folder: DataFolder, manifest: Manifest, split: str) -> tupl
             entry = (Shard(folder.address(file.path), file.rows), file.made_of)
             small[first : first + len(file.records)] = [entry] * len(file.records)
     # Names were checked when the manifest was read: address(PATH) would do so again for each of 50,000.
-    with without_collecting():
-        return tuple(
-            [
-                Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry, size_bytes=record.bytes)
-                for record, entry in zip(records, small, strict=True)
-            ]
-        )
+    return tuple(
+        [
+            Shard(f"{root}/{record.shard.data_path}", record.rows, small=entry, size_bytes=record.bytes)
+            for record, entry in zip(records, small, strict=True)
+        ]
+    )
 
 
 def _folder_files(folder: DataFolder) -> list[ShardFile]:
@@ -344,7 +344,7 @@ def local_sets(folder: Path) -> list[dict[str, Any]]:
     """Return the data sets in a folder, and itself where it is one, by name, as JSON values.
 
     Their ``state`` is finished, unfinished, or what is wrong. Reads manifests only. Raises InputError where
-    there is no such folder.
+    the folder does not exist.
     """
     if not folder.is_dir():
         raise InputError(
