@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from copy import copy
 from itertools import groupby
 from operator import itemgetter
 from typing import Any, ClassVar, Generic, Self, TypeVar
@@ -113,7 +112,7 @@ class TouchDataset(RecordDataset[R]):
     @property
     def touch_counts(self) -> NDArray[np.int64]:
         """T of each round, shape (len,), int64; reads at most the column of intended positions."""
-        return self._stored_counts[self.row_numbers]
+        return self._stored_counts[self._row_numbers]
 
     @property
     def _stored_counts(self) -> NDArray[np.int64]:
@@ -121,11 +120,6 @@ class TouchDataset(RecordDataset[R]):
             return [stored_touch_counts(shard, index) for index in range(shard.metadata.num_row_groups)]
 
         return self._table.per_shard("touches", counts)
-
-    @property
-    def row_numbers(self) -> NDArray[np.int64]:
-        """Number of each round in the stored tables, shape (len,), int64."""
-        return np.asarray(self._rows, np.int64)
 
     def has_column(self, name: str) -> bool:
         """Return whether the data set has a column, by dotted name."""
@@ -183,13 +177,13 @@ class TouchDataset(RecordDataset[R]):
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
         shards = self._table.shards
         of_rows = [rule for shard in shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
-        return [of_rows[row] for row in self.row_numbers.tolist()]
+        return [of_rows[row] for row in self._row_numbers.tolist()]
 
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
         """Yield stored row number and round, row by row, without opening images or clips until asked for."""
         number = 0
         # Through the stored rows in their order: each block is read once, whatever the order of the view.
-        wanted = set(self.row_numbers.tolist())
+        wanted = set(self._row_numbers.tolist())
         media = MEDIA_COLUMN[self.kind]
         for shard in self._table.shards:
             columns = [name for name in shard.schema.names if name != media]
@@ -205,7 +199,7 @@ class TouchDataset(RecordDataset[R]):
 
     def _each(self) -> Iterator[tuple[int, R]]:
         places: dict[int, list[int]] = {}
-        for place, row in enumerate(self.row_numbers.tolist()):
+        for place, row in enumerate(self._row_numbers.tolist()):
             places.setdefault(row, []).append(place)
         # A view may hold a round several times, at several places.
         for row, record in self.rounds_without_media():
@@ -291,7 +285,7 @@ class Touches(LazySequence[Touch], Generic[R]):
     @property
     def _stored_places(self) -> NDArray[np.int64]:
         """Number of each touch among all that are stored, shape (len,), int64."""
-        rows = self.dataset.row_numbers[self.round_positions]
+        rows = self.dataset._row_numbers[self.round_positions]
         places: NDArray[np.int64] = self.dataset.touch_starts[rows] + self.touch_indices
         return places
 
@@ -485,7 +479,7 @@ class Touches(LazySequence[Touch], Generic[R]):
     def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
         """Return all touches except some, given as stored row and number in the round."""
         # By stored row: places in a view change with each filter.
-        rows = self.dataset.row_numbers[self.round_positions].tolist()
+        rows = self.dataset._row_numbers[self.round_positions].tolist()
         gone = set(lost)
         pairs = zip(rows, self.touch_indices.tolist(), strict=True)
         return self[np.array([pair not in gone for pair in pairs], bool)]
@@ -677,13 +671,6 @@ class TouchStream:
     def label_names(self) -> tuple[str, ...]:
         """Name of each class."""
         return CLASS_NAMES if self._stated_names is None else self._stated_names
-
-    def part(self, index: int, count: int) -> TouchStream:
-        """Return every ``count``-th shard from ``index`` on, for workers that share the work."""
-        part = copy(self)
-        part.shards, part._left_out = self.shards[index::count], self._left_out[index::count]
-        part.skipped = list(part._left_out)
-        return part
 
     def touches(self) -> Touches[Any]:
         """Return the flat view: every touch of every round, in order, with random access.

@@ -28,7 +28,7 @@ from realtouch.columns import (
 )
 from realtouch.damage import Damage, DamagedRoundError, damaged, naming, unreadable_file, unreadable_rows
 from realtouch.media import SensorImages, TouchClip
-from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
@@ -209,9 +209,6 @@ def _noted(found: list[Damage], row: Row) -> Iterator[None]:
     """Note what is wrong instead of raising it."""
     try:
         yield
-    # A set is not damaged because PyAV is missing here.
-    except MissingExtraError:
-        raise
     except DamagedRoundError as error:
         found.append(error.damage)
     except (InputError, IntegrityError, ValueError) as error:

@@ -120,7 +120,7 @@ def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
     dataset = touches.dataset
     if dataset.kind == "single":
         return None
-    rows = dataset.row_numbers[touches.round_positions].tolist()
+    rows = dataset._row_numbers[touches.round_positions].tolist()
     shown = set(zip(rows, touches.touch_indices.tolist(), strict=True))
     lengths = [
         clip_length(record._row, touch)

@@ -43,6 +43,7 @@ from realtouch.convert.plan import (
     first_rows,
     marked_repetitions,
     require_limit,
+    table_of,
     write_changed,
 )
 from realtouch.damage import damaged
@@ -293,7 +294,7 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
     if "per_class" in options and len(dataset):
         ((_, _, rows_kept),) = choose_rows([("", dataset)], per_class=options["per_class"])
         dataset = dataset[rows_kept]
-    rows = dataset.row_numbers.tolist()
+    rows = dataset._row_numbers.tolist()
     if not options["contact"]:
         return list(map(RowChoice, rows))[:limit]
     touches = dataset.touches().with_contact(options["min_height_m"], options["recalibrate_z"])
@@ -627,10 +628,7 @@ class WritePictures:
             "file": list(files),
             "sha256": list(map(sha256_hex, files.values())),
         }
-        nulls = [None] * len(shown)
-        schema = self.schema(None)
-        rows = [pa.array(columns.get(each.name, nulls), each.type) for each in schema]
-        return pa.table(rows, schema=schema), files
+        return table_of(self.schema(None), columns), files
 
     def _encoded(self, shown: Shown, base: Pixels | None) -> bytes:
         """Return the file of a picture, which is decoded in any case: what is passed on must be intact."""

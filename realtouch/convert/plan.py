@@ -9,7 +9,7 @@ from __future__ import annotations
 import operator
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, chain
 from os import PathLike, fspath
@@ -24,7 +24,7 @@ from realtouch.dataset import dataset_of
 from realtouch.opening import open_shards, place_of
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import class_names
+from tactile_toolkit.read.columns import class_names, column_types
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
@@ -386,6 +386,25 @@ def _are_current(folder: DataFolder, record: ShardRecord, reads: bool) -> bool:
 def checksums(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
     """Return the checksum of each file that the shards name, for the manifest."""
     return {path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record).items()}
+
+
+def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collection[str]]]) -> pa.Schema:
+    """Return those of the wanted columns that a source can fill.
+
+    With the type of each stand columns of the source, of which one is needed; without any it is always there.
+    """
+    known = column_types(source)
+    return pa.schema(
+        (name, data_type)
+        for name, (data_type, needed) in wanted.items()
+        if not needed or any(each in known for each in needed)
+    )
+
+
+def table_of(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
+    """Return the columns of a schema as a table; those that are not given have no values."""
+    unknown = [None] * len(columns["id"])
+    return pa.table([pa.array(columns.get(each.name, unknown), each.type) for each in schema], schema=schema)
 
 
 def write_changed(folder: DataFolder, path: str, content: bytes) -> str:

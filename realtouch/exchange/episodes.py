@@ -26,15 +26,15 @@ from realtouch.columns import (
     stored_rows,
     touch_total,
 )
-from realtouch.convert.plan import Choices, Made, RowChoice, Source
+from realtouch.convert.plan import Choices, Made, RowChoice, Source, schema_of, table_of
 from realtouch.damage import naming
-from realtouch.exchange.images import image_column, require_intact
+from realtouch.exchange.items import image_column, require_intact
 from realtouch.media import SensorImages, TouchClip
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, column_type
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
@@ -87,11 +87,7 @@ class Episodes:
             "timestamp": (pa.float32(), ("id",)),
             "frame_index": (pa.int64(), ("id",)),
         }
-        return pa.schema(
-            (name, data_type)
-            for name, (data_type, columns) in wanted.items()
-            if any(column_type(source, each) is not None for each in columns)
-        )
+        return schema_of(source, wanted)
 
     def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
@@ -117,8 +113,7 @@ class Episodes:
                 "timestamp": (np.arange(count) / self.fps).astype(np.float32),
                 "frame_index": np.arange(count),
             }
-            arrays = [pa.array(columns[each.name], each.type) for each in schema]
-            tables.append(pa.table(arrays, schema=schema))
+            tables.append(table_of(schema, columns))
         return pa.concat_tables(tables), {}
 
     def _episodes(self, row: Row) -> Iterator[tuple[int | None, list[Any], dict[str, Any]]]:
