@@ -14,6 +14,8 @@ import operator
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from os import PathLike
 from typing import Any, Literal, SupportsIndex, Unpack
 
@@ -298,10 +300,9 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
     if not options["contact"]:
         return list(map(RowChoice, rows))[:limit]
     touches = dataset.touches().with_contact(options["min_height_m"], options["recalibrate_z"])
-    kept: dict[int, list[int]] = {}
-    for position, touch in zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True):
-        kept.setdefault(position, []).append(touch)
-    return [RowChoice(rows[position], tuple(kept[position])) for position in sorted(kept)][:limit]
+    places = zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True)
+    kept = groupby(sorted(places), key=itemgetter(0))
+    return [RowChoice(rows[place], tuple(touch for _, touch in group)) for place, group in kept][:limit]
 
 
 def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> int | tuple[int, ...]:
