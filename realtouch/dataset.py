@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from functools import partial
 from itertools import groupby
 from operator import itemgetter
 from typing import Any, ClassVar, Generic, Self, TypeVar
@@ -11,15 +12,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import (
-    contact_z_m,
-    entries_of,
-    intended_positions,
-    readable,
-    stored_plate_z_m,
-    stored_rows,
-    touch_total,
-)
+from realtouch.columns import TouchRow, stored_rows
 from realtouch.contact import contact_heights_m
 from realtouch.damage import Damage, missing_column
 from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
@@ -36,7 +29,7 @@ from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
+from tactile_toolkit.read.dataset import RecordDataset, with_origins
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, positions
@@ -103,6 +96,9 @@ class TouchDataset(RecordDataset[R]):
         places = ((row, damage.touch) for row, damage in self._skipped)
         return frozenset((row, touch) for row, touch in places if row is not None and touch is not None)
 
+    def _row(self, number: int) -> TouchRow:
+        return TouchRow(*self._table.locate(number))
+
     def _concat(self, other: Self) -> Self:
         joined, offset = super()._concat(other), len(self._table)
         moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
@@ -137,9 +133,9 @@ class TouchDataset(RecordDataset[R]):
         height of the plate is known, it is always taken.
         """
 
-        def heights_m(row: Row, rule: ContactHeight) -> NDArray[np.float64]:
-            z_m = readable(row, lambda row, touch: contact_z_m(row, self.kind, touch))
-            plate_m = PRESS_DEPTH_M if rule.plate == "known" else stored_plate_z_m(row)
+        def heights_m(row: TouchRow, rule: ContactHeight) -> NDArray[np.float64]:
+            z_m = row.readable(partial(row.contact_z_m, self.kind))
+            plate_m = PRESS_DEPTH_M if rule.plate == "known" else row.stored_plate_z_m()
             return contact_heights_m(z_m, recalibrate_z or rule.plate == "known", plate_m)
 
         columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
@@ -151,13 +147,16 @@ class TouchDataset(RecordDataset[R]):
         Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
         """
 
-        def positions_m(row: Row, _rule: ContactHeight) -> NDArray[np.float64]:
-            return readable(row, intended_positions, (2,))
+        def positions_m(row: TouchRow, _rule: ContactHeight) -> NDArray[np.float64]:
+            return row.readable(row.intended_positions, (2,))
 
         return self._per_touch("positions", ["pos_in_cell"], positions_m)
 
     def _per_touch(
-        self, key: str, columns: Sequence[str], known: Callable[[Row, ContactHeight], NDArray[np.float64]]
+        self,
+        key: str,
+        columns: Sequence[str],
+        known: Callable[[TouchRow, ContactHeight], NDArray[np.float64]],
     ) -> NDArray[np.float64]:
         """Join what is known of the touches of each stored row, of a few columns."""
 
@@ -349,7 +348,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         if not rounds:
             return Dataset.from_dict({})
         rows = [self.dataset[place]._row for place in rounds]
-        first, total = flat_row(rows[0]), touch_total(rows[0])
+        first, total = flat_row(rows[0]), rows[0].touch_total()
         names = [
             each.name
             for each in first.schema
@@ -396,7 +395,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         unknown = np.isnan(chosen)
         if unknown.any():
             position, touch = self.locate(int(np.argmax(unknown)))
-            contact_z_m(self.dataset[position]._row, self.dataset.kind, touch)  # states what is wrong
+            self.dataset[position]._row.contact_z_m(self.dataset.kind, touch)  # states what is wrong
         return chosen
 
     def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
@@ -599,16 +598,16 @@ def with_no_contact(
     return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
 
 
-def _row_of_each_touch(row: Row, per_touch: Collection[str]) -> Any:
+def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
     """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
     import pyarrow as pa
 
-    table, count = flat_row(row), touch_total(row)
+    table, count = flat_row(row), row.touch_total()
     columns = {}
     for name in table.column_names:
         array = table.column(name).chunk(0)
         if name in per_touch:
-            entries_of(row, name)  # refuses a round with more or less of them
+            row.entries_of(name)  # refuses a round with more or less of them
             columns[name] = array.flatten()
         else:
             columns[name] = array.take(pa.array(np.zeros(count, np.int64)))

@@ -17,15 +17,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from realtouch.columns import (
-    clip_length,
-    entries_of,
-    pose_sequences,
-    stamps_s,
-    stored_clip,
-    times_of_touches,
-    touch_total,
-)
+from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod, best_of, contact_window, require_method
 from realtouch.damage import damaged, naming
 from realtouch.poses import Poses
@@ -33,7 +25,6 @@ from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
 from tactile_toolkit.pictures.writing import TILE_STYLE, figure_html
 from tactile_toolkit.read.columns import BytesColumn
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized, room_for
@@ -55,7 +46,7 @@ class SensorImages(Sequence[Pixels]):
 
     __slots__ = ("_blobs", "_count", "_row", "_start")
 
-    def __init__(self, row: Row) -> None:
+    def __init__(self, row: TouchRow) -> None:
         column = row.group.nested("sensor_image")
         start, stop = column.inside(0, row.index, row.index + 1)
         self._row = row
@@ -206,7 +197,7 @@ class TouchClip(Sequence[Pixels]):
 
     Parameters
     ----------
-    row : Row
+    row : TouchRow
         The round.
     touch : int
         Number of the touch in it.
@@ -227,10 +218,10 @@ class TouchClip(Sequence[Pixels]):
 
     __slots__ = ("_avi", "_row", "data", "touch")
 
-    def __init__(self, row: Row, touch: int) -> None:
+    def __init__(self, row: TouchRow, touch: int) -> None:
         self._row, self.touch = row, touch
-        self.data = stored_clip(row, touch)
-        stated = clip_length(row, touch)
+        self.data = row.stored_clip(touch)
+        stated = row.clip_length(touch)
         try:
             self._avi = Avi(self.data)
         except ValueError as error:
@@ -355,7 +346,7 @@ class TouchClip(Sequence[Pixels]):
 
         Those stored with the round; the file's own clock in data sets without them.
         """
-        times = stamps_s(self._row, self.touch)
+        times = self._row.stamps_s(self.touch)
         return self.media_times_s if times is None else times[0]
 
     def at(self, time_s: float) -> Pixels:
@@ -375,7 +366,7 @@ class TouchClip(Sequence[Pixels]):
     @property
     def poses(self) -> Poses:
         """Pose of the gel in each frame, N poses, metres, cell frame."""
-        return pose_sequences(self._row, self.touch)[0]
+        return self._row.pose_sequences(self.touch)[0]
 
     @property
     def contact_window(self) -> slice:
@@ -446,8 +437,8 @@ class SensorClips(Sequence[TouchClip]):
 
     __slots__ = ("_count", "row")
 
-    def __init__(self, row: Row) -> None:
-        _, start, stop = entries_of(row, "sensor_video")
+    def __init__(self, row: TouchRow) -> None:
+        _, start, stop = row.entries_of("sensor_video")
         self.row, self._count = row, stop - start
 
     def __len__(self) -> int:
@@ -480,21 +471,21 @@ class SensorClips(Sequence[TouchClip]):
         return f"SensorClips({self._count} touches)"
 
 
-def contact_windows(row: Row, touch: int | None = None) -> list[slice]:
+def contact_windows(row: TouchRow, touch: int | None = None) -> list[slice]:
     """Return the frames of contact of every clip of a round, or of one alone: see :func:`contact_window`.
 
     Opens clips only where the times of frames are not stored. Raises IntegrityError when times are missing or
     impossible.
     """
-    times = stamps_s(row, touch)
+    times = row.stamps_s(touch)
     if times is None:
-        touches = range(touch_total(row)) if touch is None else [touch]
+        touches = range(row.touch_total()) if touch is None else [touch]
         times = [TouchClip(row, each).media_times_s for each in touches]
-    ends = (each.tolist() for each in times_of_touches(row, touch))
+    ends = (each.tolist() for each in row.times_of_touches(touch))
     return [contact_window(*each) for each in zip(times, *ends, strict=True)]
 
 
-def contact_frames_of(row: Row, method: ContactMethod, touch: int | None = None) -> list[int]:
+def contact_frames_of(row: TouchRow, method: ContactMethod, touch: int | None = None) -> list[int]:
     """Return the frame of every clip of a round, or of one, that shows the contact: by time or pose.
 
     See :meth:`TouchClip.contact_index`. Raises IntegrityError as :func:`contact_windows`, and for poses.
@@ -504,7 +495,7 @@ def contact_frames_of(row: Row, method: ContactMethod, touch: int | None = None)
         return [window.start for window in windows]
     if method == "contact_end":
         return [window.stop - 1 for window in windows]
-    pressed = zip(pose_sequences(row, touch), windows, strict=True)
+    pressed = zip(row.pose_sequences(touch), windows, strict=True)
     return [window.start + int(np.argmin(each.position_m[window, 2])) for each, window in pressed]
 
 

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import contact_z_m, plate_z_m
 from realtouch.contact import contact_heights_m
 from realtouch.media import TouchClip, evenly_spaced, fitted, in_parallel
 from realtouch.opening import load
@@ -304,7 +303,7 @@ def draw_grid(record: TouchRound, most: int) -> Pixels:
     heights_m = None
     if record._row.has(f"{POSE_COLUMN[kind]}.position"):
         rule = ContactHeight.of(record._row.group.names)
-        heights_m = contact_heights_m(contact_z_m(record._row, kind), plate_z_m=plate_z_m(record._row))
+        heights_m = contact_heights_m(record._row.contact_z_m(kind), plate_z_m=record._row.plate_z_m())
     tiles = []
     for touch in evenly_spaced(record.touch_count, most):
         caption, frame = f"{touch}", None

@@ -18,14 +18,13 @@ from typing import Any, NamedTuple, Protocol, Unpack
 import pyarrow as pa
 
 from realtouch.card import origin_of, write_card
-from realtouch.columns import require_touches
+from realtouch.columns import TouchRow
 from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
 from realtouch.opening import open_shards, place_of
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import class_names, column_types
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
 from tactile_toolkit.run.threads import in_threads
@@ -148,7 +147,7 @@ class Step(Protocol):
         """Return the flat schema that it writes, for the flat schema that it reads."""
         ...
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Return the new rows as a table of that schema, with files where it makes some.
 
         A row that raises IntegrityError is left out and listed.
@@ -209,7 +208,7 @@ class _ConvertShard:
                     problem = f"{row.value('id')!r} stands in an earlier round of split {self.shard.split!r}"
                     raise damaged(row, "id", f"{problem} too; expected ids that differ")
                 # Here for all steps: one that copies a column would pass on what it never looked at.
-                require_touches(row)
+                row.require_touches()
                 made, beside = self.step.apply(row, choice, self.shard.split)
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
                 tables.append(made.cast(self.schema))
@@ -225,9 +224,9 @@ class _ConvertShard:
             files |= packed
         return ShardContent(kept.combine_chunks(), tuple(skipped), files=files)
 
-    def _rows(self) -> Iterator[tuple[RowChoice, Row]]:
+    def _rows(self) -> Iterator[tuple[RowChoice, TouchRow]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
-        # Row groups without a chosen row are not read at all.
+        # TouchRow groups without a chosen row are not read at all.
         wanted = {choice.row: choice for choice in self.choices}
         first, last = min(wanted), max(wanted)
         start = self.start
@@ -239,7 +238,7 @@ class _ConvertShard:
                     for position in range(len(group.table)):
                         number = start + group.first_row + position
                         if number in wanted:
-                            yield wanted[number], Row(group, position)
+                            yield wanted[number], TouchRow(group, position)
             start += len(shard)
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from realtouch.columns import label_value
+from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod
 from realtouch.convert.api import columns_of_touches, shown_touches
 from realtouch.convert.plan import (
@@ -32,7 +32,6 @@ from realtouch.exchange.items import image_column, require_intact
 from realtouch.rounds import touch_id
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind
@@ -101,9 +100,9 @@ class _Touches:
         }
         return schema_of(source, wanted)
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Return the touches of a row; one damaged touch leaves the round out, so that none is half there."""
-        label_value(row, self.names)
+        row.label_value(self.names)
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)
         name = str(row.value("id"))
