@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import suppress
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.damage import damaged, missing_column
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
@@ -36,6 +36,7 @@ _COUNTED = (
 )
 _INT_LIMIT = 1 << 63
 _UNREADABLE = (ValueError, pa.ArrowException)
+_NEXT = "next: run `realtouch verify` to list everything that is wrong, then download or convert again"
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _TOO_LONG = f"a clip of {{:,}} frames; the limit is {MAX_CLIP_FRAMES:,}"
 _SECOND = np.timedelta64(1, "s")
@@ -83,6 +84,49 @@ def _padded(column: NestedColumn, first: int, last: int, width: int) -> NDArray[
     return flat.reshape((touches, frames, width) if width else (touches, frames))
 
 
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """One thing that is wrong with a stored round.
+
+    Attributes
+    ----------
+    file : str
+        Parquet file.
+    row : int or None
+        Row in that file, the first one where the problem names several; None when all of the file is meant.
+    touch : int or None
+        Touch of the round; None when all of the round is meant.
+    field : str
+        Column; empty when no single one is meant.
+    problem : str
+        What was found, and what was expected.
+    """
+
+    file: str
+    row: int | None
+    touch: int | None
+    field: str
+    problem: str
+
+    def __str__(self) -> str:
+        parts = [repr(self.file)]
+        parts += [f"row {self.row}"] if self.row is not None else []
+        parts += [f"touch {self.touch}"] if self.touch is not None else []
+        parts += [f"field {self.field!r}"] if self.field else []
+        return f"{', '.join(parts)}: {self.problem}"
+
+
+class DamagedRoundError(IntegrityError):
+    """An :class:`IntegrityError` that carries its :class:`Damage`; internal, catch ``IntegrityError``."""
+
+    def __init__(self, damage: Damage) -> None:
+        super().__init__(f"{damage}; {_NEXT}")
+        self.damage = damage
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (DamagedRoundError, (self.damage,))
+
+
 class TouchRow(Row):
     """A stored round, which reads its columns: each is checked where it is read.
 
@@ -92,12 +136,31 @@ class TouchRow(Row):
 
     __slots__ = ()
 
+    def damaged(self, field: str, problem: str, touch: int | None = None) -> DamagedRoundError:
+        """Return the error for a field that cannot be used."""
+        return DamagedRoundError(Damage(self.path, self.number, touch, field, problem))
+
+    @contextmanager
+    def naming(self, field: str, touch: int | None = None, where: str = "") -> Iterator[None]:
+        """Turn a ValueError into damage of a field."""
+        try:
+            yield
+        except ValueError as error:
+            raise self.damaged(field, f"{where}{error}", touch) from error
+
+    def missing_column(self, field: str) -> InputError:
+        """Return the error for a column that was asked for and that the data set does not have."""
+        return InputError(
+            f"{self.path!r} has no column {field!r}",
+            next="use a data set that has it, such as the `seq` or the `single` form of the same touches",
+        )
+
     def column_of(self, name: str) -> NestedColumn:
         """Return the column of a row; InputError when the data set has no column of that name."""
         try:
             return self.group.nested(name)
         except KeyError as error:
-            raise missing_column(self, name) from error
+            raise self.missing_column(name) from error
 
     def touch_total(self) -> int:
         """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
@@ -117,7 +180,7 @@ class TouchRow(Row):
         start, stop = column.inside(0, self.index, self.index + 1)
         expected = self.touch_total()
         if stop - start != expected:
-            raise damaged(self, name, f"{stop - start} touches; expected {expected} as in 'pos_in_cell'")
+            raise self.damaged(name, f"{stop - start} touches; expected {expected} as in 'pos_in_cell'")
         if touch is None:
             return column, start, stop
         first = start + checked_index(touch, expected, "touch", "touches")
@@ -138,7 +201,7 @@ class TouchRow(Row):
         """
         if not good.all():
             wrong = int(np.argmin(good))
-            raise damaged(self, name, problem.format(*(each[wrong] for each in found)), (touch or 0) + wrong)
+            raise self.damaged(name, problem.format(*(each[wrong] for each in found)), (touch or 0) + wrong)
 
     def per_touch(self, name: str, touch: int | None = None) -> NDArray[Any]:
         """Return one value per touch, shape (T,), or one alone, (1,); IntegrityError unless there are T."""
@@ -158,7 +221,7 @@ class TouchRow(Row):
             problem = f"{len(values)} values for {touches} touches; expected {width} each"
             if touch is not None:
                 problem = f"{len(values)} values; expected {width}"
-            raise damaged(self, name, problem, touch)
+            raise self.damaged(name, problem, touch)
         return values.reshape(touches, width)
 
     def intended_positions(self, touch: int | None = None) -> NDArray[np.floating]:
@@ -205,7 +268,7 @@ class TouchRow(Row):
         column, place, _ = self.entries_of("video_length_frames", touch)
         frames = column.values[place]
         if not 0 <= frames <= MAX_CLIP_FRAMES:
-            raise damaged(self, "video_length_frames", _TOO_LONG.format(frames), touch)
+            raise self.damaged("video_length_frames", _TOO_LONG.format(frames), touch)
         return int(frames)
 
     def frame_times(self) -> tuple[NDArray[np.timedelta64], ...]:
@@ -229,7 +292,7 @@ class TouchRow(Row):
         for number, times in enumerate(found, touch or 0):
             # A comparison with NaN is false, so this finds missing times too.
             if not (times[1:] >= times[:-1]).all() or (len(times) and not math.isfinite(times[0])):
-                raise damaged(self, "time_stamp_rel_seq", "times that are missing or run backwards", number)
+                raise self.damaged("time_stamp_rel_seq", "times that are missing or run backwards", number)
         return found
 
     def touch_durations(self, name: str) -> NDArray[np.timedelta64]:
@@ -273,11 +336,11 @@ class TouchRow(Row):
         start, stop = column.inside(1, first + touch, first + touch + 1)
         wanted = self.clip_length(touch)
         if wanted > stop - start:
-            raise damaged(self, name, f"{stop - start} frames; expected at least {wanted}", touch)
+            raise self.damaged(name, f"{stop - start} frames; expected at least {wanted}", touch)
         values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
         if len(values) != wanted * max(width, 1):
             problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
-            raise damaged(self, name, problem, touch)
+            raise self.damaged(name, problem, touch)
         return values.reshape(wanted, width) if width else values
 
     def stored_clip(self, touch: int) -> memoryview:
@@ -286,7 +349,7 @@ class TouchRow(Row):
         start, stop = column.inside(0, self.index, self.index + 1)
         blob: memoryview | None = column.values[start + touch] if touch < stop - start else None
         if blob is None or len(blob) == 0:
-            raise damaged(self, "sensor_video", "no bytes are stored; expected an AVI", touch)
+            raise self.damaged("sensor_video", "no bytes are stored; expected an AVI", touch)
         return blob
 
     def poses(self, touch: int | None = None) -> Poses:
@@ -299,7 +362,7 @@ class TouchRow(Row):
         quaternions = self.vectors(f"{_POSE}.quaternion", 4, touch)
         wrong = bad_pose(positions, quaternions)
         if wrong is not None:
-            raise damaged(self, _POSE, wrong[1], (touch or 0) + wrong[0])
+            raise self.damaged(_POSE, wrong[1], (touch or 0) + wrong[0])
         return Poses(positions, quaternions)
 
     def pose_sequences(self, touch: int | None = None) -> PoseSequences:
@@ -314,7 +377,7 @@ class TouchRow(Row):
             for number, each in enumerate(zip(positions, quaternions, strict=True), touch or 0):
                 wrong = bad_pose(*each)
                 if wrong is not None:
-                    raise damaged(self, _POSE_SEQUENCE, f"frame {wrong[0]}: {wrong[1]}", number)
+                    raise self.damaged(_POSE_SEQUENCE, f"frame {wrong[0]}: {wrong[1]}", number)
         return PoseSequences(positions, quaternions)
 
     def contact_z_m(self, kind: Kind, touch: int | None = None) -> NDArray[np.float64]:
@@ -352,11 +415,11 @@ class TouchRow(Row):
         try:
             value = self.value(name)
         except KeyError as error:
-            raise missing_column(self, name) from error
+            raise self.missing_column(name) from error
         except _UNREADABLE:  # one such value spoils the column of its whole block
             value = self.stored_value(name)
         if value is None:
-            raise damaged(self, name, "no value is stored")
+            raise self.damaged(name, "no value is stored")
         return value
 
     def int_value(self, name: str) -> int:
@@ -366,7 +429,7 @@ class TouchRow(Row):
             value = self.stored_value(name)
         # Files of others store integers as floats, and missing ones as NaN.
         if not np.isfinite(value) or int(value) != value or not 0 <= value < _INT_LIMIT:
-            raise damaged(self, name, f"the value is {value}; expected an integer of 0 or more, below 2**63")
+            raise self.damaged(name, f"the value is {value}; expected an integer of 0 or more, below 2**63")
         return int(value)
 
     def label_value(self, names: Sequence[str] | None) -> int:
@@ -374,7 +437,7 @@ class TouchRow(Row):
         label = self.int_value("label")
         if names is not None and label >= len(names):
             limit = f"expected less than {len(names)}, the number of named classes"
-            raise damaged(self, "label", f"the value is {label}; {limit}")
+            raise self.damaged("label", f"the value is {label}; {limit}")
         return label
 
     def stored_value(self, name: str) -> Any:
@@ -385,7 +448,7 @@ class TouchRow(Row):
         try:
             return self.group.arrow(name)[self.index].as_py()
         except _UNREADABLE as error:
-            raise damaged(self, name, f"a value that cannot be read ({error})") from error
+            raise self.damaged(name, f"a value that cannot be read ({error})") from error
 
     def has_info(self) -> bool:
         """Return whether a round has metadata."""
@@ -397,7 +460,7 @@ class TouchRow(Row):
         Raises IntegrityError for a pose that is not one, or one name for a value and for a group of values.
         """
         if not self.has_info():
-            raise missing_column(self, "info")
+            raise self.missing_column("info")
         nested: dict[str, Any] = {}
         for name in self.group.names:
             if not name.startswith("info."):
@@ -409,9 +472,7 @@ class TouchRow(Row):
                 if isinstance(group, dict):
                     group = group.setdefault(part, {})
             if not isinstance(group, dict) or last in group:
-                raise damaged(
-                    self, name, "the name of a value and of a group of values; expected one of them"
-                )
+                raise self.damaged(name, "the name of a value and of a group of values; expected one of them")
             group[last] = self.stored_value(name)
         return {key: self._with_poses(value, f"info.{key}") for key, value in nested.items()}
 
@@ -430,14 +491,14 @@ class TouchRow(Row):
             quaternion = np.asarray(values["quaternion"], np.float64)
         except (TypeError, ValueError) as error:
             problem = "values that are not numbers, or vectors of several lengths; expected a pose's numbers"
-            raise damaged(self, name, problem) from error
+            raise self.damaged(name, problem) from error
         outer = position.shape[:-1]
         if len(outer) > 1 or position.shape != (*outer, 3) or quaternion.shape != (*outer, 4):
             found = f"position {position.shape} and quaternion {quaternion.shape}"
-            raise damaged(self, name, f"{found}; expected (3,) and (4,), or (n, 3) and (n, 4)")
+            raise self.damaged(name, f"{found}; expected (3,) and (4,), or (n, 3) and (n, 4)")
         wrong = bad_pose(position.reshape(-1, 3), quaternion.reshape(-1, 4))
         if wrong is not None:  # the metadata of a round are one thing: none of it can be given
-            raise damaged(self, name, f"pose {wrong[0]}: {wrong[1]}" if outer else wrong[1])
+            raise self.damaged(name, f"pose {wrong[0]}: {wrong[1]}" if outer else wrong[1])
         return Poses(position, quaternion) if outer else rigid_transform(position, quaternion)
 
     def __reduce__(self) -> tuple[Any, ...]:

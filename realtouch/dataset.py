@@ -12,9 +12,8 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import TouchRow, stored_rows
+from realtouch.columns import Damage, TouchRow, stored_rows
 from realtouch.contact import contact_heights_m
-from realtouch.damage import Damage, missing_column
 from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
 from realtouch.media import SensorImages
 from realtouch.rounds import (
@@ -522,7 +521,7 @@ class Touches(LazySequence[Touch], Generic[R]):
     def _images_of(self, position: int) -> SensorImages:
         record = self.dataset[position]
         if not isinstance(record, TouchSingleRound):
-            raise missing_column(record._row, "sensor_image")
+            raise record._row.missing_column("sensor_image")
         return record.sensor_image
 
     def _stored(self, row: int) -> Touch:

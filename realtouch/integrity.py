@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -13,10 +14,9 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.columns import TouchRow
-from realtouch.damage import Damage, DamagedRoundError, damaged, naming, unreadable_file, unreadable_rows
+from realtouch.columns import Damage, DamagedRoundError, TouchRow
 from realtouch.media import SensorImages, TouchClip
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.source import manifest_beside
@@ -165,7 +165,7 @@ def check_round(
         with noted():
             # A list of fixed length would hide a null.
             if not row.group.arrow(name)[row.index].is_valid:
-                raise damaged(row, name, "no values are stored")
+                raise row.damaged(name, "no values are stored")
             row.entries_of(name)
         if found and found[-1].field == "pos_in_cell":
             return found  # nothing says how many touches there should be
@@ -216,7 +216,7 @@ def _picture_size(
         _ = clip.contact_window if timed else clip.timestamps_s
     sizes: list[tuple[int, ...]] = []
     for frame in range(len(clip)):
-        with naming(row, "sensor_video", touch, f"frame {frame}: "):
+        with row.naming("sensor_video", touch, f"frame {frame}: "):
             data = clip.encoded(frame)
             sizes.append(decode_image(data).shape[:2] if decode else image_size(data))
             if sizes[-1] != sizes[0]:
@@ -301,3 +301,24 @@ def find_damage(
         files.append(shard)
         start += len(shard)
     return files, np.flatnonzero(~lost), found
+
+
+def unreadable_file(path: str, error: ToolkitError) -> Damage:
+    """Return the damage of an entire file, from the error that opening it raised."""
+    words = _cause(path, error)
+    named = re.fullmatch(r"field '([^']+)': (.*)", words)
+    return Damage(path, None, None, *(named.groups() if named else ("", words)))
+
+
+def unreadable_rows(shard: Shard, index: int, error: IntegrityError) -> Damage:
+    """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
+    first, stop = shard.group_starts[index], shard.group_starts[index + 1]
+    rows = f"rows {first} to {stop - 1} cannot be read" if stop - first > 1 else "cannot be read"
+    found = _cause(shard.path, error) if error.__cause__ is None else " ".join(str(error.__cause__).split())
+    return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
+
+
+def _cause(path: str, error: ToolkitError) -> str:
+    """Return what an error says, without the file and the next step, which a list names once for all."""
+    words = " ".join(str(error).split()).partition("; next: ")[0]
+    return words.removeprefix(repr(path)).lstrip(",: ")

@@ -19,7 +19,6 @@ from numpy.typing import DTypeLike, NDArray
 
 from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod, best_of, contact_window, require_method
-from realtouch.damage import damaged, naming
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.pictures.sheets import Sheet, Tile, sheet
@@ -95,7 +94,7 @@ class SensorImages(Sequence[Pixels]):
         touches = positions(index, self._count).tolist()
         first = touches[0] if len(touches) else 0
         size = self.size(first) if self._count else (0, 0)
-        with naming(self._row, "sensor_image", first):
+        with self._row.naming("sensor_image", first):
             pixels = room_for(len(touches), size, out)
         self.decode_into(pixels, touches, threads=threads)
         return pixels
@@ -109,16 +108,16 @@ class SensorImages(Sequence[Pixels]):
         place = checked_index(touch, self._count, "touch", "touches")
         blob = self._blobs[self._start + place]
         if blob is None or len(blob) == 0:
-            raise damaged(self._row, "sensor_image", "no bytes are stored; expected a JPEG", place)
+            raise self._row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)
         return blob
 
     def size(self, touch: int = 0) -> tuple[int, int]:
         """Return height and width of one image from its header."""
-        with naming(self._row, "sensor_image", touch):
+        with self._row.naming("sensor_image", touch):
             return image_size(self.encoded(touch))
 
     def _decode(self, touch: int, out: Pixels | None = None) -> Pixels:
-        with naming(self._row, "sensor_image", touch):
+        with self._row.naming("sensor_image", touch):
             return decode_image(self.encoded(touch), out)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -225,10 +224,10 @@ class TouchClip(Sequence[Pixels]):
         try:
             self._avi = Avi(self.data)
         except ValueError as error:
-            raise damaged(row, "sensor_video", str(error), touch) from error
+            raise row.damaged("sensor_video", str(error), touch) from error
         if len(self._avi) != stated:
             problem = f"a clip of {len(self._avi)} frames; expected {stated} by 'video_length_frames'"
-            raise damaged(row, "sensor_video", problem, touch)
+            raise row.damaged("sensor_video", problem, touch)
 
     def __len__(self) -> int:
         return len(self._avi)
@@ -265,7 +264,7 @@ class TouchClip(Sequence[Pixels]):
             A frame is damaged, or they exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
         wanted = positions(index, len(self)).tolist()
-        with naming(self._row, "sensor_video", self.touch):
+        with self._row.naming("sensor_video", self.touch):
             pixels = room_for(len(wanted), self.size)
         in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
         return pixels
@@ -292,7 +291,7 @@ class TouchClip(Sequence[Pixels]):
     def size(self) -> tuple[int, int]:
         """Height and width of a frame, pixels."""
         data = self.encoded(0)
-        with naming(self._row, "sensor_video", self.touch):
+        with self._row.naming("sensor_video", self.touch):
             return image_size(data)
 
     @property
@@ -326,7 +325,7 @@ class TouchClip(Sequence[Pixels]):
         try:
             return self._avi.frame(number)
         except ValueError as error:
-            raise damaged(self._row, "sensor_video", str(error), self.touch) from error
+            raise self._row.damaged("sensor_video", str(error), self.touch) from error
 
     def decode_into(self, out: Pixels, frame: int) -> None:
         """Decode one frame into an array of its size.
@@ -417,7 +416,7 @@ class TouchClip(Sequence[Pixels]):
         try:
             return decode_image(self._avi.frame(frame), out)
         except ValueError as error:
-            raise damaged(self._row, "sensor_video", f"frame {frame}: {error}", self.touch) from error
+            raise self._row.damaged("sensor_video", f"frame {frame}: {error}", self.touch) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (TouchClip, (self._row, self.touch))
@@ -461,7 +460,7 @@ class SensorClips(Sequence[TouchClip]):
         :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
         size = self[0].size if self._count else (0, 0)
-        with naming(self.row, "sensor_video"):
+        with self.row.naming("sensor_video"):
             return room_for(count, size, out)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -516,6 +515,6 @@ def decode_frames(
             decode_image(encoded[number], out[number])
         except ValueError as error:
             problem = f"frame {frames[number]}: {error}"
-            raise damaged(clips.row, "sensor_video", problem, touches[number]) from error
+            raise clips.row.damaged("sensor_video", problem, touches[number]) from error
 
     in_parallel(decode, len(encoded), threads)

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from realtouch.columns import TouchRow
 from realtouch.contact import require_method
-from realtouch.damage import missing_column
 from realtouch.media import (
     MOST_TILES,
     SensorClips,
@@ -384,7 +383,7 @@ class Touch:
             The data set holds images.
         """
         if not isinstance(self.round, TouchSeqRound):
-            raise missing_column(self.round._row, "sensor_video")
+            raise self.round._row.missing_column("sensor_video")
         return self.round.sensor_video[self._index_in_row]
 
     def _alone(self) -> Touch:

@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from realtouch.columns import TouchRow, stored_rows
+from realtouch.columns import Damage, TouchRow, stored_rows
 from realtouch.convert.plan import files_of
-from realtouch.damage import Damage
 from realtouch.integrity import (
     agreeing_files,
     checked_rows,

@@ -38,7 +38,6 @@ from realtouch.convert.plan import (
     table_of,
     write_changed,
 )
-from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
 from realtouch.media import SensorClips, SensorImages, TouchClip
 from realtouch.poses import Poses
@@ -637,7 +636,7 @@ def _folder_name(row: TouchRow) -> str:
     problem = "has slashes" if "/" in name else problem_of_name(name)
     if problem:
         shown = name if len(name) <= 80 else f"{name[:80]}..."
-        raise damaged(row, "id", f"{shown!r} cannot name a folder: it {problem}")
+        raise row.damaged("id", f"{shown!r} cannot name a folder: it {problem}")
     return name
 
 

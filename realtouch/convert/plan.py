@@ -19,7 +19,6 @@ import pyarrow as pa
 
 from realtouch.card import origin_of, write_card
 from realtouch.columns import TouchRow
-from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
 from realtouch.opening import open_shards, place_of
 from tactile_toolkit.catalog.locate import splits_of
@@ -206,7 +205,7 @@ class _ConvertShard:
             try:
                 if choice.is_repeated:
                     problem = f"{row.value('id')!r} stands in an earlier round of split {self.shard.split!r}"
-                    raise damaged(row, "id", f"{problem} too; expected ids that differ")
+                    raise row.damaged("id", f"{problem} too; expected ids that differ")
                 # Here for all steps: one that copies a column would pass on what it never looked at.
                 row.require_touches()
                 made, beside = self.step.apply(row, choice, self.shard.split)

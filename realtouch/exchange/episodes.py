@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from realtouch.columns import TouchRow, stored_rows
 from realtouch.convert.plan import Choices, Made, RowChoice, Source, schema_of, table_of
-from realtouch.damage import naming
 from realtouch.exchange.items import image_column, require_intact
 from realtouch.media import SensorImages, TouchClip
 from realtouch.poses import Poses
@@ -123,7 +122,7 @@ class Episodes:
             yield touch, [clip.encoded(frame) for frame in range(len(clip))], columns
 
     def _require_size(self, row: TouchRow, touch: int, image: bytes | memoryview) -> None:
-        with naming(row, MEDIA_COLUMN["single" if row.has("sensor_image") else "seq"], touch):
+        with row.naming(MEDIA_COLUMN["single" if row.has("sensor_image") else "seq"], touch):
             height, width = require_intact(image)
         if (height, width) != self.size:
             raise InputError(

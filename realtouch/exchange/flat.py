@@ -27,7 +27,6 @@ from realtouch.convert.plan import (
     schema_of,
     table_of,
 )
-from realtouch.damage import damaged, naming
 from realtouch.exchange.items import image_column, require_intact
 from realtouch.rounds import touch_id
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
@@ -108,13 +107,13 @@ class _Touches:
         name = str(row.value("id"))
         if _NAME.fullmatch(name) is None:
             problem = f"{name[:80]!r} cannot name files; expected letters, digits, '-' and '_'"
-            raise damaged(row, "id", problem)
+            raise row.damaged("id", problem)
         kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
         images: list[Any] = []
         for each in shown:
             images.append(each.stored)
             where = f"frame {each.frame}: " if kind == "seq" else ""
-            with naming(row, MEDIA_COLUMN[kind], each.touch, where):
+            with row.naming(MEDIA_COLUMN[kind], each.touch, where):
                 require_intact(images[-1])
         columns["id"] = [touch_id(name, each.touch) for each in shown]
         columns[IMAGE] = image_column(images, columns["id"])
