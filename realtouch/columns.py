@@ -23,7 +23,7 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import checked_index
 from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
-from tactile_toolkit.touch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, Kind
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, PER_TOUCH_COLUMNS, POSE_COLUMN, Kind
 from tactile_toolkit.touch.video import MAX_CLIP_FRAMES
 
 # The first of these that is there says how many touches a round has; poses only where they were read alone.
@@ -135,6 +135,16 @@ class TouchRow(Row):
     """
 
     __slots__ = ()
+
+    @property
+    def kind(self) -> Kind:
+        """Whether it has clips or images."""
+        return "seq" if self.has(MEDIA_COLUMN["seq"]) else "single"
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether it has poses of the gel."""
+        return self.has(f"{POSE_COLUMN[self.kind]}.position")
 
     def damaged(self, field: str, problem: str, touch: int | None = None) -> DamagedRoundError:
         """Return the error for a field that cannot be used."""

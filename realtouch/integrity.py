@@ -173,8 +173,8 @@ def check_round(
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
         found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
-    kind: Kind = "seq" if row.has(MEDIA_COLUMN["seq"]) else "single"
-    has_poses = all(row.has(f"{POSE_COLUMN[kind]}.{part}") for part in ("position", "quaternion"))
+    kind = row.kind
+    has_poses = row.has_poses and row.has(f"{POSE_COLUMN[kind]}.quaternion")
     start, stop = row.column_of(MEDIA_COLUMN[kind]).inside(0, row.index, row.index + 1)
     sizes: dict[int, tuple[int, ...]] = {}
     for touch in range(count):

@@ -304,7 +304,6 @@ def touch_id(round_id: str, touch_index: int) -> str:
     return f"{round_id}_{touch_index:03d}"
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Touch:
     """One touch of a round; frozen, fields are read when asked for.
 
@@ -321,14 +320,18 @@ class Touch:
     holds this one touch.
     """
 
+    __slots__ = ("_index_in_row", "round", "touch_index")
     round: TouchRound
     touch_index: int
-    _place: int | None = None
-    """Place in the row, where that is another: a row may hold this touch alone."""
+    _index_in_row: int
 
-    @property
-    def _index_in_row(self) -> int:
-        return self.touch_index if self._place is None else self._place
+    def __init__(self, round: TouchRound, touch_index: int, index_in_row: int | None = None) -> None:
+        object.__setattr__(self, "round", round)
+        object.__setattr__(self, "touch_index", touch_index)
+        object.__setattr__(self, "_index_in_row", touch_index if index_in_row is None else index_in_row)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"Touch is frozen; {name!r} cannot be set")
 
     @property
     def id(self) -> str:

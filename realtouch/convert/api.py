@@ -63,10 +63,8 @@ from tactile_toolkit.touch.jpeg import (
 )
 from tactile_toolkit.touch.schema import (
     CLASS_NAMES,
-    MEDIA_COLUMN,
     MEDIA_TYPE,
     POSE_COLUMN,
-    Kind,
     bytes_lists,
     column_type,
     flat_row,
@@ -385,16 +383,15 @@ class Shown:
 
 def shown_touches(row: TouchRow, method: ContactMethod) -> Iterator[Shown]:
     """Yield the picture of each touch of a round: its image, or the frame of its clip by some method."""
-    if row.has(MEDIA_COLUMN["single"]):
+    if row.kind == "single":
         images = TouchSingleRound(row).sensor_image
-        at = row.poses() if row.has(f"{_POSE}.position") else None
+        at = row.poses() if row.has_poses else None
         for touch in range(len(images)):
             yield Shown(touch, 0, images, touch, _pose_values(at, touch))
         return
-    has_poses = row.has(f"{_POSE_SEQUENCE}.position")
     for touch, clip in enumerate(SensorClips(row)):
         frame = clip.contact_index(method)
-        at = row.pose_sequences(touch)[0] if has_poses else None
+        at = row.pose_sequences(touch)[0] if row.has_poses else None
         yield Shown(touch, frame, clip, frame, _pose_values(at, frame))
 
 
@@ -533,10 +530,9 @@ class KeepTouches:
         kept = take_touches(flat, choice.touches, row.touch_total())
         if row.has(PLATE_COLUMN):
             return kept, {}
-        kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
         plate_m = row.plate_z_m()
         if math.isnan(plate_m):
-            plate_m = row.contact_z_m(kind).min(initial=np.inf)
+            plate_m = row.contact_z_m(row.kind).min(initial=np.inf)
         return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}
 
 

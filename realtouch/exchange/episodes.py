@@ -122,7 +122,7 @@ class Episodes:
             yield touch, [clip.encoded(frame) for frame in range(len(clip))], columns
 
     def _require_size(self, row: TouchRow, touch: int, image: bytes | memoryview) -> None:
-        with row.naming(MEDIA_COLUMN["single" if row.has("sensor_image") else "seq"], touch):
+        with row.naming(MEDIA_COLUMN[row.kind], touch):
             height, width = require_intact(image)
         if (height, width) != self.size:
             raise InputError(

@@ -33,7 +33,7 @@ from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN
 
 IMAGE = "image"
 
@@ -108,12 +108,11 @@ class _Touches:
         if _NAME.fullmatch(name) is None:
             problem = f"{name[:80]!r} cannot name files; expected letters, digits, '-' and '_'"
             raise row.damaged("id", problem)
-        kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
         images: list[Any] = []
         for each in shown:
             images.append(each.stored)
-            where = f"frame {each.frame}: " if kind == "seq" else ""
-            with row.naming(MEDIA_COLUMN[kind], each.touch, where):
+            where = f"frame {each.frame}: " if row.kind == "seq" else ""
+            with row.naming(MEDIA_COLUMN[row.kind], each.touch, where):
                 require_intact(images[-1])
         columns["id"] = [touch_id(name, each.touch) for each in shown]
         columns[IMAGE] = image_column(images, columns["id"])
