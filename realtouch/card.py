@@ -10,6 +10,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 
+from realtouch.columns import TouchRow
 from realtouch.dataset import TouchDataset, dataset_of
 from realtouch.kind import KIND
 from realtouch.media import contact_sheet, evenly_spaced
@@ -19,7 +20,6 @@ from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.pictures.sheets import png_bytes
 from tactile_toolkit.read.columns import column_names, column_types
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import ContactHeight, missed_text
@@ -221,7 +221,7 @@ def _first_rounds(facts: FolderFacts, kind: Kind) -> Iterator[TouchSeqRound | To
     shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
     for group in islice(shard.blocks(0) if shard is not None else (), _ROUNDS_SEEN):
         # One of each block, so that a damaged block does not use up all tries.
-        yield record(Row(group, 0))
+        yield record(TouchRow(group, 0))
 
 
 def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from copy import copy
+from functools import partial
 from itertools import groupby
 from operator import itemgetter
 from typing import Any, ClassVar, Generic, Self, TypeVar
@@ -12,17 +12,8 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import (
-    contact_z_m,
-    entries_of,
-    intended_positions,
-    readable,
-    stored_plate_z_m,
-    stored_rows,
-    touch_total,
-)
+from realtouch.columns import Damage, TouchRow, stored_rows
 from realtouch.contact import contact_heights_m
-from realtouch.damage import Damage, missing_column
 from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
 from realtouch.media import SensorImages
 from realtouch.rounds import (
@@ -37,7 +28,7 @@ from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.dataset import RecordDataset, Row, with_origins
+from tactile_toolkit.read.dataset import RecordDataset, with_origins
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, positions
@@ -104,6 +95,9 @@ class TouchDataset(RecordDataset[R]):
         places = ((row, damage.touch) for row, damage in self._skipped)
         return frozenset((row, touch) for row, touch in places if row is not None and touch is not None)
 
+    def _row(self, number: int) -> TouchRow:
+        return TouchRow(*self._table.locate(number))
+
     def _concat(self, other: Self) -> Self:
         joined, offset = super()._concat(other), len(self._table)
         moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
@@ -113,7 +107,7 @@ class TouchDataset(RecordDataset[R]):
     @property
     def touch_counts(self) -> NDArray[np.int64]:
         """T of each round, shape (len,), int64; reads at most the column of intended positions."""
-        return self._stored_counts[self.row_numbers]
+        return self._stored_counts[self._row_numbers]
 
     @property
     def _stored_counts(self) -> NDArray[np.int64]:
@@ -121,11 +115,6 @@ class TouchDataset(RecordDataset[R]):
             return [stored_touch_counts(shard, index) for index in range(shard.metadata.num_row_groups)]
 
         return self._table.per_shard("touches", counts)
-
-    @property
-    def row_numbers(self) -> NDArray[np.int64]:
-        """Number of each round in the stored tables, shape (len,), int64."""
-        return np.asarray(self._rows, np.int64)
 
     def has_column(self, name: str) -> bool:
         """Return whether the data set has a column, by dotted name."""
@@ -143,9 +132,9 @@ class TouchDataset(RecordDataset[R]):
         height of the plate is known, it is always taken.
         """
 
-        def heights_m(row: Row, rule: ContactHeight) -> NDArray[np.float64]:
-            z_m = readable(row, lambda row, touch: contact_z_m(row, self.kind, touch))
-            plate_m = PRESS_DEPTH_M if rule.plate == "known" else stored_plate_z_m(row)
+        def heights_m(row: TouchRow, rule: ContactHeight) -> NDArray[np.float64]:
+            z_m = row.readable(partial(row.contact_z_m, self.kind))
+            plate_m = PRESS_DEPTH_M if rule.plate == "known" else row.stored_plate_z_m()
             return contact_heights_m(z_m, recalibrate_z or rule.plate == "known", plate_m)
 
         columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
@@ -157,13 +146,16 @@ class TouchDataset(RecordDataset[R]):
         Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
         """
 
-        def positions_m(row: Row, _rule: ContactHeight) -> NDArray[np.float64]:
-            return readable(row, intended_positions, (2,))
+        def positions_m(row: TouchRow, _rule: ContactHeight) -> NDArray[np.float64]:
+            return row.readable(row.intended_positions, (2,))
 
         return self._per_touch("positions", ["pos_in_cell"], positions_m)
 
     def _per_touch(
-        self, key: str, columns: Sequence[str], known: Callable[[Row, ContactHeight], NDArray[np.float64]]
+        self,
+        key: str,
+        columns: Sequence[str],
+        known: Callable[[TouchRow, ContactHeight], NDArray[np.float64]],
     ) -> NDArray[np.float64]:
         """Join what is known of the touches of each stored row, of a few columns."""
 
@@ -183,13 +175,13 @@ class TouchDataset(RecordDataset[R]):
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
         shards = self._table.shards
         of_rows = [rule for shard in shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
-        return [of_rows[row] for row in self.row_numbers.tolist()]
+        return [of_rows[row] for row in self._row_numbers.tolist()]
 
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
         """Yield stored row number and round, row by row, without opening images or clips until asked for."""
         number = 0
         # Through the stored rows in their order: each block is read once, whatever the order of the view.
-        wanted = set(self.row_numbers.tolist())
+        wanted = set(self._row_numbers.tolist())
         media = MEDIA_COLUMN[self.kind]
         for shard in self._table.shards:
             columns = [name for name in shard.schema.names if name != media]
@@ -205,7 +197,7 @@ class TouchDataset(RecordDataset[R]):
 
     def _each(self) -> Iterator[tuple[int, R]]:
         places: dict[int, list[int]] = {}
-        for place, row in enumerate(self.row_numbers.tolist()):
+        for place, row in enumerate(self._row_numbers.tolist()):
             places.setdefault(row, []).append(place)
         # A view may hold a round several times, at several places.
         for row, record in self.rounds_without_media():
@@ -291,7 +283,7 @@ class Touches(LazySequence[Touch], Generic[R]):
     @property
     def _stored_places(self) -> NDArray[np.int64]:
         """Number of each touch among all that are stored, shape (len,), int64."""
-        rows = self.dataset.row_numbers[self.round_positions]
+        rows = self.dataset._row_numbers[self.round_positions]
         places: NDArray[np.int64] = self.dataset.touch_starts[rows] + self.touch_indices
         return places
 
@@ -355,7 +347,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         if not rounds:
             return Dataset.from_dict({})
         rows = [self.dataset[place]._row for place in rounds]
-        first, total = flat_row(rows[0]), touch_total(rows[0])
+        first, total = flat_row(rows[0]), rows[0].touch_total()
         names = [
             each.name
             for each in first.schema
@@ -402,7 +394,7 @@ class Touches(LazySequence[Touch], Generic[R]):
         unknown = np.isnan(chosen)
         if unknown.any():
             position, touch = self.locate(int(np.argmax(unknown)))
-            contact_z_m(self.dataset[position]._row, self.dataset.kind, touch)  # states what is wrong
+            self.dataset[position]._row.contact_z_m(self.dataset.kind, touch)  # states what is wrong
         return chosen
 
     def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
@@ -485,7 +477,7 @@ class Touches(LazySequence[Touch], Generic[R]):
     def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
         """Return all touches except some, given as stored row and number in the round."""
         # By stored row: places in a view change with each filter.
-        rows = self.dataset.row_numbers[self.round_positions].tolist()
+        rows = self.dataset._row_numbers[self.round_positions].tolist()
         gone = set(lost)
         pairs = zip(rows, self.touch_indices.tolist(), strict=True)
         return self[np.array([pair not in gone for pair in pairs], bool)]
@@ -529,7 +521,7 @@ class Touches(LazySequence[Touch], Generic[R]):
     def _images_of(self, position: int) -> SensorImages:
         record = self.dataset[position]
         if not isinstance(record, TouchSingleRound):
-            raise missing_column(record._row, "sensor_image")
+            raise record._row.missing_column("sensor_image")
         return record.sensor_image
 
     def _stored(self, row: int) -> Touch:
@@ -605,16 +597,16 @@ def with_no_contact(
     return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
 
 
-def _row_of_each_touch(row: Row, per_touch: Collection[str]) -> Any:
+def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
     """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
     import pyarrow as pa
 
-    table, count = flat_row(row), touch_total(row)
+    table, count = flat_row(row), row.touch_total()
     columns = {}
     for name in table.column_names:
         array = table.column(name).chunk(0)
         if name in per_touch:
-            entries_of(row, name)  # refuses a round with more or less of them
+            row.entries_of(name)  # refuses a round with more or less of them
             columns[name] = array.flatten()
         else:
             columns[name] = array.take(pa.array(np.zeros(count, np.int64)))
@@ -677,13 +669,6 @@ class TouchStream:
     def label_names(self) -> tuple[str, ...]:
         """Name of each class."""
         return CLASS_NAMES if self._stated_names is None else self._stated_names
-
-    def part(self, index: int, count: int) -> TouchStream:
-        """Return every ``count``-th shard from ``index`` on, for workers that share the work."""
-        part = copy(self)
-        part.shards, part._left_out = self.shards[index::count], self._left_out[index::count]
-        part.skipped = list(part._left_out)
-        return part
 
     def touches(self) -> Touches[Any]:
         """Return the flat view: every touch of every round, in order, with random access.

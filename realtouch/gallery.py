@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import has_info
 from realtouch.dataset import TouchDataset
 from realtouch.kind import KIND
 from realtouch.media import TouchClip, evenly_spaced
@@ -125,7 +124,7 @@ def _item(
     if heights_m is not None:
         heights = np.nan_to_num(heights_m, nan=-np.inf)
         cover = max(touches, key=lambda touch: heights[touch.touch_index])
-    info = record.info if has_info(record._row) else {}
+    info = record.info if record._row.has_info() else {}
     gel = info.get("gel_id")
     touched = f"{record.object_id}" if record._row.has("object_id") else ""
     notes = [("Touches shown", f"{len(touches)} of {record.touch_count}")]

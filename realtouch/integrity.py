@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -13,24 +14,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.columns import (
-    column_of,
-    entries_of,
-    has_info,
-    int_value,
-    intended_positions,
-    label_value,
-    plain_value,
-    pose_sequences,
-    poses,
-    read_info,
-    touch_total,
-)
-from realtouch.damage import Damage, DamagedRoundError, damaged, naming, unreadable_file, unreadable_rows
+from realtouch.columns import Damage, DamagedRoundError, TouchRow
 from realtouch.media import SensorImages, TouchClip
-from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.source import manifest_beside
 from tactile_toolkit.run.threads import in_threads
@@ -126,13 +113,13 @@ def checked_rows(
     *,
     decode: bool = True,
     workers: int = 1,
-) -> Iterator[tuple[Row | None, list[Damage]]]:
+) -> Iterator[tuple[TouchRow | None, list[Damage]]]:
     """Yield all rows, in order, with what is wrong with each; None in the place of those that cannot be read.
 
     Arguments as of :func:`check_round`; what is found does not depend on the number of threads.
     """
 
-    def checked(found: Row | Damage) -> tuple[Row | None, list[Damage]]:
+    def checked(found: TouchRow | Damage) -> tuple[TouchRow | None, list[Damage]]:
         if isinstance(found, Damage):
             return None, [found]
         return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
@@ -140,19 +127,19 @@ def checked_rows(
     return in_threads(checked, _readable_rows(shards), workers)
 
 
-def _readable_rows(shards: Iterable[Shard]) -> Iterator[Row | Damage]:
+def _readable_rows(shards: Iterable[Shard]) -> Iterator[TouchRow | Damage]:
     """Yield all rows, and in the place of those that cannot be read, what is wrong with them."""
     for shard in shards:
         for index in range(shard.metadata.num_row_groups):
             try:
                 for group in shard.blocks(index):
-                    yield from (Row(group, row) for row in range(len(group.table)))
+                    yield from (TouchRow(group, row) for row in range(len(group.table)))
             except IntegrityError as error:
                 yield unreadable_rows(shard, index, error)
 
 
 def check_round(
-    row: Row,
+    row: TouchRow,
     expected_touches: int | None = None,
     *,
     decode: bool = True,
@@ -166,37 +153,37 @@ def check_round(
     found: list[Damage] = []
     noted = partial(_noted, found, row)
     with noted():
-        _ = read_info(row) if has_info(row) else None
-    for name, read in (("id", plain_value), ("object_id", int_value)):
+        _ = row.read_info() if row.has_info() else None
+    for name, read in (("id", row.plain_value), ("object_id", row.int_value)):
         if row.has(name):
             with noted():
-                read(row, name)
+                read(name)
     if row.has("label"):
         with noted():
-            label_value(row, class_names)
+            row.label_value(class_names)
     for name in filter(row.has, PER_TOUCH_COLUMNS):
         with noted():
             # A list of fixed length would hide a null.
             if not row.group.arrow(name)[row.index].is_valid:
-                raise damaged(row, name, "no values are stored")
-            entries_of(row, name)
+                raise row.damaged(name, "no values are stored")
+            row.entries_of(name)
         if found and found[-1].field == "pos_in_cell":
             return found  # nothing says how many touches there should be
-    count = touch_total(row)
+    count = row.touch_total()
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
         found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
-    kind: Kind = "seq" if row.has(MEDIA_COLUMN["seq"]) else "single"
-    has_poses = all(row.has(f"{POSE_COLUMN[kind]}.{part}") for part in ("position", "quaternion"))
-    start, stop = column_of(row, MEDIA_COLUMN[kind]).inside(0, row.index, row.index + 1)
+    kind = row.kind
+    has_poses = row.has_poses and row.has(f"{POSE_COLUMN[kind]}.quaternion")
+    start, stop = row.column_of(MEDIA_COLUMN[kind]).inside(0, row.index, row.index + 1)
     sizes: dict[int, tuple[int, ...]] = {}
     for touch in range(count):
         if row.has("pos_in_cell"):
             with noted():
-                intended_positions(row, touch)
+                row.intended_positions(touch)
         if has_poses:
             with noted():
-                _ = pose_sequences(row, touch) if kind == "seq" else poses(row, touch)
+                _ = row.pose_sequences(touch) if kind == "seq" else row.poses(touch)
         if touch < stop - start:  # where there are too few images or clips, those that are there are checked
             with noted():
                 sizes[touch] = _picture_size(row, kind, touch, decode, noted)
@@ -205,13 +192,10 @@ def check_round(
 
 
 @contextmanager
-def _noted(found: list[Damage], row: Row) -> Iterator[None]:
+def _noted(found: list[Damage], row: TouchRow) -> Iterator[None]:
     """Note what is wrong instead of raising it."""
     try:
         yield
-    # A set is not damaged because PyAV is missing here.
-    except MissingExtraError:
-        raise
     except DamagedRoundError as error:
         found.append(error.damage)
     except (InputError, IntegrityError, ValueError) as error:
@@ -220,7 +204,7 @@ def _noted(found: list[Damage], row: Row) -> Iterator[None]:
 
 
 def _picture_size(
-    row: Row, kind: Kind, touch: int, decode: bool, noted: Callable[[], Any]
+    row: TouchRow, kind: Kind, touch: int, decode: bool, noted: Callable[[], Any]
 ) -> tuple[int, ...]:
     """Return height and width of an image, or of all frames of a clip; nothing of a clip without frames."""
     if kind == "single":
@@ -232,7 +216,7 @@ def _picture_size(
         _ = clip.contact_window if timed else clip.timestamps_s
     sizes: list[tuple[int, ...]] = []
     for frame in range(len(clip)):
-        with naming(row, "sensor_video", touch, f"frame {frame}: "):
+        with row.naming("sensor_video", touch, f"frame {frame}: "):
             data = clip.encoded(frame)
             sizes.append(decode_image(data).shape[:2] if decode else image_size(data))
             if sizes[-1] != sizes[0]:
@@ -242,7 +226,7 @@ def _picture_size(
     return sizes[0] if sizes else ()
 
 
-def _odd_sizes(row: Row, sizes: dict[int, tuple[int, ...]], media: str) -> Iterator[Damage]:
+def _odd_sizes(row: TouchRow, sizes: dict[int, tuple[int, ...]], media: str) -> Iterator[Damage]:
     """List the touches whose pictures are not of the size that most of the round are of, or the first of."""
     known = {touch: size for touch, size in sizes.items() if size}
     modal = max(known.values(), key=list(known.values()).count, default=())
@@ -317,3 +301,24 @@ def find_damage(
         files.append(shard)
         start += len(shard)
     return files, np.flatnonzero(~lost), found
+
+
+def unreadable_file(path: str, error: ToolkitError) -> Damage:
+    """Return the damage of an entire file, from the error that opening it raised."""
+    words = _cause(path, error)
+    named = re.fullmatch(r"field '([^']+)': (.*)", words)
+    return Damage(path, None, None, *(named.groups() if named else ("", words)))
+
+
+def unreadable_rows(shard: Shard, index: int, error: IntegrityError) -> Damage:
+    """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
+    first, stop = shard.group_starts[index], shard.group_starts[index + 1]
+    rows = f"rows {first} to {stop - 1} cannot be read" if stop - first > 1 else "cannot be read"
+    found = _cause(shard.path, error) if error.__cause__ is None else " ".join(str(error.__cause__).split())
+    return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
+
+
+def _cause(path: str, error: ToolkitError) -> str:
+    """Return what an error says, without the file and the next step, which a list names once for all."""
+    words = " ".join(str(error).split()).partition("; next: ")[0]
+    return words.removeprefix(repr(path)).lstrip(",: ")

@@ -17,22 +17,12 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from realtouch.columns import (
-    clip_length,
-    entries_of,
-    pose_sequences,
-    stamps_s,
-    stored_clip,
-    times_of_touches,
-    touch_total,
-)
+from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod, best_of, contact_window, require_method
-from realtouch.damage import damaged, naming
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.pictures.sheets import TILE_STYLE, Sheet, Tile, figure_html, sheet
 from tactile_toolkit.read.columns import BytesColumn
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.sequence import checked_index, positions
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized, room_for
@@ -54,7 +44,7 @@ class SensorImages(Sequence[Pixels]):
 
     __slots__ = ("_blobs", "_count", "_row", "_start")
 
-    def __init__(self, row: Row) -> None:
+    def __init__(self, row: TouchRow) -> None:
         column = row.group.nested("sensor_image")
         start, stop = column.inside(0, row.index, row.index + 1)
         self._row = row
@@ -103,7 +93,7 @@ class SensorImages(Sequence[Pixels]):
         touches = positions(index, self._count).tolist()
         first = touches[0] if len(touches) else 0
         size = self.size(first) if self._count else (0, 0)
-        with naming(self._row, "sensor_image", first):
+        with self._row.naming("sensor_image", first):
             pixels = room_for(len(touches), size, out)
         self.decode_into(pixels, touches, threads=threads)
         return pixels
@@ -117,16 +107,16 @@ class SensorImages(Sequence[Pixels]):
         place = checked_index(touch, self._count, "touch", "touches")
         blob = self._blobs[self._start + place]
         if blob is None or len(blob) == 0:
-            raise damaged(self._row, "sensor_image", "no bytes are stored; expected a JPEG", place)
+            raise self._row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)
         return blob
 
     def size(self, touch: int = 0) -> tuple[int, int]:
         """Return height and width of one image from its header."""
-        with naming(self._row, "sensor_image", touch):
+        with self._row.naming("sensor_image", touch):
             return image_size(self.encoded(touch))
 
     def _decode(self, touch: int, out: Pixels | None = None) -> Pixels:
-        with naming(self._row, "sensor_image", touch):
+        with self._row.naming("sensor_image", touch):
             return decode_image(self.encoded(touch), out)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -205,7 +195,7 @@ class TouchClip(Sequence[Pixels]):
 
     Parameters
     ----------
-    row : Row
+    row : TouchRow
         The round.
     touch : int
         Number of the touch in it.
@@ -226,17 +216,17 @@ class TouchClip(Sequence[Pixels]):
 
     __slots__ = ("_avi", "_row", "data", "touch")
 
-    def __init__(self, row: Row, touch: int) -> None:
+    def __init__(self, row: TouchRow, touch: int) -> None:
         self._row, self.touch = row, touch
-        self.data = stored_clip(row, touch)
-        stated = clip_length(row, touch)
+        self.data = row.stored_clip(touch)
+        stated = row.clip_length(touch)
         try:
             self._avi = Avi(self.data)
         except ValueError as error:
-            raise damaged(row, "sensor_video", str(error), touch) from error
+            raise row.damaged("sensor_video", str(error), touch) from error
         if len(self._avi) != stated:
             problem = f"a clip of {len(self._avi)} frames; expected {stated} by 'video_length_frames'"
-            raise damaged(row, "sensor_video", problem, touch)
+            raise row.damaged("sensor_video", problem, touch)
 
     def __len__(self) -> int:
         return len(self._avi)
@@ -273,7 +263,7 @@ class TouchClip(Sequence[Pixels]):
             A frame is damaged, or they exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
         wanted = positions(index, len(self)).tolist()
-        with naming(self._row, "sensor_video", self.touch):
+        with self._row.naming("sensor_video", self.touch):
             pixels = room_for(len(wanted), self.size)
         in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
         return pixels
@@ -300,7 +290,7 @@ class TouchClip(Sequence[Pixels]):
     def size(self) -> tuple[int, int]:
         """Height and width of a frame, pixels."""
         data = self.encoded(0)
-        with naming(self._row, "sensor_video", self.touch):
+        with self._row.naming("sensor_video", self.touch):
             return image_size(data)
 
     @property
@@ -334,7 +324,7 @@ class TouchClip(Sequence[Pixels]):
         try:
             return self._avi.frame(number)
         except ValueError as error:
-            raise damaged(self._row, "sensor_video", str(error), self.touch) from error
+            raise self._row.damaged("sensor_video", str(error), self.touch) from error
 
     def decode_into(self, out: Pixels, frame: int) -> None:
         """Decode one frame into an array of its size.
@@ -354,7 +344,7 @@ class TouchClip(Sequence[Pixels]):
 
         Those stored with the round; the file's own clock in data sets without them.
         """
-        times = stamps_s(self._row, self.touch)
+        times = self._row.stamps_s(self.touch)
         return self.media_times_s if times is None else times[0]
 
     def at(self, time_s: float) -> Pixels:
@@ -374,7 +364,7 @@ class TouchClip(Sequence[Pixels]):
     @property
     def poses(self) -> Poses:
         """Pose of the gel in each frame, N poses, metres, cell frame."""
-        return pose_sequences(self._row, self.touch)[0]
+        return self._row.pose_sequences(self.touch)[0]
 
     @property
     def contact_window(self) -> slice:
@@ -425,7 +415,7 @@ class TouchClip(Sequence[Pixels]):
         try:
             return decode_image(self._avi.frame(frame), out)
         except ValueError as error:
-            raise damaged(self._row, "sensor_video", f"frame {frame}: {error}", self.touch) from error
+            raise self._row.damaged("sensor_video", f"frame {frame}: {error}", self.touch) from error
 
     def __reduce__(self) -> tuple[Any, ...]:
         return (TouchClip, (self._row, self.touch))
@@ -445,8 +435,8 @@ class SensorClips(Sequence[TouchClip]):
 
     __slots__ = ("_count", "row")
 
-    def __init__(self, row: Row) -> None:
-        _, start, stop = entries_of(row, "sensor_video")
+    def __init__(self, row: TouchRow) -> None:
+        _, start, stop = row.entries_of("sensor_video")
         self.row, self._count = row, stop - start
 
     def __len__(self) -> int:
@@ -469,7 +459,7 @@ class SensorClips(Sequence[TouchClip]):
         :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
         """
         size = self[0].size if self._count else (0, 0)
-        with naming(self.row, "sensor_video"):
+        with self.row.naming("sensor_video"):
             return room_for(count, size, out)
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -479,21 +469,21 @@ class SensorClips(Sequence[TouchClip]):
         return f"SensorClips({self._count} touches)"
 
 
-def contact_windows(row: Row, touch: int | None = None) -> list[slice]:
+def contact_windows(row: TouchRow, touch: int | None = None) -> list[slice]:
     """Return the frames of contact of every clip of a round, or of one alone: see :func:`contact_window`.
 
     Opens clips only where the times of frames are not stored. Raises IntegrityError when times are missing or
     impossible.
     """
-    times = stamps_s(row, touch)
+    times = row.stamps_s(touch)
     if times is None:
-        touches = range(touch_total(row)) if touch is None else [touch]
+        touches = range(row.touch_total()) if touch is None else [touch]
         times = [TouchClip(row, each).media_times_s for each in touches]
-    ends = (each.tolist() for each in times_of_touches(row, touch))
+    ends = (each.tolist() for each in row.times_of_touches(touch))
     return [contact_window(*each) for each in zip(times, *ends, strict=True)]
 
 
-def contact_frames_of(row: Row, method: ContactMethod, touch: int | None = None) -> list[int]:
+def contact_frames_of(row: TouchRow, method: ContactMethod, touch: int | None = None) -> list[int]:
     """Return the frame of every clip of a round, or of one, that shows the contact: by time or pose.
 
     See :meth:`TouchClip.contact_index`. Raises IntegrityError as :func:`contact_windows`, and for poses.
@@ -503,7 +493,7 @@ def contact_frames_of(row: Row, method: ContactMethod, touch: int | None = None)
         return [window.start for window in windows]
     if method == "contact_end":
         return [window.stop - 1 for window in windows]
-    pressed = zip(pose_sequences(row, touch), windows, strict=True)
+    pressed = zip(row.pose_sequences(touch), windows, strict=True)
     return [window.start + int(np.argmin(each.position_m[window, 2])) for each, window in pressed]
 
 
@@ -524,6 +514,6 @@ def decode_frames(
             decode_image(encoded[number], out[number])
         except ValueError as error:
             problem = f"frame {frames[number]}: {error}"
-            raise damaged(clips.row, "sensor_video", problem, touches[number]) from error
+            raise clips.row.damaged("sensor_video", problem, touches[number]) from error
 
     in_parallel(decode, len(encoded), threads)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from os import PathLike, fsdecode
 from typing import Any, Literal, overload
 
-from realtouch.damage import Damage
+from realtouch.columns import Damage
 from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
 from realtouch.integrity import agreeing_files, find_damage, modal_touch_count
 from realtouch.kind import KIND

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from itertools import islice
 from typing import Any
@@ -20,7 +20,7 @@ from realtouch.contact import (
     median_of,
 )
 from realtouch.dataset import Touches, with_no_contact
-from realtouch.media import TouchClip, in_parallel
+from realtouch.media import SensorImages, TouchClip, in_parallel
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError
@@ -66,17 +66,16 @@ def background(pictures: Any) -> Pixels:
 
 def _batches(pictures: Any) -> Iterator[Pixels]:
     """Yield pictures a few at a time, shape (n, H, W, 3)."""
-    if isinstance(pictures, TouchClip):
-        yield from _pieces(len(pictures), pictures.size, pictures.frames)
-    elif isinstance(pictures, TouchSingleRound):
-        images = pictures.sensor_image
-        yield from _pieces(len(images), images.size() if len(images) else (1, 1), images.batch)
+    if isinstance(pictures, TouchSingleRound):
+        pictures = pictures.sensor_image
+    if isinstance(pictures, (TouchClip, SensorImages)):
+        yield from _pieces(len(pictures), pictures.__getitem__)
     elif isinstance(pictures, TouchSeqRound):
         for clip in pictures.sensor_video:
             yield from _batches(clip)
     elif isinstance(pictures, Touches) and len(pictures):
         if isinstance(pictures[0].round, TouchSingleRound):
-            yield from _pieces(len(pictures), pictures[0].image.shape[:2], pictures.images)
+            yield from _pieces(len(pictures), pictures.images)
         else:
             for touch in pictures:
                 yield from _batches(touch.clip)
@@ -86,8 +85,8 @@ def _batches(pictures: Any) -> Iterator[Pixels]:
         yield found
 
 
-def _pieces(count: int, size: Sequence[int], read: Callable[[Any], Pixels]) -> Iterator[Pixels]:
-    length = max(1, _BATCH_BYTES // (3 * int(size[0]) * int(size[1])))
+def _pieces(count: int, read: Callable[[slice], Pixels]) -> Iterator[Pixels]:
+    length = max(1, _BATCH_BYTES // read(slice(1)).nbytes) if count else 1
     for start in range(0, count, length):
         yield read(slice(start, start + length))
 

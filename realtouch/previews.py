@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import contact_z_m, plate_z_m
 from realtouch.contact import contact_heights_m
 from realtouch.media import TouchClip, evenly_spaced, fitted, in_parallel
 from realtouch.opening import load
@@ -34,7 +33,6 @@ from tactile_toolkit.pictures.sheets import (
 )
 from tactile_toolkit.touch.contact import ContactHeight, height_text
 from tactile_toolkit.touch.jpeg import Pixels
-from tactile_toolkit.touch.schema import POSE_COLUMN, Kind
 from tactile_toolkit.wording import counted
 
 SENSING_AREA_M = (0.01888, 0.01416)
@@ -83,12 +81,10 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[Placed]:
     Where the data set stores no pose of the gel, its intended position is taken and no rotation.
     """
     placed: list[Any] = [None] * len(touches)
-    kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
-    has_poses = record._row.has(f"{POSE_COLUMN[kind]}.position")
 
     def read(number: int) -> None:
         touch = Touch(record, int(touches[number]))
-        if not has_poses:
+        if not record._row.has_poses:
             centre_m = np.asarray(touch.pos_in_cell_m, np.float64)
             placed[number] = Placed(touch.image, centre_m, np.diag([1.0, -1.0]))
             return
@@ -303,11 +299,10 @@ def timeline(count: int, contact: slice, shown: tuple[int, ...], width_px: int) 
 
 def draw_grid(record: TouchRound, most: int) -> Pixels:
     """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
-    kind: Kind = "seq" if isinstance(record, TouchSeqRound) else "single"
-    heights_m = None
-    if record._row.has(f"{POSE_COLUMN[kind]}.position"):
-        rule = ContactHeight.of(record._row.group.names)
-        heights_m = contact_heights_m(contact_z_m(record._row, kind), plate_z_m=plate_z_m(record._row))
+    row, heights_m = record._row, None
+    if row.has_poses:
+        rule = ContactHeight.of(row.group.names)
+        heights_m = contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m())
     tiles = []
     for touch in evenly_spaced(record.touch_count, most):
         caption, frame = f"{touch}", None

@@ -12,21 +12,8 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import (
-    clip_lengths,
-    entries_of,
-    frame_times,
-    int_value,
-    intended_positions,
-    plain_value,
-    pose_sequences,
-    poses,
-    read_info,
-    touch_durations,
-    touch_total,
-)
+from realtouch.columns import TouchRow
 from realtouch.contact import require_method
-from realtouch.damage import missing_column
 from realtouch.media import (
     MOST_TILES,
     SensorClips,
@@ -43,7 +30,7 @@ from realtouch.media import (
 from realtouch.poses import Poses, PoseSequences
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup, column_names
-from tactile_toolkit.read.dataset import Record, Row
+from tactile_toolkit.read.dataset import Record
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.jpeg import Pixels
@@ -81,7 +68,7 @@ class GroupWithoutMedia(RowGroup):
         return self.shard.block(self.index, self.block)
 
 
-class RowWithoutMedia(Row):
+class RowWithoutMedia(TouchRow):
     """A row of a :class:`GroupWithoutMedia`; pickles with all its columns."""
 
     __slots__ = ()
@@ -90,9 +77,9 @@ class RowWithoutMedia(Row):
         return _whole_row(self).__reduce__()
 
 
-def _whole_row(row: Row) -> Row:
+def _whole_row(row: TouchRow) -> TouchRow:
     """Return a row of which all columns are in its table."""
-    return Row(row.group.whole(), row.index) if isinstance(row.group, GroupWithoutMedia) else row
+    return TouchRow(row.group.whole(), row.index) if isinstance(row.group, GroupWithoutMedia) else row
 
 
 class TouchRound(Record):
@@ -103,31 +90,32 @@ class TouchRound(Record):
     """
 
     __slots__ = ()
+    _row: TouchRow
 
     @property
     def id(self) -> str:
         """Name of the round, such as ``2023-09-28_15-50-43_7-0``."""
-        return str(plain_value(self._row, "id"))
+        return str(self._row.plain_value("id"))
 
     @property
     def label(self) -> int:
         """Class of the object; the digit, 0 to 9, in the MNIST sets."""
-        return self._once("label", lambda: int_value(self._row, "label"))
+        return self._once("label", lambda: self._row.int_value("label"))
 
     @property
     def object_id(self) -> int:
         """Id of the touched mesh in its data set of meshes."""
-        return self._once("object_id", lambda: int_value(self._row, "object_id"))
+        return self._once("object_id", lambda: self._row.int_value("object_id"))
 
     @property
     def info(self) -> dict[str, Any]:
         """Metadata such as ``gel_id`` and notes, unflattened, with poses; a dict of the caller."""
-        return dict(self._once("info", lambda: read_info(self._row)))
+        return dict(self._once("info", lambda: self._row.read_info()))
 
     @property
     def pos_in_cell_m(self) -> NDArray[np.floating]:
         """Intended positions, shape (T, 2), metres, cell frame; a read-only view."""
-        return intended_positions(self._row)
+        return self._row.intended_positions()
 
     @property
     def pos_in_cell(self) -> NDArray[np.floating]:
@@ -137,14 +125,14 @@ class TouchRound(Record):
     @property
     def touch_count(self) -> int:
         """T, the number of touches."""
-        return touch_total(self._row)
+        return self._row.touch_total()
 
     def with_touches(self, touches: Sequence[int]) -> Self:
         """Return a round of some of the touches, in the order given; a copy of their stored bytes."""
         row = _whole_row(self._row)
         table = flat_row(row)
         chosen = take_touches(table, touches, self.touch_count)
-        return type(self)(Row(RowGroup(chosen, row.path, row.number), 0))
+        return type(self)(TouchRow(RowGroup(chosen, row.path, row.number), 0))
 
     def describe_field(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
         """Return a field as text for people; None without such a column."""
@@ -192,14 +180,14 @@ class TouchSingleRound(TouchRound):
     @property
     def gel_pose_cell_frame(self) -> Poses:
         """Pose of the gel at contact, T poses; their arrays are views."""
-        return self._once("gel_pose_cell_frame", lambda: poses(self._row))
+        return self._once("gel_pose_cell_frame", lambda: self._row.poses())
 
     @property
     def sensor_image(self) -> SensorImages:
         """Images, T of them, decoded on demand: int -> (H, W, 3) uint8, else (n, H, W, 3)."""
 
         def images() -> SensorImages:
-            entries_of(self._row, "sensor_image")  # refuses a round with more or less than T images
+            self._row.entries_of("sensor_image")  # refuses a round with more or less than T images
             return SensorImages(self._row)
 
         return self._once("sensor_image", images)
@@ -219,27 +207,27 @@ class TouchSeqRound(TouchRound):
     @property
     def video_length_frames(self) -> NDArray[np.int64]:
         """Number of frames of each clip, shape (T,), int64."""
-        return clip_lengths(self._row)
+        return self._row.clip_lengths()
 
     @property
     def gel_pose_cell_frame_seq(self) -> PoseSequences:
         """Pose of the gel in each frame: T sequences of N_i poses; their arrays are views."""
-        return self._once("gel_pose_cell_frame_seq", lambda: pose_sequences(self._row))
+        return self._once("gel_pose_cell_frame_seq", lambda: self._row.pose_sequences())
 
     @property
     def time_stamp_rel_seq(self) -> tuple[NDArray[np.timedelta64], ...]:
         """Time stamp of each frame: T arrays of ``timedelta64``, shapes (N_i,)."""
-        return self._once("time_stamp_rel_seq", lambda: frame_times(self._row))
+        return self._once("time_stamp_rel_seq", lambda: self._row.frame_times())
 
     @property
     def touch_start_time_rel(self) -> NDArray[np.timedelta64]:
         """Time of first registered contact, shape (T,), ``timedelta64``."""
-        return touch_durations(self._row, "touch_start_time_rel")
+        return self._row.touch_durations("touch_start_time_rel")
 
     @property
     def touch_end_time_rel(self) -> NDArray[np.timedelta64]:
         """Time of last registered contact, shape (T,), ``timedelta64``."""
-        return touch_durations(self._row, "touch_end_time_rel")
+        return self._row.touch_durations("touch_end_time_rel")
 
     @property
     def sensor_video(self) -> SensorClips:
@@ -316,7 +304,6 @@ def touch_id(round_id: str, touch_index: int) -> str:
     return f"{round_id}_{touch_index:03d}"
 
 
-@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Touch:
     """One touch of a round; frozen, fields are read when asked for.
 
@@ -333,14 +320,18 @@ class Touch:
     holds this one touch.
     """
 
+    __slots__ = ("_index_in_row", "round", "touch_index")
     round: TouchRound
     touch_index: int
-    _place: int | None = None
-    """Place in the row, where that is another: a row may hold this touch alone."""
+    _index_in_row: int
 
-    @property
-    def _index_in_row(self) -> int:
-        return self.touch_index if self._place is None else self._place
+    def __init__(self, round: TouchRound, touch_index: int, index_in_row: int | None = None) -> None:
+        object.__setattr__(self, "round", round)
+        object.__setattr__(self, "touch_index", touch_index)
+        object.__setattr__(self, "_index_in_row", touch_index if index_in_row is None else index_in_row)
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"Touch is frozen; {name!r} cannot be set")
 
     @property
     def id(self) -> str:
@@ -365,7 +356,7 @@ class Touch:
     @property
     def pos_in_cell_m(self) -> NDArray[np.floating]:
         """Intended position, shape (2,), metres, cell frame."""
-        position: NDArray[np.floating] = intended_positions(self.round._row, self._index_in_row)[0]
+        position: NDArray[np.floating] = self.round._row.intended_positions(self._index_in_row)[0]
         return position
 
     @property
@@ -376,9 +367,9 @@ class Touch:
         """
         row, touch = self.round._row, self._index_in_row
         if isinstance(self.round, TouchSingleRound):
-            return poses(row, touch)[0]
+            return row.poses(touch)[0]
         (frame,) = contact_frames_of(row, "contact_end", touch)
-        return pose_sequences(row, touch)[0][frame]
+        return row.pose_sequences(touch)[0][frame]
 
     @property
     def image(self) -> Pixels:
@@ -395,7 +386,7 @@ class Touch:
             The data set holds images.
         """
         if not isinstance(self.round, TouchSeqRound):
-            raise missing_column(self.round._row, "sensor_video")
+            raise self.round._row.missing_column("sensor_video")
         return self.round.sensor_video[self._index_in_row]
 
     def _alone(self) -> Touch:

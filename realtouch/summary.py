@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.columns import clip_length
 from realtouch.dataset import TouchDataset, Touches
 from realtouch.rounds import TouchRound
 from tactile_toolkit.errors import InputError
@@ -120,10 +119,10 @@ def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
     dataset = touches.dataset
     if dataset.kind == "single":
         return None
-    rows = dataset.row_numbers[touches.round_positions].tolist()
+    rows = dataset._row_numbers[touches.round_positions].tolist()
     shown = set(zip(rows, touches.touch_indices.tolist(), strict=True))
     lengths = [
-        clip_length(record._row, touch)
+        record._row.clip_length(touch)
         for row, record in dataset.rounds_without_media()
         for touch in range(record.touch_count)
         if (row, touch) in shown

@@ -7,9 +7,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
-from realtouch.columns import plain_value, stored_rows, touch_total
+from realtouch.columns import Damage, TouchRow, stored_rows
 from realtouch.convert.plan import files_of
-from realtouch.damage import Damage
 from realtouch.integrity import (
     agreeing_files,
     checked_rows,
@@ -21,7 +20,6 @@ from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.catalog.locate import folder_named, splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_names
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
@@ -126,7 +124,7 @@ def verify(
                 rounds += 1
                 findings += _repeated_id(row, seen)
                 with suppress(InputError, IntegrityError):
-                    touches += touch_total(row)
+                    touches += row.touch_total()
                 on_progress(rounds, total)
     # Files of the Hub were compared when they came.
     given = (place,) if isinstance(place, str) else place
@@ -225,9 +223,9 @@ def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
     ]
 
 
-def _repeated_id(row: Row, seen: dict[str, str]) -> list[Damage]:
+def _repeated_id(row: TouchRow, seen: dict[str, str]) -> list[Damage]:
     try:
-        name = str(plain_value(row, "id"))
+        name = str(row.plain_value("id"))
     except (InputError, IntegrityError):  # there are none, or it is named with the other fields
         return []
     here = f"{row.path!r}, row {row.number}"

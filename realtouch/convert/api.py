@@ -14,6 +14,8 @@ import operator
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
+from operator import itemgetter
 from os import PathLike
 from typing import Any, Literal, SupportsIndex, Unpack
 
@@ -21,17 +23,7 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.columns import (
-    contact_z_m,
-    int_value,
-    intended_positions,
-    plain_value,
-    plate_z_m,
-    pose_sequences,
-    poses,
-    touch_total,
-    vectors,
-)
+from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod, difference, require_method
 from realtouch.convert.plan import (
     Conversion,
@@ -43,9 +35,9 @@ from realtouch.convert.plan import (
     first_rows,
     marked_repetitions,
     require_limit,
+    table_of,
     write_changed,
 )
-from realtouch.damage import damaged
 from realtouch.dataset import dataset_of
 from realtouch.media import SensorClips, SensorImages, TouchClip
 from realtouch.poses import Poses
@@ -55,7 +47,6 @@ from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import class_names, column_types
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -72,10 +63,8 @@ from tactile_toolkit.touch.jpeg import (
 )
 from tactile_toolkit.touch.schema import (
     CLASS_NAMES,
-    MEDIA_COLUMN,
     MEDIA_TYPE,
     POSE_COLUMN,
-    Kind,
     bytes_lists,
     column_type,
     flat_row,
@@ -293,14 +282,13 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
     if "per_class" in options and len(dataset):
         ((_, _, rows_kept),) = choose_rows([("", dataset)], per_class=options["per_class"])
         dataset = dataset[rows_kept]
-    rows = dataset.row_numbers.tolist()
+    rows = dataset._row_numbers.tolist()
     if not options["contact"]:
         return list(map(RowChoice, rows))[:limit]
     touches = dataset.touches().with_contact(options["min_height_m"], options["recalibrate_z"])
-    kept: dict[int, list[int]] = {}
-    for position, touch in zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True):
-        kept.setdefault(position, []).append(touch)
-    return [RowChoice(rows[position], tuple(kept[position])) for position in sorted(kept)][:limit]
+    places = zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True)
+    kept = groupby(sorted(places), key=itemgetter(0))
+    return [RowChoice(rows[place], tuple(touch for _, touch in group)) for place, group in kept][:limit]
 
 
 def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> int | tuple[int, ...]:
@@ -393,18 +381,17 @@ class Shown:
         return self.images[self.place]
 
 
-def shown_touches(row: Row, method: ContactMethod) -> Iterator[Shown]:
+def shown_touches(row: TouchRow, method: ContactMethod) -> Iterator[Shown]:
     """Yield the picture of each touch of a round: its image, or the frame of its clip by some method."""
-    if row.has(MEDIA_COLUMN["single"]):
+    if row.kind == "single":
         images = TouchSingleRound(row).sensor_image
-        at = poses(row) if row.has(f"{_POSE}.position") else None
+        at = row.poses() if row.has_poses else None
         for touch in range(len(images)):
             yield Shown(touch, 0, images, touch, _pose_values(at, touch))
         return
-    has_poses = row.has(f"{_POSE_SEQUENCE}.position")
     for touch, clip in enumerate(SensorClips(row)):
         frame = clip.contact_index(method)
-        at = pose_sequences(row, touch)[0] if has_poses else None
+        at = row.pose_sequences(touch)[0] if row.has_poses else None
         yield Shown(touch, frame, clip, frame, _pose_values(at, frame))
 
 
@@ -455,7 +442,7 @@ class TakeContactFrames:
             ]
         )
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Take a frame of each clip of a row; its JPEG passes through as it is stored."""
         flat = flat_row(row)
         schema = self.schema(flat.schema)
@@ -471,7 +458,7 @@ class TakeContactFrames:
             name = f"{_POSE}.{part}"
             made[name] = number_lists([values], schema.field(name).type)
         if row.has("pos_in_cell"):
-            vectors(row, "pos_in_cell", 2)  # checked here, passed through below
+            row.vectors("pos_in_cell", 2)  # checked here, passed through below
         columns = [made[name] if name in made else flat.column(name) for name in schema.names]
         return pa.table(columns, schema=schema), {}
 
@@ -488,7 +475,7 @@ class ResizeMedia:
         """Return the schema of the source: only the pixels change."""
         return source
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Resize the images or clips of a row; one of the wanted size already passes through untouched."""
         size = (self.height, self.width)
         if row.has("sensor_image"):
@@ -535,18 +522,17 @@ class KeepTouches:
             fields.append(pa.field(PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Pass a row on, with the touches chosen; no image or clip is decoded."""
         flat = flat_row(row)
         if choice.touches is None:
             return flat, {}
-        kept = take_touches(flat, choice.touches, touch_total(row))
+        kept = take_touches(flat, choice.touches, row.touch_total())
         if row.has(PLATE_COLUMN):
             return kept, {}
-        kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
-        plate_m = plate_z_m(row)
+        plate_m = row.plate_z_m()
         if math.isnan(plate_m):
-            plate_m = contact_z_m(row, kind).min(initial=np.inf)
+            plate_m = row.contact_z_m(row.kind).min(initial=np.inf)
         return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}
 
 
@@ -569,20 +555,20 @@ _INDEX_SCHEMA = pa.schema(
 )
 
 
-def columns_of_touches(row: Row, shown: Sequence[Shown], names: Sequence[str]) -> dict[str, Any]:
+def columns_of_touches(row: TouchRow, shown: Sequence[Shown], names: Sequence[str]) -> dict[str, Any]:
     """Return what a table says of the touches of a round, by column; only of what the source stores."""
-    label, count = int_value(row, "label"), len(shown)
+    label, count = row.int_value("label"), len(shown)
     columns: dict[str, Any] = {
         "label": np.full(count, label),
         "label_name": [names[label] if label < len(names) else None] * count,
-        "round_id": [str(plain_value(row, "id"))] * count,
+        "round_id": [str(row.plain_value("id"))] * count,
         "touch": np.arange(count),
         "frame": [each.frame for each in shown],
     }
     if row.has("object_id"):
-        columns["object_id"] = np.full(count, int_value(row, "object_id"))
+        columns["object_id"] = np.full(count, row.int_value("object_id"))
     if row.has("pos_in_cell"):
-        columns |= dict(zip(POSITION_COLUMNS, intended_positions(row).T, strict=True))
+        columns |= dict(zip(POSITION_COLUMNS, row.intended_positions().T, strict=True))
     found = [each.pose for each in shown if each.pose is not None]
     if len(found) == count:
         columns |= dict(zip(POSE_COLUMNS, np.reshape(found, (count, 7)).T, strict=True))
@@ -607,7 +593,7 @@ class WritePictures:
         named = pa.field("label_name", pa.string())
         return _INDEX_SCHEMA if self.names == CLASS_NAMES else _INDEX_SCHEMA.append(named)
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Return the lines of the index of a row, and its pictures.
 
         A row with a damaged touch, or whose id cannot name a folder of its own, is left out with all of its
@@ -627,10 +613,7 @@ class WritePictures:
             "file": list(files),
             "sha256": list(map(sha256_hex, files.values())),
         }
-        nulls = [None] * len(shown)
-        schema = self.schema(None)
-        rows = [pa.array(columns.get(each.name, nulls), each.type) for each in schema]
-        return pa.table(rows, schema=schema), files
+        return table_of(self.schema(None), columns), files
 
     def _encoded(self, shown: Shown, base: Pixels | None) -> bytes:
         """Return the file of a picture, which is decoded in any case: what is passed on must be intact."""
@@ -643,13 +626,13 @@ class WritePictures:
         return encode_image(pixels, self.kind)
 
 
-def _folder_name(row: Row) -> str:
+def _folder_name(row: TouchRow) -> str:
     """Return the id of a round as the name of its folder: one that leads nowhere else on any system."""
-    name = str(plain_value(row, "id"))
+    name = str(row.plain_value("id"))
     problem = "has slashes" if "/" in name else problem_of_name(name)
     if problem:
         shown = name if len(name) <= 80 else f"{name[:80]}..."
-        raise damaged(row, "id", f"{shown!r} cannot name a folder: it {problem}")
+        raise row.damaged("id", f"{shown!r} cannot name a folder: it {problem}")
     return name
 
 

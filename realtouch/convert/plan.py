@@ -9,7 +9,7 @@ from __future__ import annotations
 import operator
 from bisect import bisect_right
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import accumulate, chain
 from os import PathLike, fspath
@@ -18,14 +18,12 @@ from typing import Any, NamedTuple, Protocol, Unpack
 import pyarrow as pa
 
 from realtouch.card import origin_of, write_card
-from realtouch.columns import require_touches
-from realtouch.damage import damaged
+from realtouch.columns import TouchRow
 from realtouch.dataset import dataset_of
 from realtouch.opening import open_shards, place_of
 from tactile_toolkit.catalog.locate import splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.columns import class_names, column_types
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
 from tactile_toolkit.run.threads import in_threads
@@ -148,7 +146,7 @@ class Step(Protocol):
         """Return the flat schema that it writes, for the flat schema that it reads."""
         ...
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Return the new rows as a table of that schema, with files where it makes some.
 
         A row that raises IntegrityError is left out and listed.
@@ -207,9 +205,9 @@ class _ConvertShard:
             try:
                 if choice.is_repeated:
                     problem = f"{row.value('id')!r} stands in an earlier round of split {self.shard.split!r}"
-                    raise damaged(row, "id", f"{problem} too; expected ids that differ")
+                    raise row.damaged("id", f"{problem} too; expected ids that differ")
                 # Here for all steps: one that copies a column would pass on what it never looked at.
-                require_touches(row)
+                row.require_touches()
                 made, beside = self.step.apply(row, choice, self.shard.split)
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
                 tables.append(made.cast(self.schema))
@@ -225,9 +223,9 @@ class _ConvertShard:
             files |= packed
         return ShardContent(kept.combine_chunks(), tuple(skipped), files=files)
 
-    def _rows(self) -> Iterator[tuple[RowChoice, Row]]:
+    def _rows(self) -> Iterator[tuple[RowChoice, TouchRow]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
-        # Row groups without a chosen row are not read at all.
+        # TouchRow groups without a chosen row are not read at all.
         wanted = {choice.row: choice for choice in self.choices}
         first, last = min(wanted), max(wanted)
         start = self.start
@@ -239,7 +237,7 @@ class _ConvertShard:
                     for position in range(len(group.table)):
                         number = start + group.first_row + position
                         if number in wanted:
-                            yield wanted[number], Row(group, position)
+                            yield wanted[number], TouchRow(group, position)
             start += len(shard)
 
 
@@ -386,6 +384,25 @@ def _are_current(folder: DataFolder, record: ShardRecord, reads: bool) -> bool:
 def checksums(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
     """Return the checksum of each file that the shards name, for the manifest."""
     return {path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record).items()}
+
+
+def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collection[str]]]) -> pa.Schema:
+    """Return those of the wanted columns that a source can fill.
+
+    With the type of each stand columns of the source, of which one is needed; without any it is always there.
+    """
+    known = column_types(source)
+    return pa.schema(
+        (name, data_type)
+        for name, (data_type, needed) in wanted.items()
+        if not needed or any(each in known for each in needed)
+    )
+
+
+def table_of(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
+    """Return the columns of a schema as a table; those that are not given have no values."""
+    unknown = [None] * len(columns["id"])
+    return pa.table([pa.array(columns.get(each.name, unknown), each.type) for each in schema], schema=schema)
 
 
 def write_changed(folder: DataFolder, path: str, content: bytes) -> str:

@@ -15,8 +15,7 @@ import pyarrow as pa
 from realtouch.convert.plan import Made, with_files, write_changed
 from realtouch.exchange.flat import IMAGE
 from realtouch.exchange.flat import plan as plan_rows
-from realtouch.exchange.images import as_jpeg, background_of
-from realtouch.exchange.items import HERE, Item, size_below
+from realtouch.exchange.items import HERE, Item, as_jpeg, background_of, size_below
 from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.read.parquet import Shard

@@ -16,7 +16,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from importlib import import_module
 from os import PathLike, fspath
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, Literal, Unpack, get_args
 
 import numpy as np
@@ -25,11 +25,12 @@ import pyarrow as pa
 from realtouch.card import write_card
 from realtouch.contact import require_method
 from realtouch.convert.plan import KIND, Conversion, JobOptions, Source, convert, first_rows
-from realtouch.exchange.images import require_intact
-from realtouch.exchange.items import NUMBERED, Item, contents_of
+from realtouch.exchange.items import NUMBERED, Item, contents_of, require_intact
 from realtouch.poses import bad_pose
 from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.source import refuse_source
 from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, ShardContent
@@ -181,7 +182,11 @@ def import_images(
     format_of(layout, get_args(ImportLayout))
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
-    _refuse_inside(folder, home)
+    if not home.exists():
+        raise InputError(
+            f"{home.address()!r} does not exist; expected a folder of images or tars", next="check the name"
+        )
+    refuse_source(folder, home.address(), [Shard(home.address("any file"))])
     chosen = columns or ImportColumns()
     items = _items(home, layout, chosen, table)
     known = dict.fromkeys(name for item in items for name in item.fields)
@@ -201,23 +206,6 @@ def _items(home: DataFolder, layout: str, columns: ImportColumns, table: str | N
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected images")
     return items
-
-
-def _refuse_inside(folder: DataFolder, home: DataFolder) -> None:
-    if not home.exists():
-        raise InputError(
-            f"{home.address()!r} does not exist; expected a folder of images or tars", next="check the name"
-        )
-    out, source = (
-        Path(each.address()).resolve() if each.is_local else PurePosixPath(each.address())
-        for each in (folder, home)
-    )
-    if out.is_relative_to(source) or source.is_relative_to(out):
-        raise InputError(
-            f"{folder.address()!r}, the folder to write, is, holds or lies in the source {home.address()!r}; "
-            "nothing was changed",
-            next="choose a folder outside it",
-        )
 
 
 def _plan(

@@ -14,27 +14,14 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.columns import (
-    entries_of,
-    int_value,
-    intended_positions,
-    label_value,
-    plain_value,
-    pose_sequences,
-    poses,
-    stamps_s,
-    stored_rows,
-    touch_total,
-)
-from realtouch.convert.plan import Choices, Made, RowChoice, Source
-from realtouch.damage import naming
-from realtouch.exchange.images import image_column, require_intact
+from realtouch.columns import TouchRow, stored_rows
+from realtouch.convert.plan import Choices, Made, RowChoice, Source, schema_of, table_of
+from realtouch.exchange.items import image_column, require_intact
 from realtouch.media import SensorImages, TouchClip
 from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, column_type
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
@@ -62,7 +49,7 @@ class Episodes:
     def of(cls, source: Source, split: str) -> Episodes:
         """Look at the first image of a split: all are to be of its size."""
         names = class_names(source.schema, CLASS_NAMES)
-        row = next(filter(touch_total, stored_rows(source.shards[split])), None)
+        row = next(filter(TouchRow.touch_total, stored_rows(source.shards[split])), None)
         if row is None:
             raise InputError(
                 f"{source.name!r} has no touches in split {split!r}", next="choose another split"
@@ -87,17 +74,13 @@ class Episodes:
             "timestamp": (pa.float32(), ("id",)),
             "frame_index": (pa.int64(), ("id",)),
         }
-        return pa.schema(
-            (name, data_type)
-            for name, (data_type, columns) in wanted.items()
-            if any(column_type(source, each) is not None for each in columns)
-        )
+        return schema_of(source, wanted)
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
-        name, label = str(plain_value(row, "id")), label_value(row, self.names)
-        object_id = int_value(row, "object_id") if row.has("object_id") else 0
-        places = intended_positions(row) if row.has("pos_in_cell") else None
+        name, label = str(row.plain_value("id")), row.label_value(self.names)
+        object_id = row.int_value("object_id") if row.has("object_id") else 0
+        places = row.intended_positions() if row.has("pos_in_cell") else None
         schema = self.schema(row.group.table.schema)
         tables = [schema.empty_table()]
         for touch, images, columns in self._episodes(row):
@@ -117,30 +100,29 @@ class Episodes:
                 "timestamp": (np.arange(count) / self.fps).astype(np.float32),
                 "frame_index": np.arange(count),
             }
-            arrays = [pa.array(columns[each.name], each.type) for each in schema]
-            tables.append(pa.table(arrays, schema=schema))
+            tables.append(table_of(schema, columns))
         return pa.concat_tables(tables), {}
 
-    def _episodes(self, row: Row) -> Iterator[tuple[int | None, list[Any], dict[str, Any]]]:
+    def _episodes(self, row: TouchRow) -> Iterator[tuple[int | None, list[Any], dict[str, Any]]]:
         """Yield each episode: its touch (None: all of the round), its images, and poses and times."""
         if row.has("sensor_image"):
-            entries_of(row, "sensor_image")
+            row.entries_of("sensor_image")
             stored = SensorImages(row)
             if len(stored):
                 images = [stored.encoded(touch) for touch in range(len(stored))]
-                yield None, images, {STATE: _states(poses(row))} if row.has(_POSES["single"]) else {}
+                yield None, images, {STATE: _states(row.poses())} if row.has(_POSES["single"]) else {}
             return
-        for touch in range(touch_total(row)):
+        for touch in range(row.touch_total()):
             clip, columns = TouchClip(row, touch), dict[str, Any]()
             if row.has(_POSES["seq"]):
-                columns[STATE] = _states(pose_sequences(row, touch)[0])
-            times_s = stamps_s(row, touch)
+                columns[STATE] = _states(row.pose_sequences(touch)[0])
+            times_s = row.stamps_s(touch)
             if times_s is not None:
                 columns[TIME] = times_s[0].astype(np.float32)
             yield touch, [clip.encoded(frame) for frame in range(len(clip))], columns
 
-    def _require_size(self, row: Row, touch: int, image: bytes | memoryview) -> None:
-        with naming(row, MEDIA_COLUMN["single" if row.has("sensor_image") else "seq"], touch):
+    def _require_size(self, row: TouchRow, touch: int, image: bytes | memoryview) -> None:
+        with row.naming(MEDIA_COLUMN[row.kind], touch):
             height, width = require_intact(image)
         if (height, width) != self.size:
             raise InputError(

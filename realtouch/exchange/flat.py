@@ -6,13 +6,13 @@ Formats whose unit is a touch pack these rows; of clips, a touch shows one frame
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import pyarrow as pa
 
-from realtouch.columns import label_value
+from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod
 from realtouch.convert.api import columns_of_touches, shown_touches
 from realtouch.convert.plan import (
@@ -24,16 +24,16 @@ from realtouch.convert.plan import (
     Source,
     checksums,
     marked_repetitions,
+    schema_of,
+    table_of,
 )
-from realtouch.damage import damaged, naming
-from realtouch.exchange.images import image_column, require_intact
+from realtouch.exchange.items import image_column, require_intact
 from realtouch.rounds import touch_id
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN, Kind, column_type
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN
 
 IMAGE = "image"
 
@@ -84,42 +84,36 @@ class _Touches:
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return plain columns: of what the source says, and nothing that it does not."""
-        has_object, has_position, *poses = (
-            column_type(source, name) is not None
-            for name in ("object_id", "pos_in_cell", *(f"{name}.position" for name in POSE_COLUMN.values()))
-        )
-        return pa.schema(
-            [
-                ("id", pa.string()),
-                (IMAGE, MEDIA_TYPE),
-                ("label", pa.int64()),
-                ("label_name", pa.string()),
-                *([("object_id", pa.int64())] if has_object else []),
-                ("round_id", pa.string()),
-                ("touch", pa.int64()),
-                ("frame", pa.int64()),
-                *((each, pa.float64()) for each in POSITION_COLUMNS if has_position),
-                *((each, pa.float64()) for each in POSE_COLUMNS if any(poses)),
-            ]
-        )
+        poses = [f"{name}.position" for name in POSE_COLUMN.values()]
+        wanted: dict[str, tuple[pa.DataType, Sequence[str]]] = {
+            "id": (pa.string(), ()),
+            IMAGE: (MEDIA_TYPE, ()),
+            "label": (pa.int64(), ()),
+            "label_name": (pa.string(), ()),
+            "object_id": (pa.int64(), ("object_id",)),
+            "round_id": (pa.string(), ()),
+            "touch": (pa.int64(), ()),
+            "frame": (pa.int64(), ()),
+            **dict.fromkeys(POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
+            **dict.fromkeys(POSE_COLUMNS, (pa.float64(), poses)),
+        }
+        return schema_of(source, wanted)
 
-    def apply(self, row: Row, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Return the touches of a row; one damaged touch leaves the round out, so that none is half there."""
-        label_value(row, self.names)
+        row.label_value(self.names)
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)
         name = str(row.value("id"))
         if _NAME.fullmatch(name) is None:
             problem = f"{name[:80]!r} cannot name files; expected letters, digits, '-' and '_'"
-            raise damaged(row, "id", problem)
-        kind: Kind = "single" if row.has(MEDIA_COLUMN["single"]) else "seq"
+            raise row.damaged("id", problem)
         images: list[Any] = []
         for each in shown:
             images.append(each.stored)
-            where = f"frame {each.frame}: " if kind == "seq" else ""
-            with naming(row, MEDIA_COLUMN[kind], each.touch, where):
+            where = f"frame {each.frame}: " if row.kind == "seq" else ""
+            with row.naming(MEDIA_COLUMN[row.kind], each.touch, where):
                 require_intact(images[-1])
         columns["id"] = [touch_id(name, each.touch) for each in shown]
         columns[IMAGE] = image_column(images, columns["id"])
-        schema = self.schema(row.group.table.schema)
-        return pa.table([pa.array(columns[each.name], each.type) for each in schema], schema=schema), {}
+        return table_of(self.schema(row.group.table.schema), columns), {}

@@ -18,8 +18,7 @@ from realtouch.convert.plan import Made, checksums, with_files, write_changed
 from realtouch.exchange import webdataset
 from realtouch.exchange.flat import IMAGE
 from realtouch.exchange.flat import plan as plan_rows
-from realtouch.exchange.images import as_jpeg
-from realtouch.exchange.items import Item
+from realtouch.exchange.items import Item, as_jpeg
 from realtouch.spec import POSE_COLUMNS, ImportColumns
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder

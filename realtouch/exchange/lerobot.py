@@ -31,7 +31,7 @@ from realtouch.convert.plan import (
 )
 from realtouch.dataset import dataset_of
 from realtouch.exchange.episodes import IMAGE, Episodes, only_split
-from realtouch.exchange.images import decoded
+from realtouch.exchange.items import decoded
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder

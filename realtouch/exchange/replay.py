@@ -27,8 +27,7 @@ from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import Choices, Conversion, Source
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
-from realtouch.exchange.images import decoded
-from realtouch.exchange.items import Item
+from realtouch.exchange.items import Item, decoded
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.read.parquet import Shard

@@ -20,8 +20,7 @@ from pyarrow import csv as arrow_csv
 from realtouch.convert.plan import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import IMAGE
 from realtouch.exchange.flat import plan as plan_rows
-from realtouch.exchange.images import background_of
-from realtouch.exchange.items import Item, read_table
+from realtouch.exchange.items import Item, background_of, read_table
 from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder

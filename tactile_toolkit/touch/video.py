@@ -42,7 +42,7 @@ class Avi:
             raise ValueError(
                 f"an AVI cut short: {len(data):,} bytes are there; expected {end:,} by its header"
             )
-        self.data = data
+        self.data, self.fps = data, 0.0
         parts: dict[bytes, tuple[int, int]] = {}
         stream, number, position = None, -1, _RIFF.size
         while position + _CHUNK.size <= end:

@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.columns import contact_z_m
 from tactile_toolkit.errors import InputError, IntegrityError
 from tests.processes import printed_by
 from tests.realtouch import factories
@@ -64,7 +63,7 @@ def test_every_field_of_clips(layout: Layout, truth: list[RoundTruth], tmp_path:
         starts = record.touch_start_time_rel / np.timedelta64(1, "s")
         np.testing.assert_allclose(starts, [t.time_s[t.contact_start] for t in expected.touches], atol=1e-9)
         np.testing.assert_allclose(
-            contact_z_m(record._row, "seq"), [t.position_m[:, 2].min() for t in expected.touches]
+            record._row.contact_z_m("seq"), [t.position_m[:, 2].min() for t in expected.touches]
         )
 
 

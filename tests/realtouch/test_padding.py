@@ -9,10 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.columns import contact_z_m, pose_sequences
+from realtouch.columns import TouchRow
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import RowGroup
-from tactile_toolkit.read.dataset import Row
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 
@@ -40,11 +39,11 @@ def test_padding_to_a_length_that_the_schema_states_is_no_frame_either(
 
 def test_lengths_that_are_not_stated_are_named(seq_folder: Path) -> None:
     group = realtouch.load(seq_folder, "train")[0]._row.group
-    row = Row(RowGroup(group.table.drop_columns(["video_length_frames"])), 0)
+    row = TouchRow(RowGroup(group.table.drop_columns(["video_length_frames"])), 0)
     for ask in (
-        pose_sequences,
-        lambda row: pose_sequences(row, 0),
-        lambda row: contact_z_m(row, "seq"),
+        TouchRow.pose_sequences,
+        lambda row: row.pose_sequences(0),
+        lambda row: row.contact_z_m("seq"),
         lambda row: realtouch.TouchClip(row, 0),
     ):
         with pytest.raises(InputError, match="no column 'video_length_frames'"):
