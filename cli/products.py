@@ -276,7 +276,7 @@ def _export_files(
         rows = [
             (
                 file.file,
-                f"{file.width_mm:.1f} x {file.depth_mm:.1f} x {file.height_mm:.1f}",
+                " x ".join(f"{side:.1f}" for side in file.size_mm),
                 f"{file.volume_mm3:,.0f}",
                 file.bytes,
                 file.state,

@@ -315,6 +315,11 @@ class WrittenFile:
     bytes: int
     state: str
 
+    @property
+    def size_mm(self) -> tuple[float, float, float]:
+        """Width, depth and height."""
+        return self.width_mm, self.depth_mm, self.height_mm
+
 
 @dataclass(frozen=True, slots=True)
 class FileExport:

@@ -39,9 +39,7 @@ def test_every_format_comes_back_as_the_solid_on_the_plate(ending: str, tmp_path
         assert check_manifold(back).problem is None
         expected = shape.bounds_m - (0, 0, 0.05)
         assert back.bounds_m == pytest.approx(expected, abs=1e-7)
-        assert (file.width_mm, file.depth_mm, file.height_mm) == pytest.approx(
-            np.ptp(shape.bounds_m, axis=0) * 1e3
-        )
+        assert file.size_mm == pytest.approx(np.ptp(shape.bounds_m, axis=0) * 1e3)
         assert back.volume_m3 == pytest.approx(shape.volume_m3, rel=1e-5)
         assert file.bytes == (tmp_path / "out" / file.file).stat().st_size
 
