@@ -24,13 +24,14 @@ from tactile_toolkit.wording import printable
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
+# 128 and the number of SIGPIPE: what a shell reports of `cat`, `grep` and others whose reader left.
 _EXIT_CLOSED_PIPE = 141
-"""128 and the number of SIGPIPE: what a shell reports of `cat`, `grep` and others whose reader left."""
 
 _DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
+# Help of wide terminals has lines of this length.
 _SETTINGS = {"max_content_width": 100}
-"""Help of wide terminals has lines of this length."""
 
+# Spellings of an earlier version, where the one of now alone is known; they work for one version.
 _FORMER = {
     "--at": "--at-mm",
     "--bed": "--plate",
@@ -51,9 +52,8 @@ _FORMER = {
     "--turn": "--turn-deg",
     "to-single": "clips-to-images",
 }
-"""Spellings of an earlier version, where the one of now alone is known; they work for one version."""
+# By what the values of these, in metres and radians, are multiplied.
 _FORMER_UNITS = {"--at": 1e3, "--turn": math.degrees(1)}
-"""By what the values of these, in metres and radians, are multiplied."""
 
 F = TypeVar("F", bound=Callable[..., None])
 

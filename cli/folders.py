@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from tactile_toolkit.store.folder import DataFolder
 
 
+# Values of a longer list that are named.
 _SHOWN = 6
-"""Values of a longer list that are named."""
 
 
 @dataclass(frozen=True, slots=True)

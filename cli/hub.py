@@ -24,8 +24,8 @@ if TYPE_CHECKING:
     from tactile_toolkit.exchange.upload import PreparedUpload, UploadResult
 
 _LARGE_BYTES = 1_000_000_000
+# Files of a longer list that are named.
 _FILES_SHOWN = 8
-"""Files of a longer list that are named."""
 
 
 def upload(

@@ -18,8 +18,8 @@ from tactile_toolkit.wording import printable, printable_json
 BYTES = "bytes"
 """A unit of progress: counts are sizes."""
 
+# Where no terminal is, lines stay: a job of a day writes some 17,000 of them, 1 MB of log.
 _LINE_INTERVAL_S = 5.0
-"""Where no terminal is, lines stay: a job of a day writes some 17,000 of them, 1 MB of log."""
 _BAR_INTERVAL_S = 0.1
 _BAR = 24
 _GAP = "  "

@@ -26,8 +26,8 @@ from tactile_toolkit.store.files import expanded, path_exists
 _FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
 _SPLITS = ("train", "test")
 
+# What a scene may stand out of its cell: less than the sensor's gel gives.
 _SLACK_MM = 1.0
-"""What a scene may stand out of its cell: less than the sensor's gel gives."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -187,13 +187,13 @@ def generate(
     return making.generate(DigitMaking.of(spec, splits), out, splits, **run)
 
 
+# The options that each source needs, and those that it takes.
 _OPTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "synthetic": ((), ("digits",)),
     "hwdplus": (("images", "writer_info"), ("writer_column",)),
     "mnist": (("images",), ("download",)),
     "folder": (("images",), ("foreground",)),
 }
-"""The options that each source needs, and those that it takes."""
 
 
 def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:

@@ -62,8 +62,8 @@ _PANEL_PX = 380
 _MARGIN_PX = 12
 _LIGHTEST, _DARKEST = (214, 230, 241), (8, 64, 112)
 _SAMPLING = 2
+# How many times their distance the layers of the stack are drawn apart.
 _SPREAD = 4.0
-"""How many times their distance the layers of the stack are drawn apart."""
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 _TILE_PX = 132
 _VIEW_PX = (560, 520)

@@ -34,8 +34,8 @@ CLOCK_TOLERANCE_S = 1e-4
 Representation = Literal["signed", "grey", "absolute"]
 REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
 
+# Values of a picture that are compared at a time: with 90 frames of a clip, what a core keeps at hand.
 _PIXELS_AT_ONCE = 1 << 13
-"""Values of a picture that are compared at a time: with 90 frames of a clip, what a core keeps at hand."""
 
 
 def require_method(method: str) -> ContactMethod:

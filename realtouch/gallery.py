@@ -34,8 +34,8 @@ _QUALITY = 80
 DEFAULT_TOUCHES = 64
 """Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
 
+# Of a round: how many touches to show at most, the height of each, and that from which a touch counts.
 _Known = tuple[int, NDArray[np.float64] | None, float]
-"""Of a round: how many touches to show at most, the height of each, and that from which a touch counts."""
 
 _SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
 _FACETS = (

@@ -27,8 +27,8 @@ else:
 
 __all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
 
+# Rounds that were met last; a batch of a training job holds a touch or two of each.
 _ROUNDS_KEPT = 1024
-"""Rounds that were met last; a batch of a training job holds a touch or two of each."""
 
 Transform = Callable[[Any], Any]
 Target = str | Callable[[Touch], Any] | None

@@ -178,8 +178,8 @@ DEFAULT_SIZE = 300_000
 
 _MADE_TOGETHER = 4096  # rows that training mixes as those of a shard
 
+# Columns that follow from the number of a scene.
 _KNOWN = ("id", "label", "star_count", "seed")
-"""Columns that follow from the number of a scene."""
 
 
 class SceneShard(Shard):

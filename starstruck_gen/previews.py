@@ -49,8 +49,8 @@ _PANEL_PX = 600
 _PLATE = (236, 233, 226)
 # Below the feet of the objects: at one height the two would be drawn through one another.
 _PLATE_DEPTH_M = 2e-4
+# Colour of objects of which it is not stored whether they are stars.
 _OBJECT = (150, 160, 172)
-"""Colour of objects of which it is not stored whether they are stars."""
 
 
 def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:

@@ -33,8 +33,8 @@ _NO_ID = -1
 
 _SHOWN = 20
 
+# How far a stored corner may lie from the declared object: other processors round in other ways.
 _PLACE_TOLERANCE_M = 1e-7
-"""How far a stored corner may lie from the declared object: other processors round in other ways."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,8 +20,8 @@ _GELSIGHT_M = (0.032, 0.028)  # tactile-mnist 0.13.0, GELSIGHT_MINI_OUTER_SIZE
 _PADDING_M = (0.003 + _GELSIGHT_M[0] / 2 + 0.0025, 0.003 + _GELSIGHT_M[1] / 2 + 0.0025)
 
 
+# Sensors, and the word of an id that names them.
 _SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
-"""Sensors, and the word of an id that names them."""
 
 
 @dataclass(frozen=True, slots=True)

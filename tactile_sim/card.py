@@ -21,8 +21,8 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import height_text, missed_text
 from tactile_toolkit.touch.jpeg import decode_image
 
+# Width of pictures in sheets, about.
 _TILE_PX = 96
-"""Width of pictures in sheets, about."""
 
 
 def sheet_png(rows: Sequence[tuple[str, Any]]) -> bytes:

@@ -16,8 +16,8 @@ CACHE_LIMIT_VARIABLE = "TACTILE_TOOLKIT_CACHE_MIB"
 _UNPACKED_MIB = 512  # ten times the largest row of the published data sets, eleven times all MNIST
 _CACHE_MIB = 32 << 10
 
+# Meshes and tables take 5 to 30 times the bytes of their files in memory while they are read.
 _USUAL_EXPANSION = 32
-"""Meshes and tables take 5 to 30 times the bytes of their files in memory while they are read."""
 
 
 def cache_limit_bytes() -> int:

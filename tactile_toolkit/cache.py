@@ -25,8 +25,8 @@ from tactile_toolkit.store.files import expanded, resource_shortage, write_file
 LOCKS = "locks"
 """Folder of the cache whose files processes hold while they write others."""
 
+# All folders of the cache; what else lies next to them is not ours.
 _FOLDERS = ("blocks", "environments", "linked", LOCKS)
-"""All folders of the cache; what else lies next to them is not ours."""
 
 CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
 """Environment variable that names the cache folder."""
@@ -166,8 +166,8 @@ def prune_cache(unused_days: float = 0.0) -> list[Path]:
 K = TypeVar("K", bound=Hashable)
 V = TypeVar("V")
 
+# Held while a memory cache changes.
 _LOCK = RLock()
-"""Held while a memory cache changes."""
 
 if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
     # What another thread held at the fork would never be let go of in the child.

@@ -22,10 +22,10 @@ from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
 from tactile_toolkit.wording import counted
 
+# Shards in which a forecast looks for an item that gives a row.
 _SHARDS_TRIED = 8
-"""Shards in which a forecast looks for an item that gives a row."""
+# What workers need to start and import their libraries.
 _START_S = 1.5
-"""What workers need to start and import their libraries."""
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 _MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside of a word marks nothing
+# Digits of a count: more may not fit into 64 bits, and ``int`` itself fails from 4,301 digits on.
 _LONGEST_COUNT = 18
-"""Digits of a count: more may not fit into 64 bits, and ``int`` itself fails from 4,301 digits on."""
 
 # Touches, meshes, classes and boxes; in anything else the e belongs to the word.
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")

@@ -31,11 +31,11 @@ tactile_mnist: Any = published_package("tactile_mnist")
 CELL_SIZE_M: tuple[float, float] = tuple(tactile_mnist.CELL_SIZE.tolist())
 """Width and depth of the cell of the digits, metres."""
 
+# Vertices closer than this are one to ``trimesh`` (its ``tol.merge``).
 _MERGED_M = 1e-8
-"""Vertices closer than this are one to ``trimesh`` (its ``tol.merge``)."""
 
+# Odd numbers without a pattern: sums of multiples of them, which wrap around, rarely meet.
 _MIXERS = np.array([0x1E3779B97F4A7C15, 0x42B2AE3D27D4EB4F, 0x165667B19E3779F9])
-"""Odd numbers without a pattern: sums of multiples of them, which wrap around, rarely meet."""
 
 CacheSize = int | Literal["full"]
 Records = RecordDataset[Any] | MeshView

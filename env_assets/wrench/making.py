@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from tactile_toolkit.mesh.printability import PrintReport
     from tactile_toolkit.store.folder import DataFolder
 
+# Side of a pixel of the picture: the usual wrench of 157.5 mm is 790 pixels long.
 _PITCH_M = 0.0002
-"""Side of a pixel of the picture: the usual wrench of 157.5 mm is 790 pixels long."""
 
 
 @row

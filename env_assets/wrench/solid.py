@@ -16,14 +16,14 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 
+# Sides of a whole circle: 0.03 mm from round at 60 mm across, less than a printer can show.
 _SEGMENTS = 96
-"""Sides of a whole circle: 0.03 mm from round at 60 mm across, less than a printer can show."""
 
+# Corners that matter less than this are dropped.
 _TIDY_MM = 1e-3
-"""Corners that matter less than this are dropped."""
 
+# Area that tidying may take from where a nut is held.
 _NOTHING_MM2 = 0.01
-"""Area that tidying may take from where a nut is held."""
 
 Line = NDArray[np.float64]
 

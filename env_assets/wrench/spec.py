@@ -27,8 +27,8 @@ WIDTHS_ACROSS_FLATS_MM: dict[str, float] = {
 SMALLEST_MM, LARGEST_MM = 5.0, 60.0
 """Widths that wrenches are made for: smaller jaws do not print, larger wrenches fit no printer."""
 
+# Three threads of a 0.4 mm nozzle: thinner jaws break.
 _LEAST_WALL_MM = 1.2
-"""Three threads of a 0.4 mm nozzle: thinner jaws break."""
 
 
 @dataclass(frozen=True, slots=True)

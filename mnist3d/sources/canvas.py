@@ -21,8 +21,8 @@ SIDE_PX = 500
 _PAPER = 255
 # Rounding by whoever wrote the file may have left white that much above the scale.
 _HALF_LEVEL = 0.5 / 255
+# Samples per original pixel at which the ink is smoothed before it is drawn.
 _MESH = 5
-"""Samples per original pixel at which the ink is smoothed before it is drawn."""
 
 _BLUR_PX = 0.6
 

@@ -29,8 +29,8 @@ CLEAR = 0.06
 """Half width of the paper that a ring keeps free inside, as a share of the height: people with thick pens
 write larger rings."""
 
+# Samples of the curve between two points.
 _STEPS = 8
-"""Samples of the curve between two points."""
 
 _TINY = 1e-9
 

@@ -29,15 +29,15 @@ _SUFFIXES = frozenset(
     {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp", ".gif", ".pgm", ".ppm", ".pbm"}
 )
 _FORMATS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "GIF", "PPM")
+# Memory that reading takes, by mode, as measured; 24 for transparency and for more than 8 bits.
 _BYTES_PER_PIXEL = {"1": 4, "L": 4, "P": 11, "RGB": 11}
-"""Memory that reading takes, by mode, as measured; 24 for transparency and for more than 8 bits."""
 _INKS = ("auto", "dark", "light")
 _DIGITS = frozenset("0123456789")
 _LABEL = re.compile(r"(?<![a-z])label[_=-]?([0-9])(?![0-9])", re.IGNORECASE)
 # At most 18 figures: the number fits 64 bits.
 _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
+# A picture whose grey levels span less shows nothing but paper.
 _CONTRAST = 24
-"""A picture whose grey levels span less shows nothing but paper."""
 
 
 @dataclass(frozen=True, slots=True)

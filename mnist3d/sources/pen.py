@@ -13,8 +13,8 @@ from mnist3d.sources.digits import ALLOGRAPHS, Stroke, Vary, resample, smooth, t
 
 _BLOCK = 64
 _UNIT = 2.0**-53
+# The sum of four uniform numbers has the variance 1/3.
 _ROOT_3 = 1.7320508075688772
-"""The sum of four uniform numbers has the variance 1/3."""
 
 
 class KeyedRng:
@@ -146,8 +146,8 @@ _ASPECT, _SLANT, _TILT, _BOW = 0.10, 0.10, 0.04, 0.02
 """Spread of a writer's traits from digit to digit."""
 
 _BETWEEN_WRITERS = 0.68
+# Fractions of the square roots of the first ten primes: no two digits repeat in step.
 _STRIDES = tuple(round(math.sqrt(prime) % 1.0, 8) for prime in (2, 3, 5, 7, 11, 13, 17, 19, 23, 29))
-"""Fractions of the square roots of the first ten primes: no two digits repeat in step."""
 
 
 def variation(writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float = 1.0) -> Vary:
@@ -197,26 +197,26 @@ SPACING_PX = 7.0
 _WAIST, _LOPSIDE, _TAPER, _SWAY, _ARCH, _SAG = 0.03, 0.03, 0.08, 0.015, 0.015, 0.015
 """How far a digit is bent, as shares of its height or width: where its waist and its middle line lie, how
 much its foot is wider than its top, how much its verticals wind and its horizontals bend and wind."""
+# Bound of waist and middle line: from 0.25 on, a digit would fold over itself.
 _MOST_SHIFT = 0.2
-"""Bound of waist and middle line: from 0.25 on, a digit would fold over itself."""
 _WIDEST_PX = 380.0
 _MARGIN_PX = 15.0
 _OFF_CENTRE_PX = 16.0
+# Wavelength of the tremor.
 _WAVE_PX = 45.0
-"""Wavelength of the tremor."""
+# Positions are multiples of 1/64 px.
 _GRID = 64.0
-"""Positions are multiples of 1/64 px."""
 _CELL_PX = 4
 _NODES = PAGE_PX // _CELL_PX + 1
+# Cells between the nodes of the wide grain of the edge noise.
 _COARSE = 4
-"""Cells between the nodes of the wide grain of the edge noise."""
+# How far outside the ink the distance is right; the edge noise must stay below it.
 _BEYOND_PX = 7.0
-"""How far outside the ink the distance is right; the edge noise must stay below it."""
 _FAR_PX = 50.0
+# Reach of a speckle.
 _DOT_PX = 4
-"""Reach of a speckle."""
+# White margin that no speck enters.
 _EDGE_PX = 10
-"""White margin that no speck enters."""
 _DRY, _WIDE = 0.75, 1.25
 """Bounds of the stroke width, relative to the pen's."""
 _PRESSURE_WAVE_PX = 70.0

@@ -33,8 +33,8 @@ _PER_CLASS = 14
 _PER_WRITER = 10 * _PER_CLASS
 _HAND, _CLASS_NOISE, _WRITER_NOISE, _DIGIT, _INK = range(5)
 """First words of the keys of the random streams."""
+# Relative deviation of height and pen width between the digits of a writer whose jitter is 1.
 _SIZE_JITTER = 0.06
-"""Relative deviation of height and pen width between the digits of a writer whose jitter is 1."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -349,8 +349,8 @@ def marked_repetitions(source: Source, choices: Choices) -> Choices:
     return marked
 
 
+# Of the columns ``file`` and ``sha256`` of an index, which name up to two files for each row.
 _PREFIXES = ("", "meta_")
-"""Of the columns ``file`` and ``sha256`` of an index, which name up to two files for each row."""
 
 
 def with_files(

@@ -34,8 +34,8 @@ IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 HERE = re.compile(r"^(?:\./+)+")
 """What a path may begin with to no effect."""
 
+# Images of a store that are asked for at a time: each answer takes long, and they are small.
 _FAR_READERS = 16
-"""Images of a store that are asked for at a time: each answer takes long, and they are small."""
 
 
 @dataclass(frozen=True, slots=True)

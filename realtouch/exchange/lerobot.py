@@ -229,8 +229,8 @@ def _task_table(tasks: Sequence[str]) -> pa.Table:
     return table.replace_schema_metadata({"pandas": json.dumps({**of_pandas, "pandas_version": "2.0.0"})})
 
 
+# Images of an episode that are decoded for its statistics.
 _IMAGES_SEEN = 8
-"""Images of an episode that are decoded for its statistics."""
 
 _LEVELS = 256
 _QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}

@@ -31,8 +31,8 @@ _FOLDER = "sparsh"
 _BACKGROUND = "bgs/bg_gs.jpg"
 _PROTOCOL = 4
 _MOST_IN_MEDIAN = 256
+# How many bytes of an opcode come before the content.
 _HEADER_BYTES = {"SHORT_BINBYTES": 2, "BINBYTES": 5, "BINBYTES8": 9}
-"""How many bytes of an opcode come before the content."""
 _OF_LISTS = frozenset(
     ["PROTO", "FRAME", "EMPTY_LIST", "MARK", "MEMOIZE", "BINPUT", "LONG_BINPUT", "APPEND", "APPENDS", "STOP"]
 )

@@ -71,8 +71,8 @@ def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:
     raise InputError(f"{place!r} holds no tars (*.tar); compressed ones are unpacked first")
 
 
+# Key, ending, place and size of a file in a tar, and the content where it is small text.
 _Member = tuple[str, str, int, int, bytes]
-"""Key, ending, place and size of a file in a tar, and the content where it is small text."""
 
 
 def _members(folder: DataFolder, name: str) -> Iterator[_Member]:

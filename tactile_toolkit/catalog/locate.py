@@ -35,8 +35,8 @@ from tactile_toolkit.store.shards import (
 )
 from tactile_toolkit.wording import did_you_mean
 
+# The splits of a data set, and what finds the shards of one of them.
 _Splits: TypeAlias = tuple[tuple[str, ...], Callable[[str], tuple[Shard, ...]]]
-"""The splits of a data set, and what finds the shards of one of them."""
 
 _LONGEST_SHOWN = 200
 _USUAL_SPLIT = "train"

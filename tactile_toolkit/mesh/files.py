@@ -169,8 +169,8 @@ def _require_whole_stl(data: bytes) -> None:
 # Memory that reading takes for each line of text or corner of a polygon, for each vertex or triangle that a
 # file of bytes states, and for each value or corner that a GLB does.
 _PER_LINE, _PER_ELEMENT, _PER_VALUE = 720, 240, 80
+# Surfaces of one file: trimesh takes milliseconds for each.
 _MOST_PARTS = 2_000
-"""Surfaces of one file: trimesh takes milliseconds for each."""
 _DEEPEST = 64
 # What ends a line for Python, and so for trimesh.
 _LINE_END = re.compile(rb"\r\n|[\n\r\x0b\x0c\x1c-\x1e\x85]|\xe2\x80[\xa8\xa9]")

@@ -32,8 +32,8 @@ _FAR_MM = 1e5
 _LEAST_MM3 = 1e-6  # what a cut leaves of a face is not a part
 
 
+# The moments of inertia, by their name in URDF, in the order of MJCF.
 _MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
-"""The moments of inertia, by their name in URDF, in the order of MJCF."""
 
 
 @dataclass(frozen=True, slots=True)

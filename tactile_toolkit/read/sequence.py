@@ -71,8 +71,8 @@ class LazySequence(Sequence[T], Generic[T]):
     things: ClassVar[str] = "rows"
     """What the items are called."""
 
+    # Which of the items that are stored, in which order.
     _rows: range | NDArray[np.int64]
-    """Which of the items that are stored, in which order."""
 
     @property
     def labels(self) -> NDArray[np.int64]:

@@ -27,8 +27,8 @@ _FORMAT = "tactile_toolkit_training"
 _VERSION = 1
 # How torchdata 0.11 calls the batches that a StatefulDataLoader has given since it asked its workers.
 _SINCE = "_steps_since_snapshot"
+# Where a pass is, in one process: its epoch, the item it began at, and how many batches were given since.
 _POSITION = ("epoch", "start", "batches")
-"""Where a pass is, in one process: its epoch, the item it began at, and how many batches were given since."""
 # The table that workers share is made before anyone knows how many there will be.
 _MOST_WORKERS = 255
 

@@ -25,12 +25,12 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _DISTRIBUTION = "tactile-toolkit"
+# How long a cluster may take to answer at all.
 _ANSWER_S = 5.0
-"""How long a cluster may take to answer at all."""
+# How long a cancelled task may take to clean up before its worker is killed.
 _CANCEL_S = 3.0
-"""How long a cancelled task may take to clean up before its worker is killed."""
+# How often the cores of the cluster are counted while nothing finishes: nodes come and go.
 _LOOK_AGAIN_S = 5.0
-"""How often the cores of the cluster are counted while nothing finishes: nodes come and go."""
 _TASKS_PER_CORE = 2  # one at work, one that waits: a core never waits for an answer to travel
 _ADDRESS = re.compile(r"\[?(?P<host>[^/\[\]]+)\]?:(?P<port>[0-9]{1,5})")
 

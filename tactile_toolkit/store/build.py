@@ -43,8 +43,8 @@ from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord
 from tactile_toolkit.store.versions import plan_in_version
 
 _CAUSES_SHOWN = 3
+# How long a run waits for the lock of others; one that was stopped (Ctrl-Z) never releases it.
 _PATIENCE_S = 60.0
-"""How long a run waits for the lock of others; one that was stopped (Ctrl-Z) never releases it."""
 
 WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""

@@ -34,8 +34,8 @@ SOURCE_DIGEST = b"made_of"
 """Key of the schema's metadata: the checksum of the checksums of the shards."""
 
 _SHARDS_TOGETHER = 1024
+# Threads that read shards, which lie on other machines where there are many of them.
 _READERS = 16
-"""Threads that read shards, which lie on other machines where there are many of them."""
 
 
 def report_columns(folder: DataFolder, path: str) -> list[str]:

@@ -30,8 +30,8 @@ T = TypeVar("T")
 
 _LOOK_AGAIN_S = 0.02
 _TRIES = 10
+# Follows the prefix: what has none may be any user's.
 _UNIQUE = re.compile("[0-9a-f]{32}-")
-"""Follows the prefix: what has none may be any user's."""
 _OF_THE_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 
 

@@ -53,8 +53,8 @@ TEMPORARY = "tmp-"
 VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created", "LastModified", "inode")
 """What is known of a file, under which name each, that changes whenever it is replaced."""
 
+# Small files that are asked for at a time: a network file system or store answers many as fast as one.
 _READ_AT_ONCE = 16
-"""Small files that are asked for at a time: a network file system or store answers many as fast as one."""
 
 T = TypeVar("T")
 

@@ -24,8 +24,8 @@ from tactile_toolkit.store.versions import SCHEMA_VERSION, require_known_version
 from tactile_toolkit.wording import printable_json
 
 MANIFEST_FILE = "manifest.json"
+# What the text of a manifest leaves out where there is none.
 _OPTIONAL = ("libraries", "statistics", "trees")
-"""What the text of a manifest leaves out where there is none."""
 
 
 @dataclass(frozen=True)

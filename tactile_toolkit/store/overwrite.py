@@ -22,8 +22,8 @@ from tactile_toolkit.store.names import decode
 from tactile_toolkit.store.origin import RECORD_FILE
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
+# Lists the files of the former data set that the next one lacks.
 _PROMOTION = f"{NEXT_FOLDER}/.promotion.json"
-"""Lists the files of the former data set that the next one lacks."""
 _PATIENCE_S = 60.0
 _OURS = ("reports/*.parquet", "previews/*.png", "README.md", "croissant.json", RECORD_FILE, MANIFEST_FILE)
 

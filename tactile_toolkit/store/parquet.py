@@ -20,9 +20,9 @@ from tactile_toolkit.store.folder import DataFolder
 
 _TAIL = struct.Struct("<I4s")  # length of the footer and Parquet's mark: how a file ends
 _FOOTER_CHECKSUM = struct.Struct("<4sI")
+# Stands before the CRC-32 of the footer that follows. Parquet has checksums of pages, none of the footer;
+# what lies between them is passed over by readers that do not know of it.
 _FOOTER_MARK = b"TTFC"
-"""Stands before the CRC-32 of the footer that follows. Parquet has checksums of pages, none of the footer;
-what lies between them is passed over by readers that do not know of it."""
 _TAIL_BYTES = 1 << 16
 _PAGE_BYTES = 1 << 20
 _SMALL_PAGE_BYTES = 32 << 10
@@ -232,9 +232,9 @@ def has_page_checksums(folder: DataFolder, path: str) -> bool:
         return all(stream.seek(start) and _CHECKED_PAGE.match(stream.read(32)) for start in starts)
 
 
+# How the head of a page with a checksum begins: four integers (type, two sizes, the checksum), each after the
+# mark of a field that follows on the one before it (Thrift's compact protocol).
 _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
-"""How the head of a page with a checksum begins: four integers (type, two sizes, the checksum), each
-after the mark of a field that follows on the one before it (Thrift's compact protocol)."""
 
 
 def sha256_hex(content: bytes) -> str:

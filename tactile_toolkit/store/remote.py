@@ -23,12 +23,12 @@ ASKED_WAIT_S = 120.0
 
 _READ_AHEAD_BYTES = 1 << 20
 _WAITS_S = (0.5, 1.0, 2.0, 4.0, 8.0)
+# Longest time after which a store is asked once more.
 _PATIENCE_S = 20.0
-"""Longest time after which a store is asked once more."""
+# Of the client of S3, which would try five times what is tried again here, within one time limit.
 _LIMITS = {"connect_timeout": 5, "read_timeout": 20, "retries": {"total_max_attempts": 1}}
-"""Of the client of S3, which would try five times what is tried again here, within one time limit."""
+# Of stores with buckets, the client of each.
 _PACKAGES = {"s3": "s3fs", "gs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
-"""Of stores with buckets, the client of each."""
 
 T = TypeVar("T")
 

@@ -26,8 +26,8 @@ MAX_SCANS = 100
 """Most scans of a JPEG that is decoded: each goes over the picture again, and a few bytes make one; cameras
 write 1, progressive files about 10."""
 
+# So much holds a few hundred scans at most, of which the largest image takes less than a second.
 _SMALL_BYTES = 1 << 12
-"""So much holds a few hundred scans at most, of which the largest image takes less than a second."""
 
 MAX_HEADER_BYTES = 1 << 22
 """Most bytes of a JPEG before its first scan: four make a segment, and Pillow keeps an object for each."""
@@ -43,8 +43,8 @@ IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
 """How the names of stored images end."""
 
 _JPEG_START = b"\xff\xd8\xff"
+# Modes of Pillow whose values it cuts at 255 when it makes colours of them.
 _DEEP = ("I", "I;16", "I;16B", "I;16L", "I;16N", "F")
-"""Modes of Pillow whose values it cuts at 255 when it makes colours of them."""
 
 
 def image_size(data: memoryview | bytes) -> tuple[int, int]:
