@@ -102,9 +102,9 @@ def runs(mask: Any) -> tuple[Any, Any]:
     pairs = np.empty((2 * len(found), 2), np.int64)
     count = touching = above = 0
     for row in range(height):
-        first, begin = count, -1
+        line, first, begin = mask[row], count, -1
         for column in range(width + 1):
-            if column < width and mask[row, column]:
+            if column < width and line[column]:
                 begin = column if begin < 0 else begin
             elif begin >= 0:
                 found[count, 0], found[count, 1], found[count, 2] = row, begin, column

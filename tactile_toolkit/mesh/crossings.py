@@ -13,7 +13,6 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.mesh import Indices, Numbers
 
@@ -66,37 +65,27 @@ def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
     its rim winds around the point. If the rim is simple that is at most one: then no two faces share a point
     unless one lies there that does not look up, and of these there are few.
     """
-    everything = np.arange(len(faces))
-    x, y, z = np.ascontiguousarray(vertices_mm.T)
-    level = (z.max() + z.min()) / 2
-    corners = np.ascontiguousarray(faces.T)
-    # Of a corner: above, in or below the level; a half has corners of one kind next to those in the level.
-    side = np.sign(z - level).astype(np.int8)[corners]
-    least, most = np.minimum.reduce(side), np.maximum.reduce(side)
-    # A face passes through the level, none reaches it, or one lies in it: there are no two halves.
-    if (least * most < 0).any() or (least == most).all() or ((least == 0) & (most == 0)).any():
-        return everything
-    above = most > 0
-    (ax, bx, cx), (ay, by, cy) = x[corners], y[corners]
-    facing = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
-    odd = np.flatnonzero(np.where(above, facing, -facing) <= 0)
-    if len(odd) > _MOST_ODD or not _rim_is_simple(vertices_mm, corners[:, above], side[:, above] == 0):
-        return everything
+    from tactile_toolkit.mesh.nearness import halves
+
+    x, y, z = vertices_mm.T
+    is_split, odd, edges = halves(vertices_mm, faces, (z.max() + z.min()) / 2)
+    if not is_split or len(odd) > _MOST_ODD or not _rim_is_simple(vertices_mm, edges):
+        return np.arange(len(faces))
     if not len(odd):
         return odd
-    sides = [np.stack([np.minimum.reduce(at), np.maximum.reduce(at)]) for at in ((ax, bx, cx), (ay, by, cy))]
+    corners = np.ascontiguousarray(faces.T)
+    sides = [np.stack([np.minimum.reduce(at), np.maximum.reduce(at)]) for at in (x[corners], y[corners])]
     near = np.zeros(len(faces), dtype=bool)
     for face in odd:
         near |= np.logical_and.reduce([(at[0] <= at[1, face]) & (at[1] >= at[0, face]) for at in sides])
     return np.flatnonzero(near)
 
 
-def _rim_is_simple(points: Numbers, upper: Indices, on_level: NDArray[np.bool_]) -> bool:
-    """Return whether the rim of the upper half is lines apart from each other that wind once at most."""
+def _rim_is_simple(points: Numbers, edges: Indices) -> bool:
+    """Return whether the rim of a half, of its edges in the level, is lines apart that wind once at most."""
     from tactile_toolkit.mesh.nearness import connected, near_pairs
 
-    both = on_level & np.roll(on_level, -1, axis=0)
-    start, end = upper[both], np.roll(upper, -1, axis=0)[both]
+    start, end = edges.T
     # An edge that the half has in both directions is not of its rim.
     rim = ~np.isin(start * len(points) + end, end * len(points) + start)
     start, end = start[rim], end[rim]

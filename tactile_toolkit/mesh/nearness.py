@@ -215,6 +215,36 @@ def _unit(u: Vector) -> Vector:
     return u[0] / length, u[1] / length, u[2] / length
 
 
+# --- two halves back to back ----------------------------------------------------------------------
+
+
+@compiled
+def halves(points: Numbers, faces: Indices, level: float) -> tuple[bool, Indices, Indices]:
+    """Return whether a level plane splits triangles into two halves, and what a proof by them has to look at.
+
+    That are the triangles that do not look away from the plane, and the edges in it of those above, (N, 2).
+    """
+    odd, edges = np.empty(len(faces), np.int64), np.empty((3 * len(faces), 2), np.int64)
+    reaches, odds, count = False, 0, 0
+    for face in range(len(faces)):
+        a, b, c = _row(points, faces[face, 0]), _row(points, faces[face, 1]), _row(points, faces[face, 2])
+        least, most = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
+        # It passes through the plane, or lies in it.
+        if (least < level < most) or least == most == level:
+            return False, odd[:0], edges[:0]
+        reaches |= least == level or most == level
+        upwards = _cross(_sub(b, a), _sub(c, a))[2]
+        if (upwards if most > level else -upwards) <= 0:
+            odd[odds] = face
+            odds += 1
+        if least == level:
+            for k, (at, beyond) in enumerate(((a[2], b[2]), (b[2], c[2]), (c[2], a[2]))):
+                if at == level and beyond == level:
+                    edges[count, 0], edges[count, 1] = faces[face, k], faces[face, (k + 1) % 3]
+                    count += 1
+    return reaches, odd[:odds], edges[:count]
+
+
 # --- triangles that pass through one another ------------------------------------------------------
 
 
@@ -509,6 +539,23 @@ def _cosine_in(solid: Solid, half: int, way: Vector) -> float:
     lengthwise = _dot(along, way)
     is_notch = nearest <= _ALONG and least > _LEVEL and lengthwise * lengthwise <= 1 - FACING * FACING
     return 1.0 if is_notch else most
+
+
+# --- what leans out -------------------------------------------------------------------------------
+
+
+@compiled
+def leaning_out(points: Numbers, faces: Indices, bed: float, sine: float) -> Numbers:
+    """Return twice the areas of the triangles that reach above a bed and look down by more than a sine."""
+    doubled, count = np.empty(len(faces)), 0
+    for face in range(len(faces)):
+        a, b, c = _row(points, faces[face, 0]), _row(points, faces[face, 1]), _row(points, faces[face, 2])
+        normal = _cross(_sub(b, a), _sub(c, a))
+        size = math.sqrt(_dot(normal, normal))
+        if normal[2] < 0 and normal[2] < -sine * size and max(a[2], b[2], c[2]) > bed:
+            doubled[count] = size
+            count += 1
+    return doubled[:count]
 
 
 # --- the largest discs in a section ---------------------------------------------------------------

@@ -172,16 +172,16 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
     if check.problem is not None:
         return PrintReport(False, check.status, check.problem, check.detail, *counts)
-    vertices_mm = mesh.vertices_mm
+    vertices_mm, faces = mesh.vertices_mm, mesh.faces.astype(np.int64)
     # Axis by axis: along rows of three numpy takes thirteen times as long.
     low, high = ([reach(axis) for axis in vertices_mm.T] for reach in (np.min, np.max))
     size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
     # Vertices that lie in the mid-plane would make the cut run along edges: it is taken just above them.
     outlines = check.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
-    overhang_mm2 = _overhang_mm2(vertices_mm, mesh.faces, profile)
+    overhang_mm2 = _overhang_mm2(vertices_mm, faces, profile)
     contact_mm2 = float(check.manifold.slice(low[2] + profile.layer_height_mm).area())
     wall_mm = max(min(thinnest_width_mm(outlines), size_mm[2]), min(WALL_REACH_MM, *size_mm))
-    wall_mm = min(wall_mm, thinnest_wall_mm(vertices_mm, mesh.faces.astype(np.int64), WALL_REACH_MM))
+    wall_mm = min(wall_mm, thinnest_wall_mm(vertices_mm, faces, WALL_REACH_MM))
     overhang_share = overhang_mm2 / max(section_area_mm2(outlines), 1e-9)
     # Turned on the plate, the longer side of the print goes along the longer one of the plate.
     sides = zip(sorted(size_mm[:2]), sorted(profile.plate_mm), strict=True)
@@ -217,25 +217,13 @@ def unreadable(detail: str) -> PrintReport:
 _OFF_VERTICES = 1e-7
 
 
-def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int32], profile: PrintProfile) -> float:
-    heights = vertices_mm[:, 2]
+def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int64], profile: PrintProfile) -> float:
+    from tactile_toolkit.mesh.nearness import leaning_out
+
     # What lies within the first layer rests on the bed, whatever way it faces.
-    aloft = heights > heights.min() + profile.layer_height_mm
-    corners = np.ascontiguousarray(faces.T, dtype=np.intp)
-    corners = corners[:, np.logical_or.reduce(aloft[corners])]
-    x, y, z = np.ascontiguousarray(vertices_mm.T)
-    # What looks up or sideways leans out nowhere.
-    corners = corners[:, _minor(x[corners], y[corners]) < 0]
-    x, y, z = x[corners], y[corners], z[corners]
-    normal_x, normal_y, normal_z = (_minor(*pair) for pair in ((y, z), (z, x), (x, y)))
-    twice_area = np.sqrt(normal_x**2 + normal_y**2 + normal_z**2)
-    steep = normal_z < -math.sin(math.radians(profile.overhang_deg)) * twice_area
-    return float(twice_area[steep].sum() / 2)
-
-
-def _minor(u: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Cross two sides of each triangle: one component, from two coordinates of the corners."""
-    return np.asarray((u[1] - u[0]) * (v[2] - v[0]) - (u[2] - u[0]) * (v[1] - v[0]))
+    bed_mm = vertices_mm[:, 2].min() + profile.layer_height_mm
+    sine = math.sin(math.radians(profile.overhang_deg))
+    return float(leaning_out(vertices_mm, faces, bed_mm, sine).sum() / 2)
 
 
 # --- the thinnest wall of a section, from its medial axis ----------------------------------------------

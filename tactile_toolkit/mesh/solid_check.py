@@ -106,6 +106,8 @@ def array_problem(mesh: Mesh) -> tuple[str, str] | None:
 def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
     from tactile_toolkit.mesh.nearness import near_pairs
 
+    if len(parts) == 1:
+        return None
     outer = [part for part in parts if part.volume() > 0]
     boxes_mm = np.array([part.bounding_box() for part in outer]).reshape(-1, 2, 3)
     for one, other in near_pairs(boxes_mm, 0.0).T.tolist():
