@@ -241,3 +241,14 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(folder), PreviewSpec(ids=(1, 77)))
     with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)
+
+
+def test_a_cross_is_as_tall_as_it_is_wide():
+    lost = rejected_scene().rejected[0]
+    lost = replace(lost, candidate=lost.candidate._replace(x_m=0.0, y_m=0.0), given_up=True)
+    bare, crossed = (np.asarray(draw_trace((), some, CROWDED, 5.0)).astype(int) for some in ((), (lost,)))
+    marked = np.abs(crossed - bare).max(axis=2) > 40
+    rows, columns = np.nonzero(marked)
+    assert abs(np.ptp(rows) - np.ptp(columns)) <= 1
+    cross = marked[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    assert np.mean(cross == cross[:, ::-1]) > 0.8
