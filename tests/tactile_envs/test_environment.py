@@ -279,3 +279,21 @@ def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):
             number == right for number in range(10)
         ]
     env.close()
+
+
+def test_a_picture_shows_where_an_object_is_thought_to_point(assets):
+    env = gym.make_vec(
+        "tactile_envs:Toolbox-Depth-v0", num_envs=2, assets=str(assets), render_mode="rgb_array"
+    )
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    action["prediction"] = np.array([[0, 0, 1, 0], [0, 0, 0, 1]], np.float32)  # the middle; right, and up
+    env.step(action)
+    reaches = []
+    for picture in env.render():
+        rows, columns = np.nonzero(np.abs(picture[:, :240].astype(int) - (89, 115, 178)).max(axis=2) <= 1)
+        reaches.append((columns.max() - 119.5, 119.5 - rows.min(), 119.5 - columns.min(), rows.max() - 119.5))
+    (right, over, left, under), (beside, up, other_side, down) = reaches
+    assert right > max(over, left, under) + 3
+    assert up > max(beside, other_side, down) + 3
+    env.close()
