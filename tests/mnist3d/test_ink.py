@@ -262,3 +262,14 @@ def test_one_piece_needs_no_bridge() -> None:
     mask = np.zeros((40, 40), bool)
     mask[10:30, 10:30] = True
     assert join_bodies(mask, 5) is mask
+
+
+@pytest.mark.parametrize(("height", "stays"), [(4, True), (3, False)])
+def test_ink_and_paper_as_large_as_the_limits_stay(height: int, stays: bool) -> None:
+    mask = np.zeros((80, 80), bool)
+    mask[20:60, 20:60] = True
+    mask[5 : 5 + height, 5:10] = True
+    mask[30 : 30 + height, 30:35] = False
+    result = cleaned(mask, speck_px=20, pinhole_px=20)
+    assert result[5, 5] == stays
+    assert result[30, 30] == (not stays)

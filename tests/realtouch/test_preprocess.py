@@ -243,3 +243,11 @@ def test_what_cannot_be_used_is_named(single_folder: Path):
     ):
         with pytest.raises(InputError, match=words):
             ask()
+
+
+def test_pictures_are_replaced_by_those_of_another_format(seq_folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "pictures"
+    for kind, ending in (("png", ".png"), ("jpeg", ".jpg"), ("png", ".png")):
+        realtouch.frames(seq_folder, out, kind=kind, split="train", overwrite=out.exists())
+        assert {path.suffix for path in (out / "images").rglob("*.*")} == {ending}
+    assert realtouch.verify(out).ok

@@ -241,3 +241,24 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(folder), PreviewSpec(ids=(1, 77)))
     with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)
+
+
+def test_a_cross_is_as_tall_as_it_is_wide():
+    lost = rejected_scene().rejected[0]
+    lost = replace(lost, candidate=lost.candidate._replace(x_m=0.0, y_m=0.0), given_up=True)
+    bare, crossed = (np.asarray(draw_trace((), some, CROWDED, 5.0)).astype(int) for some in ((), (lost,)))
+    marked = np.abs(crossed - bare).max(axis=2) > 40
+    rows, columns = np.nonzero(marked)
+    assert abs(np.ptp(rows) - np.ptp(columns)) <= 1
+    cross = marked[rows.min() : rows.max() + 1, columns.min() : columns.max() + 1]
+    assert np.mean(cross == cross[:, ::-1]) > 0.8
+
+
+def test_the_room_of_an_object_reaches_half_the_clearance_around_it():
+    spec = replace(CROWDED, collision="circles", clearance_m=0.004)
+    placement = rejected_scene().scene.placements[0]._replace(x_m=0.0, y_m=0.0)
+    bare, drawn = (np.asarray(draw_trace(some, (), spec, 8.0)).astype(int) for some in ((), (placement,)))
+    rows, columns = np.nonzero(np.abs(drawn - bare).max(axis=2) > 20)
+    width_px = 8.0 * 1e3 * (2 * placement.radius_m + spec.clearance_m)
+    assert np.ptp(columns) + 1 == pytest.approx(width_px, abs=2)
+    assert np.ptp(rows) + 1 == pytest.approx(width_px, abs=2)

@@ -259,3 +259,41 @@ def test_memory_stays(assets):
 
 def test_ids_are_registered():
     assert all(gym.spec(f"tactile_envs/{name}").vector_entry_point for name in tactile_envs.IDS)
+
+
+def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):
+    """Below what the sensor feels and as wide as that where it is certain; the right class has its colour."""
+    env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=2, assets=str(assets), render_mode="rgb_array")
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    shares = np.array([[0.5, 0.25, 0.125, 0.125, 0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0, 0, 0, 0, 1.0]])
+    with np.errstate(divide="ignore"):
+        action["prediction"] = np.maximum(np.log(shares), -100).astype(np.float32)
+    *_, info = env.step(action)
+    for picture, wanted, right in zip(env.render(), shares, info["prediction"]["target"], strict=True):
+        inked = (picture[100:, 240:] < 250).any(axis=2)
+        tops = np.flatnonzero(np.diff(inked.any(axis=1).astype(int), prepend=0) == 1)
+        assert inked[tops].sum(axis=1).tolist() == [1 + round(share * 88) for share in wanted]
+        colours = picture[100 + tops, 244]
+        assert [(colours == each).all(axis=1).sum() == 1 for each in colours] == [
+            number == right for number in range(10)
+        ]
+    env.close()
+
+
+def test_a_picture_shows_where_an_object_is_thought_to_point(assets):
+    env = gym.make_vec(
+        "tactile_envs:Toolbox-Depth-v0", num_envs=2, assets=str(assets), render_mode="rgb_array"
+    )
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    action["prediction"] = np.array([[0, 0, 1, 0], [0, 0, 0, 1]], np.float32)  # the middle; right, and up
+    env.step(action)
+    reaches = []
+    for picture in env.render():
+        rows, columns = np.nonzero(np.abs(picture[:, :240].astype(int) - (89, 115, 178)).max(axis=2) <= 1)
+        reaches.append((columns.max() - 119.5, 119.5 - rows.min(), 119.5 - columns.min(), rows.max() - 119.5))
+    (right, over, left, under), (beside, up, other_side, down) = reaches
+    assert right > max(over, left, under) + 3
+    assert up > max(beside, other_side, down) + 3
+    env.close()

@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tactile_sim
+from tactile_sim.spec import PictureOptions
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import reference
 from tests.tactile_sim.solids import ball, block, tilted
@@ -121,3 +122,13 @@ def test_layers_stay_near_the_solid():
 def test_layers_that_cannot_be_are_refused(layer_m):
     with pytest.raises(InputError, match=r"expected 2e-05 to 0\.002 m"):
         tactile_sim.Pressable.of(block(), layer_m=layer_m)
+
+
+def test_options_of_commands_ask_for_layers():
+    """``--surface printed`` has layers of 0.2 mm unless others are asked for; a smooth surface has none."""
+    made = tactile_sim.GenerateSpec.of
+    assert made(PictureOptions(optics="depth")).layer_m == 0.0
+    assert made(PictureOptions(optics="depth", surface="printed")).layer_m == pytest.approx(0.0002)
+    assert made(PictureOptions(optics="depth", surface="printed", layer_mm=0.3)).layer_m == pytest.approx(
+        0.0003
+    )

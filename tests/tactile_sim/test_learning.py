@@ -40,6 +40,7 @@ from tactile_sim.card import sheet_png  # noqa: E402
 from tactile_sim.learned.cyclegan import (  # noqa: E402
     Batch,
     CycleGan,
+    _mean_error,
     by_taxim,
 )
 from tactile_sim.learned.evaluation import (  # noqa: E402
@@ -534,3 +535,33 @@ def test_the_classifier_separates_bright_from_dark():
     inputs = picture_channels(pictures.astype(np.uint8))
     classifier = SmallCNN(2, 0, 60).learn(inputs[:32], labels[:32])
     assert balanced_accuracy(classifier.predict(inputs[32:]), labels[32:]) == 1
+
+
+def test_a_step_takes_the_rate_of_its_number():
+    """Which falls to nothing in the second half of the training."""
+    config = TrainConfig(2, 1, 4, steps=8, pretrain_steps=0, decay_from=0.5)
+    networks, rng = CycleGan(config, "cpu"), np.random.default_rng(0)
+    touch, depth = (torch.from_numpy(rng.random((1, 3, 64, 64), np.float32)) for _ in range(2))
+    met = torch.ones(1, 1, 1, 1, dtype=torch.bool)
+    for number in (0, 5, 7):
+        networks.step(number, Batch(depth, touch, depth[:, :2], None, met, None), rng)
+        groups = [group for each in networks.optimisers.values() for group in each.param_groups]
+        assert {group["lr"] for group in groups} == {config.rate(number)}
+
+
+def test_errors_of_touches_are_of_all_colours_and_those_of_depth_not_of_its_place():
+    """The first two channels of a depth image are row and column, which are given."""
+    level = torch.zeros(1, 3, 2, 2)
+    for channel in range(3):
+        made = level.clone()
+        made[:, channel] = 1
+        assert float(_mean_error("touch", made, level)) == pytest.approx(1 / 3)
+        assert float(_mean_error("depth", made, level)) == float(channel == 2)
+
+
+def test_the_manifest_of_pairs_names_what_they_were_made_of(sources, pairs):
+    source = json.loads((Path(pairs) / "manifest.json").read_text())["spec"]["source"]
+    shards = [json.loads((Path(folder) / "manifest.json").read_text())["shards"][0] for folder in sources]
+    assert set(source) == {"depth", "real"}
+    assert [found["sha256"] for found in source["depth"]] == [shards[0]["sha256"]]
+    assert [found["bytes"] for found in source["real"]] == [shards[1]["bytes"]]

@@ -255,3 +255,21 @@ def test_bodies_that_touch_and_a_body_that_touches_itself_are_solids() -> None:
     chain = sum((cube.translate((x, y, 0)) for x, y in around), manifold3d.Manifold())
     assert report_of(surface_of(chain)).is_solid
     assert self_crossing(*surface_of(chain)) is None
+
+
+@pytest.mark.parametrize("bulge", [0.1, 0.3])
+def test_two_reliefs_back_to_back_over_a_line_that_winds_twice_are_named(bulge: float) -> None:
+    """All faces of each half look the same way, so that only the line between the halves tells it."""
+    turn = np.linspace(0, 4 * np.pi, 41, endpoint=False)
+    far = 10 * (1 + bulge * np.cos(turn / 2))
+    rim = np.stack([far * np.cos(turn), far * np.sin(turn), np.zeros(41)], axis=1)
+    here, following = np.arange(41), np.roll(np.arange(41), -1)
+    faces = np.concatenate(
+        [
+            np.stack([np.full(41, 41), here, following], axis=1),
+            np.stack([np.full(41, 42), following, here], axis=1),
+        ]
+    )
+    surface = np.concatenate([rim, [[0, 0, 5], [0, 0, -5]]]), faces
+    assert self_crossing(*surface) is not None
+    assert report_of(surface).problem == "self-crossing"

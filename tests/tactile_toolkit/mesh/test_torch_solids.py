@@ -190,3 +190,10 @@ def test_without_torch_the_extra_is_named(room: str, tmp_path: Path) -> None:
     said = printed_by(code)
     assert said.startswith("MissingExtraError a torch data set of solids needs the package 'torch'")
     assert "the extra `torch`" in said
+
+
+def test_grids_of_integers_too_large_for_numpy_are_refused() -> None:
+    from starstruck_gen.torch import SceneTensors
+
+    with pytest.raises(InputError, match="at most"):
+        SceneTensors(SCENES, extent_m=(10**30, 1, 1), pitch_m=1)

@@ -14,6 +14,7 @@ from PIL import Image
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.sheets import (
+    ACCENTS,
     INK,
     PlannedPicture,
     Sheet,
@@ -222,3 +223,9 @@ def test_each_group_begins_a_row(sizes, most):
     assert [labels[start] for start in starts] == [f"g{n}" for n in range(len(sizes))]
     for start, size in zip(starts, sizes, strict=True):
         assert all(cells[start * columns : start * columns + size])
+
+
+def test_accents_are_colours_of_the_palette_that_they_name():
+    palette = "E69F00 56B4E9 009E73 F0E442 0072B2 D55E00 CC79A7 000000"  # Okabe and Ito 2008
+    assert {bytes(colour).hex().upper() for colour in ACCENTS} <= set(palette.split())
+    assert len(set(ACCENTS)) == len(ACCENTS)

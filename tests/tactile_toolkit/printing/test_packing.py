@@ -149,3 +149,9 @@ def test_an_object_as_large_as_the_plate_needs_all_of_it_and_no_more() -> None:
         spec = PlateSpec(120.0, 87.3, gap_mm, 0.0)
         cells = cells_of(spec, outline_of(box(120, 87.3).to_manifold()))
         assert cells.shape == spec.cells
+
+
+def test_progress_counts_every_shape_that_is_placed() -> None:
+    told: list[int] = []
+    pack([np.ones((4, 4), bool)] * 5, PLATE, on_progress=lambda done, _total: told.append(done))
+    assert told[:5] == [1, 2, 3, 4, 5]
