@@ -50,7 +50,7 @@ _OPPOSED = 1 - 2 * _STRAIGHT**2 + 1e-9
 # so far apart.
 _ASLANT = math.sqrt(2 - 2 * _STRAIGHT) + 1e-9
 
-# Pairs of nodes that wait: three more for each level of two trees, which are no deeper than 63 levels.
+# Pairs of nodes that wait: three more for each level of the trees, of which none has more than 63.
 _DEEPEST = 256
 
 

@@ -71,7 +71,7 @@ def limit_threads() -> None:
 
 
 def keep_memory() -> None:
-    """Keep freed memory of up to 64 MB in this process, where the C library is one that can be told (glibc).
+    """Keep freed memory of up to 64 MB in this process, where the C library is glibc.
 
     Otherwise the pages of arrays go back to the system after each item and are cleared again for the next:
     500 of them take a twenty-fifth of the time of a digit. The peak of the memory stays the same.
