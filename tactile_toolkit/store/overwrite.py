@@ -22,7 +22,7 @@ from tactile_toolkit.store.names import decode
 from tactile_toolkit.store.origin import RECORD_FILE
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
-# Lists the files of the former data set that the next one lacks.
+# Lists the files of the former data set that the next one does not have.
 _PROMOTION = f"{NEXT_FOLDER}/.promotion.json"
 _PATIENCE_S = 60.0
 _OURS = ("reports/*.parquet", "previews/*.png", "README.md", "croissant.json", RECORD_FILE, MANIFEST_FILE)

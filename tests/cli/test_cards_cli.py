@@ -275,4 +275,5 @@ def test_a_specification_of_something_else_is_named(kind, folders, tmp_path, cap
         assert call(kind, "preview", folder, "--out", tmp_path / "out") in (0, 2, 3)
         assert "Traceback" not in capsys.readouterr().err
     assert call(kind, "card", folder) == 3
-    assert "is not that of a data set of this kind (TypeError" in " ".join(capsys.readouterr().err.split())
+    message = " ".join(capsys.readouterr().err.split())
+    assert "its specification is not that of this kind of data set (TypeError" in message

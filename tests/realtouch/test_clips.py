@@ -289,20 +289,3 @@ def test_an_index_with_an_entry_that_leads_nowhere(seq_rows: list[dict], tmp_pat
         _ = record.sensor_video[0]
     kept = realtouch.load(tmp_path, on_error="skip")
     assert [(damage.row, damage.touch) for damage in kept.skipped] == [(0, 0)]
-
-
-def test_single_frames_of_other_containers_are_those_of_the_clip(
-    truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path
-) -> None:
-    """Of a codec whose frames follow from those before, which are decoded and not given."""
-
-    def other(row: dict, _: int) -> None:
-        for blob, touch in zip(row["sensor_video"], truth[0].touches, strict=True):
-            blob["bytes"] = factories.encode_avi(touch.pixels, "mpeg4", "matroska")
-
-    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=other))
-    clip = realtouch.load(tmp_path)[0].sensor_video[0]
-    frames = clip.frames()
-    assert (frames[0] != frames[-1]).any()
-    for index in (0, len(frames) // 2, len(frames) - 1):
-        np.testing.assert_array_equal(clip[index], frames[index])
