@@ -77,8 +77,9 @@ def choose_rows(
     seen, found = np.zeros(len(ranges), bool), []
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
-        if ranges:
-            inside = [(rows.ids >= low) & (rows.ids <= high) for low, high in ranges]
+        if ids is not None:
+            inside = np.array([(rows.ids >= low) & (rows.ids <= high) for low, high in ranges], bool)
+            inside = inside.reshape(len(ranges), len(rows))  # of no ids, too
             wanted, seen = np.any(inside, axis=0), seen | np.any(inside, axis=1)
         if labels is not None:
             classes = list(rows.label_names)

@@ -32,7 +32,7 @@ from tactile_toolkit.store.parquet import (
     open_checked,
     sha256_hex,
 )
-from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
+from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord, unknown_split
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -162,6 +162,8 @@ def divide(
     if not fractions:
         among = dict(chosen)
         only = among.pop("split", None)
+        if only not in (None, *datasets):
+            raise unknown_split(only, tuple(datasets), name)
         some = choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
         taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
         return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]

@@ -10,6 +10,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
+from tactile_toolkit.catalog.choose import choose_rows
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tests.command_line import call
@@ -121,3 +123,18 @@ def test_a_killed_merge_continues_and_damage_is_not_copied(tmp_path, capsys):
     file.write_bytes(content)
     assert call("mnist3d", "merge", one, two, "--out", tmp_path / "bad", *ALONE) == 3
     assert file.name in capsys.readouterr().err
+
+
+def test_an_unknown_split_and_an_empty_choice_are_named(tmp_path, capsys):
+    folder = _made("starstruck", tmp_path / "all")
+    out = tmp_path / "parts"
+    capsys.readouterr()
+    for further in ((), ("--ids", 0)):
+        assert call("starstruck", "split", folder, "--split", "tset", *further, "--out", out, *ALONE) == 2
+        error = capsys.readouterr().err
+        assert "no split 'tset'" in error
+        assert "did you mean 'test'?" in error
+    assert not out.exists()
+    scenes = [("train", import_module("starstruck_gen").load(str(folder), "train"))]
+    with pytest.raises(InputError, match="no object is chosen"):
+        choose_rows(scenes, ids=[])

@@ -38,7 +38,8 @@ def test_parts_of_a_digit(seed: int, number: int):
     solid = mnist3d.solidify(SyntheticSource(seed=seed).image(number).pixels)
     parts = convex_parts(solid)
     hulls = [ConvexHull(part.vertices_m).volume for part in parts]
-    # Qhull joins facets that are nearly in one plane: on some processors that takes 0.03 % of a hull.
+    # On a processor without AVX-512, manifold3d 3.5.4 makes one of 107 hulls 0.03 % larger than that of its
+    # corners, as Qhull finds it however they are turned. Simulators take the hull of the corners.
     assert [part.volume_m3 for part in parts] == pytest.approx(hulls, rel=1e-3), "a part is not convex"
     assert 0.99 <= sum(hulls) / solid.volume_m3 <= 1.10
     assert outside_mm(solid, parts) <= 0.3
