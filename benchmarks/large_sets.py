@@ -106,10 +106,9 @@ def fabricate(folder: Path, shards: int) -> None:
     from mnist3d.columns import REPORT_FILE
     from mnist3d.make import GenerateSpec, generate
     from mnist3d.sources.synthetic import SyntheticSource
-    from tactile_toolkit.store.derived import write_small_columns
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import write_manifest
-    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex
+    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex, write_small_columns
     from tactile_toolkit.store.shards import ShardName
 
     made = generate(GenerateSpec(SyntheticSource(), limit=1), folder, ("train",))
@@ -223,9 +222,9 @@ def merging(folder: Path) -> dict[str, float]:
 
     from mnist3d.card import summarise
     from mnist3d.columns import REPORT_FILE
-    from tactile_toolkit.store.derived import merge_reports
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import Manifest
+    from tactile_toolkit.store.parquet import merge_reports
     from tactile_toolkit.store.shards import ShardName, ShardRecord
 
     where, names = DataFolder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]

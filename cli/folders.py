@@ -124,7 +124,7 @@ def verify(
 
 def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[str, Any]:
     """Verify the files of a folder, and return the JSON document; IntegrityError where one is damaged."""
-    from tactile_toolkit.cards.checks import check_card
+    from tactile_toolkit.cards.card import check_card
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import read_manifest
     from tactile_toolkit.store.origin import read_record
@@ -192,8 +192,7 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
 
     Example: card FOLDER
     """
-    from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER
-    from tactile_toolkit.cards.checks import check_card
+    from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, check_card
     from tactile_toolkit.cards.facts import CROISSANT_FILE
     from tactile_toolkit.catalog.locate import finished_manifest, require_manifest, specification_read
     from tactile_toolkit.store.folder import DataFolder

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -111,9 +112,9 @@ def make_with_progress(
 
 
 def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, making: Making) -> None:
-    sink.document(view.to_dict())
+    sink.document(asdict(view))
     header = ("split", kind.nouns, "shards", "finished already")
-    sink.table(header, [(entry.split, entry.rows, entry.shards, entry.finished) for entry in view.splits])
+    sink.table(header, [tuple(entry.values()) for entry in view.splits])
     if view.replaced is not None:
         parts = ", ".join(f"{split} {rows:,}" for split, rows in view.replaced.items())
         held = f"{counted(sum(view.replaced.values()), 'rows')} ({parts})" if parts else "no rows"

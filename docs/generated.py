@@ -51,7 +51,6 @@ SHARED = (
     "tactile_toolkit.mesh.torch.SolidTensors",
     "tactile_toolkit.read.dataset.Record",
     "tactile_toolkit.read.dataset.RecordDataset",
-    "tactile_toolkit.read.sequence.LazySequence",
     "tactile_toolkit.store.build.Progress",
     "tactile_toolkit.store.build.RunOptions",
     "tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS",

@@ -19,8 +19,7 @@ from tactile_toolkit.gallery.items import natural_order
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.sequence import positions
+from tactile_toolkit.read.dataset import RecordDataset, positions
 from tactile_toolkit.store.files import expanded, path_exists
 
 _FIELDS = ("id", "label", "vertices_m", "faces", "mesh")

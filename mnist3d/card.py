@@ -30,9 +30,9 @@ from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Tile
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.store.derived import read_report, report_columns
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.parquet import read_report, report_columns
 from tactile_toolkit.wording import printable
 
 

@@ -24,9 +24,9 @@ from tactile_toolkit.gallery.items import (
 )
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
-from tactile_toolkit.store.derived import read_report
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.parquet import read_report
 from tactile_toolkit.wording import class_name
 
 _ROWS_PER_TASK = 8

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
-from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.dataset import Row, checked_index
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.sequence import checked_index
 from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, PER_TOUCH_COLUMNS, POSE_COLUMN, Kind
 from tactile_toolkit.touch.video import MAX_CLIP_FRAMES

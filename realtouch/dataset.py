@@ -23,15 +23,15 @@ from realtouch.rounds import (
     TouchRound,
     TouchSeqRound,
     TouchSingleRound,
+    touch_id,
 )
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.dataset import RecordDataset, with_origins
+from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions, with_origins
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.read.sequence import LazySequence, checked_index, flattened, positions
 from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
 from tactile_toolkit.touch.jpeg import Pixels, room_for
 from tactile_toolkit.touch.schema import (
@@ -219,7 +219,7 @@ class TouchSeqDataset(TouchDataset[TouchSeqRound]):
     kind = "seq"
 
 
-class Touches(LazySequence[Touch], Generic[R]):
+class Touches(RecordDataset[Touch], Generic[R]):
     """All touches of some rounds, or a selection of them; a view that copies nothing.
 
     ``touches[i]`` gives a :class:`Touch`; a slice, ints or a boolean mask give a view. Filters give views too
@@ -240,7 +240,8 @@ class Touches(LazySequence[Touch], Generic[R]):
         self.dataset = dataset
         counts = dataset.touch_counts
         self._starts = np.concatenate([[0], np.cumsum(counts)])
-        self._rows = range(int(self._starts[-1])) if chosen is None else chosen
+        rows = range(int(self._starts[-1])) if chosen is None else chosen
+        super().__init__(dataset._table, rows, dataset.label_names)
         # Rounds of one length, the common case, are found by a division.
         self._per_round = int(counts[0]) if len(counts) and (counts == counts[0]).all() else 0
 
@@ -292,9 +293,10 @@ class Touches(LazySequence[Touch], Generic[R]):
         return self.dataset.int_column(name)[self.round_positions]
 
     @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class, in order of the label."""
-        return self.dataset.label_names
+    def ids(self) -> NDArray[Any]:
+        """Id of each touch, as :attr:`Touch.id`, shape (len,); reads the ids of the rounds only."""
+        pairs = zip(self.column("id").tolist(), self.touch_indices.tolist(), strict=True)
+        return np.array([touch_id(*pair) for pair in pairs], object)
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -366,11 +368,6 @@ class Touches(LazySequence[Touch], Generic[R]):
         )
         starts = np.cumsum([0, *map(len, parts)])
         return whole.select(starts[np.searchsorted(rounds, places)] + self.touch_indices)
-
-    def _places_of_id(self, id: Any) -> NDArray[np.int64]:
-        name, _, touch = str(id).rpartition("_")
-        wanted = int(touch) if touch.isdecimal() else -1
-        return np.flatnonzero((self.column("id") == name) & (self.touch_indices == wanted))
 
     @property
     def object_ids(self) -> NDArray[np.int64]:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from realtouch.columns import Damage, DamagedRoundError, TouchRow
 from realtouch.media import SensorImages, TouchClip
+from tactile_toolkit.catalog.locate import manifest_beside
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.source import manifest_beside
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 from tactile_toolkit.touch.schema import (

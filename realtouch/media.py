@@ -23,7 +23,7 @@ from realtouch.poses import Poses
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.pictures.sheets import TILE_STYLE, Sheet, Tile, figure_html, sheet
 from tactile_toolkit.read.columns import BytesColumn
-from tactile_toolkit.read.sequence import checked_index, positions
+from tactile_toolkit.read.dataset import checked_index, positions
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized, room_for
 from tactile_toolkit.touch.video import Avi

@@ -30,9 +30,8 @@ from realtouch.media import (
 from realtouch.poses import Poses, PoseSequences
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup, column_names
-from tactile_toolkit.read.dataset import Record
+from tactile_toolkit.read.dataset import Record, positions
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.sequence import positions
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import flat_row, take_touches
 

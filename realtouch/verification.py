@@ -16,7 +16,7 @@ from realtouch.integrity import (
     stated_class_names,
 )
 from realtouch.opening import Name, open_shards, place_of
-from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.catalog.locate import folder_named, splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_names

@@ -32,7 +32,7 @@ from tactile_sim.pressing import (
 from tactile_sim.spec import WINDOWS, PictureOptions, TouchPlan, current_window, window_option
 from tactile_toolkit import making
 from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.catalog.locate import place_of, splits_of
+from tactile_toolkit.catalog.locate import content_fingerprint, place_of, refuse_source, splits_of
 from tactile_toolkit.catalog.spec import IdChoice
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.deprecation import former_attributes
@@ -40,7 +40,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.mesh import MeshLike
 from tactile_toolkit.mesh.records import SolidDataset
-from tactile_toolkit.read.source import content_fingerprint, refuse_source
 from tactile_toolkit.store.build import RunOptions
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder

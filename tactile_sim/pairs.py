@@ -24,11 +24,17 @@ from tactile_sim.plan import key_of, open_split, plan_round
 from tactile_sim.pressing import Pressable, Sensor, center_view, full_view, render_touch
 from tactile_sim.spec import WINDOWS, PairsSpec, TouchPlan
 from tactile_toolkit import making
-from tactile_toolkit.catalog.locate import find_shards, place_of, require_manifest
+from tactile_toolkit.catalog.locate import (
+    content_fingerprint,
+    file_fingerprint,
+    find_shards,
+    place_of,
+    refuse_source,
+    require_manifest,
+)
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.read.parquet import ShardedTable
-from tactile_toolkit.read.source import content_fingerprint, file_fingerprint, refuse_source
 from tactile_toolkit.rows import column, plain_schema, row
 from tactile_toolkit.store.build import RunOptions
 from tactile_toolkit.store.folder import DataFolder

@@ -5,25 +5,22 @@ from __future__ import annotations
 import os
 import time
 from abc import ABC, abstractmethod
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Unpack
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.run.processes import Check, Runner
-from tactile_toolkit.store.build import RunOptions, build
+from tactile_toolkit.store.build import RunOptions, build, refuse_overwriting_parts, require_replaceable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, Job, ShardContent, inspect_job, manifest_so_far
 from tactile_toolkit.store.manifest import Manifest, without_collecting
-from tactile_toolkit.store.overwrite import refuse_overwriting_parts, require_replaceable
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
-from tactile_toolkit.wording import counted
 
-# Shards in which a forecast looks for an item that gives a row.
-_SHARDS_TRIED = 8
 # What workers need to start and import their libraries.
 _START_S = 1.5
 
@@ -212,33 +209,20 @@ def generate(
 
 
 @dataclass(frozen=True, slots=True)
-class SplitForecast:
-    """One split: its rows and shards, and how many rows are finished already."""
-
-    split: str
-    rows: int
-    shards: int
-    finished: int
-
-
-@dataclass(frozen=True, slots=True)
 class Forecast:
     """What a run would do.
 
+    ``splits`` has of each split its ``rows`` and ``shards``, and how many rows are ``finished`` already.
     ``bytes`` of Parquet and ``seconds`` are estimated from ``sampled`` rows that were made. ``replaced`` are
     the rows of each split of the data set that the run would replace; None where it would replace none.
     """
 
-    splits: tuple[SplitForecast, ...]
+    splits: list[dict[str, Any]]
     rows_to_make: int
     bytes: int
     seconds: float
     sampled: int
     replaced: dict[str, int] | None = None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return asdict(self)
 
 
 def forecast(
@@ -264,44 +248,38 @@ def forecast(
         job = Job(folder, plan, plan.new_manifest(), plan.tasks)
     else:
         job = inspect_job(folder, plan, workers)
-    entries = []
-    for split in dict.fromkeys(task.shard.split for task in job.tasks):
-        sizes = [task.size for task in job.tasks if task.shard.split == split]
-        left = sum(task.size for task in job.remaining if task.shard.split == split)
-        entries.append(SplitForecast(split, sum(sizes), len(sizes), sum(sizes) - left))
-    left = sum(task.size for task in job.remaining)
-    sampled, row_bytes, row_s = _sample(making, plan)
+    rows, left = Counter[str](), Counter[str]()
+    for task in job.tasks:
+        rows[task.shard.split] += task.size
+    for task in job.remaining:
+        left[task.shard.split] += task.size
+    shards = Counter(task.shard.split for task in job.tasks)
+    sampled, item_bytes, item_s = _sample(making, plan)
     while not isinstance(workers, int):
         workers = getattr(workers, "workers", 1)
     processes = workers or os.cpu_count() or 1  # all cores where a runner leaves that open
     return Forecast(
-        tuple(entries),
-        left,
-        round(left * row_bytes),
-        round(left * row_s / processes + (_START_S if left else 0), 1),
+        [
+            {"split": each, "rows": rows[each], "shards": shards[each], "finished": rows[each] - left[each]}
+            for each in rows
+        ],
+        left.total(),
+        round(left.total() * item_bytes),
+        round(left.total() * item_s / processes + (_START_S if left else 0), 1),
         sampled,
         _existing_rows(folder) if overwrite else None,
     )
 
 
 def _sample(making: Making, plan: BuildPlan) -> tuple[int, float, float]:
-    """Make a few rows; return how many, and bytes and seconds of one."""
-    tasks, skipped = [task for task in plan.tasks if isinstance(task, Task)], list[Skipped]()
-    # The first row pays for imports and for what is kept in memory.
-    replace(tasks[0], items=tasks[0].items[:1]).make()
-    for task in tasks[:_SHARDS_TRIED]:
-        few = replace(task, items=task.items[: making.layout().sampled])
-        start_s = time.perf_counter()
-        content = few.make()
-        if rows := len(content.table):
-            size_bytes = len(encode_parquet(content.table, plan.style))
-            return rows, size_bytes / rows, (time.perf_counter() - start_s) / few.size
-        skipped += content.skipped
-    raise InputError(
-        f"none of {counted(len(skipped), making.kind.nouns)} that were tried could be made; the first: "
-        f"{skipped[0].message}; nothing was written",
-        next="correct the source, or choose another one",
-    )
+    """Make the first few items; return how many rows they gave, and bytes and seconds of an item."""
+    first: Any = plan.tasks[0]
+    replace(first, items=first.items[:1]).make()  # pays for imports and for what is kept in memory
+    few = replace(first, items=first.items[: making.layout().sampled])
+    start_s = time.perf_counter()
+    table = few.make().table
+    size_bytes = len(encode_parquet(table, plan.style))
+    return len(table), size_bytes / few.size, (time.perf_counter() - start_s) / few.size
 
 
 def _existing_rows(folder: DataFolder) -> dict[str, int] | None:

@@ -21,11 +21,10 @@ from realtouch.card import origin_of, write_card
 from realtouch.columns import TouchRow
 from realtouch.dataset import dataset_of
 from realtouch.opening import open_shards, place_of
-from tactile_toolkit.catalog.locate import splits_of
+from tactile_toolkit.catalog.locate import file_fingerprint, manifest_beside, refuse_source, splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import class_names, column_types
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder

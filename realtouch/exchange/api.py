@@ -28,16 +28,15 @@ from realtouch.convert.plan import KIND, Conversion, JobOptions, Source, convert
 from realtouch.exchange.items import NUMBERED, Item, contents_of, require_intact
 from realtouch.poses import bad_pose
 from realtouch.spec import ImportColumns
+from tactile_toolkit.catalog.locate import refuse_source
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.source import refuse_source
 from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan, ShardContent
+from tactile_toolkit.store.job import BuildPlan, ShardContent, first_style
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
-from tactile_toolkit.store.versions import first_style
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
 from tactile_toolkit.wording import printable
 

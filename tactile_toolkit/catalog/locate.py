@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -17,14 +18,14 @@ from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.derived import small_files
+from tactile_toolkit.store.build import resume_promotion
 from tactile_toolkit.store.files import expanded, path_exists, readable
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, without_collecting
 from tactile_toolkit.store.names import damaged, is_remote, normalize_uri, scheme_of
 from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.overwrite import resume_promotion
+from tactile_toolkit.store.parquet import file_sha256, small_files
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
     ShardFile,
@@ -403,3 +404,59 @@ def states(sets: Iterable[PublishedSet]) -> Iterator[tuple[HubRepository | None,
         return None if found is None or found.is_cache else found, find_cached(entry.repo_id)
 
     return in_threads(state, sets, _THREADS)
+
+
+def file_fingerprint(shard: Shard) -> dict[str, Any]:
+    """Return JSON values that identify the rows of a file; its footer holds the size of every column."""
+    folder, name = split_uri(shard.path)
+    with folder.open(name) as stream:
+        # A Parquet file ends in the length of its footer and four letters.
+        size = stream.seek(-8, 2) + 8
+        footer_bytes = int.from_bytes(stream.read(4), "little")
+        stream.seek(-8 - footer_bytes, 2)
+        footer = stream.read(footer_bytes)
+    return {
+        "file": name,
+        "rows": len(shard),
+        "bytes": size,
+        "footer_sha256": hashlib.sha256(footer).hexdigest(),
+    }
+
+
+def content_fingerprint(shard: Shard) -> dict[str, Any]:
+    """Return JSON values that identify a file by all of its bytes, for sources of moderate size."""
+    folder, name = split_uri(shard.path)
+    return {"file": name, "rows": len(shard), "sha256": file_sha256(folder, name)}
+
+
+def manifest_beside(shard: Shard) -> Manifest | None:
+    """Return the manifest of the folder that a shard lies in, where there is one."""
+    data, _ = split_uri(shard.path)
+    folder, name = split_uri(data.address())
+    return read_manifest(folder) if name == DATA_FOLDER else None
+
+
+def refuse_source(folder: DataFolder, name: str, shards: Iterable[Shard]) -> None:
+    """Refuse to write where shards are read, be it by another name or through a link (InputError).
+
+    ``name`` is the data set as the user gave it.
+    """
+    out, files = folder.address(), [shard.path for shard in shards]
+    if not folder.is_local:
+        inside = f"{out}/"
+        holds = any(file.startswith(inside) for file in files)
+        lies_in = inside.startswith(f"{name.rstrip('/')}/")
+    else:
+        place, home = Path(out).resolve(), expanded(name).resolve()
+        # By both paths: files of the Hub's cache are links into another folder.
+        named = [Path(file).absolute() for file in files]
+        real = [file.resolve() for file in named]
+        holds = any(file.is_relative_to(place) for file in real)
+        ours = home.is_dir() and place.is_relative_to(home)
+        lies_in = ours and any(file.is_relative_to(home) for file in [*real, *named])
+    if holds or lies_in:
+        raise InputError(
+            f"{out!r}, the folder to write, {'holds' if holds else 'lies in'} the source {name!r}; "
+            "nothing was changed",
+            next="choose a folder outside it",
+        )

@@ -13,13 +13,18 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 import numpy as np
 
 from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.catalog.locate import find_shards, splits_of
+from tactile_toolkit.catalog.locate import (
+    file_fingerprint,
+    find_shards,
+    manifest_beside,
+    refuse_source,
+    splits_of,
+)
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh.records import FACES, MESH, VERTICES, SolidDataset, flat_table
 from tactile_toolkit.read.columns import class_names, column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.read.source import file_fingerprint, manifest_beside, refuse_source
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder, split_uri

@@ -16,8 +16,7 @@ from pathlib import Path
 from posixpath import normpath
 from typing import Any
 
-from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, with_repo_name
-from tactile_toolkit.cards.checks import check_card, pictures_in
+from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, check_card, pictures_in, with_repo_name
 from tactile_toolkit.cards.facts import CROISSANT_FILE, configs, croissant_again, folder_facts, with_head
 from tactile_toolkit.catalog.locate import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError

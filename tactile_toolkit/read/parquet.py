@@ -30,10 +30,9 @@ from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.columns import RowGroup, class_names, column_types, numpy_values, table_bytes
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.derived import SOURCE_DIGEST
 from tactile_toolkit.store.files import locked, readable, resource_shortage
 from tactile_toolkit.store.folder import VERSION_KEYS, split_uri
-from tactile_toolkit.store.parquet import open_checked
+from tactile_toolkit.store.parquet import SOURCE_DIGEST, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
 _BLOCK_BYTES = 64 << 20

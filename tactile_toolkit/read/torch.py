@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler
-from tactile_toolkit.read.sequence import LazySequence
 from tactile_toolkit.wording import is_integer, plain_number
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         world_size: int | None = None,
     ) -> None:
         sequence = getattr(data, "sequence", data)
-        if not isinstance(sequence, LazySequence):
+        if not isinstance(sequence, RecordDataset):
             raise InputError(
                 f"{type(data).__name__} was given; expected a data set of the toolkit, or tensors of one "
                 "such as realtouch.torch.TouchTensors"

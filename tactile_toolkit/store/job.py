@@ -22,11 +22,16 @@ from tactile_toolkit import library_versions, toolkit_version
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.run.processes import Check, Finish, Part, Runner
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
+from tactile_toolkit.store.manifest import (
+    MANIFEST_FILE,
+    SCHEMA_VERSION,
+    Manifest,
+    read_manifest,
+    write_manifest,
+)
 from tactile_toolkit.store.names import Count, decode
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord, Skipped
-from tactile_toolkit.store.versions import SCHEMA_VERSION, plan_in_version
 
 _LONGEST_SHOWN = 200
 
@@ -138,6 +143,13 @@ class BuildPlan:
                     next="rename it",
                 )
 
+    def in_version(self, version: int) -> BuildPlan:
+        """Return the plan by which a data set of a version is continued."""
+        if version == self.schema_version:
+            return self
+        former = self.former or self
+        return replace(former, style=first_style(former.style), schema_version=version, former=None)
+
     def new_manifest(self) -> Manifest:
         """Return the manifest of a folder in which nothing is finished."""
         return Manifest(
@@ -149,6 +161,11 @@ class BuildPlan:
             trees=self.extra_dirs,
             libraries=library_versions(*self.libraries),
         )
+
+
+def first_style(style: ParquetStyle) -> ParquetStyle:
+    """Return a style with the pages of the first version."""
+    return replace(style, values_per_page=None, chunks_by_content=False, page_index=False)
 
 
 class MissingPartsError(IntegrityError):
@@ -226,7 +243,7 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
     check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
     manifest = read_manifest(folder)
     if manifest is not None:
-        plan = plan_in_version(plan, manifest.schema_version)
+        plan = plan.in_version(manifest.schema_version)
     new, tasks = plan.new_manifest(), tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
     if manifest is None:
         refuse_unknown_files(folder)

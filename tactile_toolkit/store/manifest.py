@@ -17,13 +17,16 @@ from typing import Annotated, Any
 
 import msgspec
 
+from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import Sha256, damaged, decode, names_inside
 from tactile_toolkit.store.shards import ShardRecord, add_up
-from tactile_toolkit.store.versions import SCHEMA_VERSION, require_known_version, version_in_identity
 from tactile_toolkit.wording import printable_json
 
 MANIFEST_FILE = "manifest.json"
+SCHEMA_VERSION = 2
+"""Version of the folders that are begun now."""
+_FIRST_VERSION = 1
 # What the text of a manifest leaves out where there is none.
 _OPTIONAL = ("libraries", "statistics", "trees")
 
@@ -52,7 +55,8 @@ class Manifest:
     @property
     def identity(self) -> str:
         """Digest of all that decides the rows of a data set and their bytes."""
-        version = version_in_identity(self.schema_version)
+        # Records of the first version lack it.
+        version = () if self.schema_version == _FIRST_VERSION else (self.schema_version,)
         values = (self.kind, self.toolkit_version, dict(self.libraries), self.spec, *version)
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
@@ -129,7 +133,12 @@ class Manifest:
     def from_json(cls, content: str | bytes, where: str) -> Manifest:
         """Parse ``manifest.json``; IntegrityError when it is not one, or one of a later layout."""
         manifest = decode(content, cls, where)
-        require_known_version(manifest.schema_version, where)
+        if manifest.schema_version > SCHEMA_VERSION:
+            raise IntegrityError(
+                f"{where!r} has schema version {manifest.schema_version}, this toolkit reads up to "
+                f"{SCHEMA_VERSION}",
+                next="install a newer tactile-toolkit",
+            )
         # The text repeats what follows from the shards, so that a changed number is found.
         stated = msgspec.structs.asdict(decode(content, _Sums, where))
         try:

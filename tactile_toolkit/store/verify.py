@@ -6,11 +6,11 @@ import contextlib
 import io
 import os
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import IO, Any, NamedTuple
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.threads import in_threads
@@ -19,9 +19,6 @@ from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifes
 from tactile_toolkit.store.origin import RECORD_FILE, HubFile, digest_like, kind_of, read_record
 from tactile_toolkit.store.parquet import named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
-
-T = TypeVar("T")
-R = TypeVar("R")
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,64 +74,86 @@ def verify(
         When the manifest, or the record of the download, is itself damaged.
     """
     manifest = read_manifest(folder)
-    if manifest is None:
-        return _verify_copy(folder, on_file, workers)
-    findings = _incomplete(folder, manifest)
-    check = partial(_check_shard, folder, schema)
-    checked = _each(check, {record.file: record for record in manifest.shards}, on_file, workers)
-    findings += [finding for found, _ in checked for finding in found]
-    findings += _repeated_ids(manifest.shards, [ids for _, ids in checked])
-    # Files for the Hub's page may be left out, as in a cache of the rows alone.
-    files = {
-        path: HubFile(path, 0, sha256)
-        for path, sha256 in manifest.files.items()
-        if not path.startswith(f"{VIEWER_FOLDER}/") or folder.exists(path)
-    }
-    for found, _ in _each(partial(_check_file, folder), files, on_file, workers):
-        findings += found
-    if check_card is not None and not findings:  # what is damaged is named, and cannot be compared with
-        findings += check_card(folder)
-    rows = sum(shard.rows for shard in manifest.shards)
-    size = sum(shard.bytes for shard in manifest.shards)
-    return Verification(len(manifest.shards) + len(files), rows, size, tuple(findings))
-
-
-def _verify_copy(folder: DataFolder, on_file: Callable[[str], None], workers: int) -> Verification:
-    record = read_record(folder)
-    if record is None:
+    record = read_record(folder) if manifest is None else None
+    shards: dict[str, ShardRecord] = {}
+    if manifest is not None:
+        shards = {each.file: each for each in manifest.shards}
+        files = {path: HubFile(path, each.bytes, each.sha256) for path, each in shards.items()}
+        # Files for the Hub's page may be left out, as in a cache of the rows alone.
+        files |= {
+            path: HubFile(path, 0, sha256)
+            for path, sha256 in manifest.files.items()
+            if not path.startswith(f"{VIEWER_FOLDER}/") or folder.exists(path)
+        }
+        findings, reference = _incomplete(folder, manifest), MANIFEST_FILE
+    elif record is not None:
+        files, reference = record.files, f"{record.repo_id} at {record.commit[:12]}"
+        findings = _unlisted(folder, files, RECORD_FILE)
+    else:
         raise InputError(
             folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
             next="give the folder of a generated or downloaded data set",
         )
-    # Ids are the publisher's own, and may be the same in several splits.
-    checked = _each(partial(_check_file, folder), record.files, on_file, workers)
-    findings = [finding for found, _ in checked for finding in found]
-    findings += _unlisted(folder, record.files, RECORD_FILE)
-    size = sum(file.size_bytes for file in record.files.values())
-    reference = f"{record.repo_id} at {record.commit[:12]}"
-    return Verification(len(checked), sum(rows for _, rows in checked), size, tuple(findings), reference)
 
-
-def _each(
-    check: Callable[[T], R], files: Mapping[str, T], on_file: Callable[[str], None], workers: int
-) -> list[R]:
-    """Check files by path in threads; each is announced before it is read."""
-
-    def announced() -> Iterator[T]:
+    def announced() -> Iterator[HubFile]:
         for path, file in files.items():
             on_file(path)
             yield file
 
-    return list(in_threads(check, announced(), workers))
+    check = partial(_check_file, folder, schema, shards)
+    checked = dict(zip(files, in_threads(check, announced(), workers), strict=True))
+    findings += [finding for found in checked.values() for finding in found.findings]
+    # Ids of other people's data sets are their own, and may be the same in several splits.
+    findings += _repeated_ids({path: checked[path].ids for path in shards})
+    if check_card is not None and not findings:  # what is damaged is named, and cannot be compared with
+        findings += check_card(folder)
+    rows = sum(each.rows for path, each in checked.items() if path in (shards or files))
+    size = sum(file.size_bytes for file in files.values())
+    return Verification(len(files), rows, size, tuple(findings), reference)
 
 
-def _check_file(folder: DataFolder, file: HubFile) -> tuple[list[Finding], int]:
-    """Check one file against what is known of it; return what is wrong, and the rows that it holds."""
+class _Checked(NamedTuple):
+    """What is wrong with a file, its rows, and of a shard its ids, an Arrow array (None: unreadable)."""
+
+    findings: list[Finding]
+    rows: int = 0
+    ids: Any = None
+
+
+def _check_file(
+    folder: DataFolder, schema: Any, shards: Mapping[str, ShardRecord], file: HubFile
+) -> _Checked:
+    """Check one file against what is known of it, and a shard of ours against its record and the schema."""
+    import pyarrow as pa
+
+    path, address = file.path, folder.address(file.path)
+    record, ids, findings = shards.get(path), None, []
     try:
-        with _intact(folder, file) as stream, named_damage(folder.address(file.path)):
-            return [], open_checked(stream).metadata.num_rows if file.path.endswith(".parquet") else 0
+        with _intact(folder, file) as stream, named_damage(address):
+            if not path.endswith(".parquet"):
+                return _Checked([])
+            parquet = open_checked(address if folder.is_local else stream)
+            rows, stored = parquet.metadata.num_rows, parquet.schema_arrow
+            if record is None:
+                return _Checked([], rows)
+            place = stored.get_field_index("id")
+            if place < 0 or pa.types.is_nested(stored.field(place).type):
+                findings.append(Finding(path, "holds no column 'id' of one value for each row"))
+            else:
+                ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
     except IntegrityError as error:
-        return [Finding(file.path, str(error))], 0
+        return _Checked([Finding(path, str(error))], 0 if record is None else record.rows)
+    if rows != record.rows:
+        findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
+    # Compared by Arrow: how the element of a list is called does not count.
+    if schema is not None and not stored.equals(schema):
+        found, expected = (
+            [f"{each.name}: {each.type}" for each in one if not any(map(each.equals, other))]
+            for one, other in ((stored, schema), (schema, stored))
+        )
+        differences = f"{found} there, {expected} expected" if found or expected else "the order of columns"
+        findings.append(Finding(path, f"schema differs: {differences}"))
+    return _Checked(findings, record.rows, ids)
 
 
 def problem_of_place(folder: DataFolder, path: str) -> str:
@@ -199,55 +218,23 @@ def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
         yield stream
 
 
-def _check_shard(folder: DataFolder, schema: Any, record: ShardRecord) -> tuple[list[Finding], Any]:
-    """Check one shard; return what is wrong with it, and its ids as an Arrow array (None: unreadable)."""
-    import pyarrow as pa
-
-    path, ids, findings = record.file, None, []
-    address = folder.address(path)
-    file = HubFile(path, record.bytes, record.sha256)
-    try:
-        with _intact(folder, file) as stream, named_damage(address):
-            parquet = open_checked(address if folder.is_local else stream)
-            rows, stored = parquet.metadata.num_rows, parquet.schema_arrow
-            place = stored.get_field_index("id")
-            if place < 0 or pa.types.is_nested(stored.field(place).type):
-                findings.append(Finding(path, "holds no column 'id' of one value for each row"))
-            else:
-                ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
-    except IntegrityError as error:
-        return [Finding(path, str(error))], None
-    if rows != record.rows:
-        findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
-    # Compared by Arrow: how the element of a list is called does not count.
-    if schema is not None and not stored.equals(schema):
-        found, expected = (
-            [f"{each.name}: {each.type}" for each in one if not any(map(each.equals, other))]
-            for one, other in ((stored, schema), (schema, stored))
-        )
-        differences = f"{found} there, {expected} expected" if found or expected else "the order of columns"
-        findings.append(Finding(path, f"schema differs: {differences}"))
-    return findings, ids
-
-
-def _repeated_ids(records: Sequence[ShardRecord], ids: Sequence[Any]) -> Iterator[Finding]:
+def _repeated_ids(ids: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield a finding for each shard in which an id stands twice, or again after an earlier shard."""
     import pyarrow as pa
     import pyarrow.compute as pc
 
-    readable = [each for each in ids if each is not None]
+    readable = {path: each for path, each in ids.items() if each is not None}
     suspects: set[object] = set()
-    for kind in {array.type for array in readable}:
-        counted = pa.chunked_array([array for array in readable if array.type == kind]).value_counts()
+    for kind in {array.type for array in readable.values()}:
+        alike = [array for array in readable.values() if array.type == kind]
+        counted = pa.chunked_array(alike).value_counts()
         suspects.update(counted.filter(pc.greater(counted.field("counts"), 1)).field("values").to_pylist())
     first_files: dict[object, str] = {}
-    for record, each in zip(records, ids, strict=True):
-        if not suspects or each is None:
-            continue
+    for path, each in readable.items() if suspects else ():
         held = [value for value in each.to_pylist() if value in suspects]
         repeated = [value for value, count in Counter(held).items() if count > 1 or value in first_files]
         if repeated:
-            first = first_files.get(repeated[0], record.file)
+            first = first_files.get(repeated[0], path)
             problem = f"is not unique, it also stands in {first} ({len(repeated)} such ids)"
-            yield Finding(record.file, f"id {repeated[0]!r} {problem}")
-        first_files.update(dict.fromkeys(held, record.file))
+            yield Finding(path, f"id {repeated[0]!r} {problem}")
+        first_files.update(dict.fromkeys(held, path))

@@ -12,7 +12,7 @@ import pytest
 from huggingface_hub import DatasetCard
 
 import realtouch
-from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.store.folder import DataFolder
 from tests.command_line import call
 from tests.realtouch import factories

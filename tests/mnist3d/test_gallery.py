@@ -15,8 +15,8 @@ from mnist3d.splits import SplitSpec
 from tactile_toolkit.catalog.choose import Choice
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.gallery.site import build_site, forecast_site
-from tactile_toolkit.store.derived import read_report
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.parquet import read_report
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, index_of
 from tests.tactile_toolkit.toy import folder_bytes

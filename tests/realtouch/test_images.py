@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from PIL import Image
 
 import realtouch
-from tactile_toolkit.read.sequence import positions
+from tactile_toolkit.read.dataset import positions
 from tactile_toolkit.touch.jpeg import decode_image, encode_image, image_size
 from tests.realtouch.factories import encode_jpeg
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 import realtouch
 from cli.realtouch import app
 from realtouch.exchange.api import ImportLayout
-from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES

@@ -20,7 +20,7 @@ from env_assets.wrench.spec import (
     next_smaller_mm,
     width_across_flats_mm,
 )
-from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.mesh.height_map import top_surface
 from tactile_toolkit.store.folder import DataFolder

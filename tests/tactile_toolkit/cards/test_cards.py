@@ -27,13 +27,13 @@ from mnist3d.make import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards.card import (
+    check_card,
     column_type_text,
     markdown_table,
     megabytes,
     render_card,
     with_repo_name,
 )
-from tactile_toolkit.cards.checks import check_card
 from tactile_toolkit.cards.facts import folder_facts, size_category, yaml_features
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder

@@ -17,7 +17,7 @@ import yaml
 import mnist3d
 import realtouch
 import starstruck_gen
-from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.cards.facts import croissant_again, croissant_text, folder_facts
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest

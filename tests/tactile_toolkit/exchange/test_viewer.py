@@ -12,7 +12,7 @@ import yaml
 import mnist3d
 from mnist3d.make import GenerateSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
 from tactile_toolkit.store.folder import DataFolder

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from tactile_toolkit.cards.checks import check_card
+from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, card_head, configs, folder_facts, head_text
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError

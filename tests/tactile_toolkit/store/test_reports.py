@@ -13,9 +13,8 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store import derived
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.derived import merge_reports, read_report
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.parquet import ParquetStyle, merge_reports, read_report
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 REPORT = "reports/toy.parquet"

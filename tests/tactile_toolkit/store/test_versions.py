@@ -20,7 +20,6 @@ from tactile_toolkit.store.manifest import read_manifest, write_manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.shards import ShardName
 from tactile_toolkit.store.verify import verify
-from tactile_toolkit.store.versions import plan_in_version
 from tests.tactile_toolkit.toy import SCHEMA, STYLE, BuildPlan, ToyTask, folder_bytes, toy_plan
 
 
@@ -36,7 +35,7 @@ def begin_first(path: Path, plan: BuildPlan) -> DataFolder:
     """Put the manifest there with which a run of the first version began."""
     folder = DataFolder(str(path))
     folder.require_folder()
-    write_manifest(folder, plan_in_version(plan, 1).new_manifest())
+    write_manifest(folder, plan.in_version(1).new_manifest())
     return folder
 
 
@@ -81,7 +80,7 @@ def test_a_folder_that_is_replaced_is_of_the_second_version(tmp_path):
 
 def test_records_of_one_version_do_not_count_for_another():
     plan = toy_plan()
-    assert plan.new_manifest().identity != plan_in_version(plan, 1).new_manifest().identity
+    assert plan.new_manifest().identity != plan.in_version(1).new_manifest().identity
 
 
 def test_later_versions_are_refused(tmp_path):
