@@ -53,7 +53,7 @@ SHARED = (
     "tactile_toolkit.read.dataset.RecordDataset",
     "tactile_toolkit.store.build.Progress",
     "tactile_toolkit.store.build.RunOptions",
-    "tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS",
+    "realtouch.media.MAX_BATCH_PIXELS",
 )
 """What users inherit from several packages, and what public names refer to."""
 
@@ -318,12 +318,12 @@ def _formats_page() -> str:
     from env_assets.wrench.making import WrenchRow, wrench_schema
     from mnist3d.columns import DigitRow, digit_schema
     from realtouch.card import WORDS
+    from realtouch.schema import KNOWN_COLUMNS
     from starstruck_gen.columns import SceneRow, scene_schema
     from tactile_sim.columns import TouchRow, touch_schema
     from tactile_toolkit.cards.card import card_words, field_table, markdown_table
     from tactile_toolkit.cards.facts import FolderFacts
     from tactile_toolkit.rows import meanings
-    from tactile_toolkit.touch.schema import KNOWN_COLUMNS
 
     def table(schema: Any, row_type: type) -> str:
         return field_table(FolderFacts((), schema), meanings(row_type)).replace(

@@ -11,10 +11,12 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 
 from realtouch.columns import TouchRow
+from realtouch.contact import ContactHeight
 from realtouch.dataset import TouchDataset, dataset_of
 from realtouch.kind import KIND
 from realtouch.media import contact_sheet, evenly_spaced
 from realtouch.rounds import Touch, TouchSeqRound, TouchSingleRound
+from realtouch.schema import is_rendered, kind_of
 from tactile_toolkit.cards.card import Card, Column, between, bibtex, card_words, rows_to_draw
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.errors import ToolkitError
@@ -22,9 +24,9 @@ from tactile_toolkit.pictures.sheets import png_bytes
 from tactile_toolkit.read.columns import column_names, column_types
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.contact import ContactHeight, missed_text
+from tactile_toolkit.touch.contact import missed_text
 from tactile_toolkit.touch.jpeg import Pixels, decode_image
-from tactile_toolkit.touch.schema import Kind, is_rendered, kind_of
+from tactile_toolkit.touch.schema import Kind
 
 Origin = Literal["real", "synthetic", "imported"]
 """Where touches are from; manifests of conversions state it as the option ``touches``."""

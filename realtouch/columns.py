@@ -16,14 +16,16 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from realtouch.contact import PLATE_COLUMN, ContactHeight
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
+from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN
+from realtouch.video import MAX_CLIP_FRAMES
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row, checked_index
 from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, PER_TOUCH_COLUMNS, POSE_COLUMN, Kind
-from tactile_toolkit.touch.video import MAX_CLIP_FRAMES
+from tactile_toolkit.touch.contact import PRESS_DEPTH_M
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind
 
 # The first of these that is there says how many touches a round has; poses only where they were read alone.
 _COUNTED = (

@@ -12,7 +12,7 @@ Grey is what OpenCV and JPEG call luma (ITU-R BT.601), in integers: (4899 R + 96
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.deprecation import former_arguments, former_attributes, warn_former
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch.contact import RENDERED_CONTACT_M, height_text
 from tactile_toolkit.touch.jpeg import Pixels
 
 ContactMethod = Literal["contact_start", "contact_end", "peak", "best"]
@@ -316,3 +317,49 @@ def best_of(
         scores = contact_score(frames, base, rule)
     best = int(np.argmax(scores.total_change))
     return best, ContactScore(int(scores.area_px[best]), float(scores.intensity[best]))
+
+
+MIN_CONTACT_HEIGHT_M = 0.006
+"""A gel that stops so far above the plate touched an object: the publisher's own threshold, metres."""
+
+
+PLATE_COLUMN = "plate_z_m"
+"""Height of the plate in a round from which `select` took touches, metres, cell frame."""
+
+
+# Only touches of `tactile-sim generate` have it; those lie on a plate at z = 0 and stop by geometry alone.
+_MADE_BY_US = "info.touched_object_pose.position"
+
+
+_PLATES = {
+    "known": "the height of the plate is known",
+    "stored": "the height of the plate is stored with each round",
+    "estimated": "the deepest touch of each round is taken as the plate",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class ContactHeight:
+    """The rule of a data set; as text, it reads as part of a sentence.
+
+    Attributes
+    ----------
+    min_height_m : float
+        Height above the plate from which a touch counts, metres.
+    plate : "known", "stored" or "estimated"
+        Where the height of the plate is from: that of all touches of `tactile-sim generate`, the column
+        ``plate_z_m``, or the deepest touch of each round.
+    """
+
+    min_height_m: float
+    plate: Literal["known", "stored", "estimated"]
+
+    @classmethod
+    def of(cls, columns: Container[str]) -> ContactHeight:
+        """Return the rule for rounds with these columns, by dotted name."""
+        if _MADE_BY_US in columns:
+            return cls(RENDERED_CONTACT_M, "known")
+        return cls(MIN_CONTACT_HEIGHT_M, "stored" if PLATE_COLUMN in columns else "estimated")
+
+    def __str__(self) -> str:
+        return f"{height_text(self.min_height_m)}; {_PLATES[self.plate]}"

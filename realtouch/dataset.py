@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.columns import Damage, TouchRow, stored_rows
-from realtouch.contact import contact_heights_m
+from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
 from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
-from realtouch.media import SensorImages
+from realtouch.media import SensorImages, room_for
 from realtouch.rounds import (
     GroupWithoutMedia,
     RowWithoutMedia,
@@ -25,6 +25,7 @@ from realtouch.rounds import (
     TouchSingleRound,
     touch_id,
 )
+from realtouch.schema import POSE_COLUMN, flat_row, is_per_touch, kind_of
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -32,17 +33,9 @@ from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions, with_origins
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.touch.contact import PLATE_COLUMN, PRESS_DEPTH_M, ContactHeight
-from tactile_toolkit.touch.jpeg import Pixels, room_for
-from tactile_toolkit.touch.schema import (
-    CLASS_NAMES,
-    MEDIA_COLUMN,
-    POSE_COLUMN,
-    Kind,
-    flat_row,
-    is_per_touch,
-    kind_of,
-)
+from tactile_toolkit.touch.contact import PRESS_DEPTH_M
+from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, Kind
 from tactile_toolkit.wording import counted, is_integer, plain_number
 
 _INDEX = "touch_index"

@@ -16,20 +16,14 @@ from numpy.typing import NDArray
 
 from realtouch.columns import Damage, DamagedRoundError, TouchRow
 from realtouch.media import SensorImages, TouchClip
+from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, kind_of, require_types
 from tactile_toolkit.catalog.locate import manifest_beside
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import decode_image, image_size
-from tactile_toolkit.touch.schema import (
-    MEDIA_COLUMN,
-    PER_TOUCH_COLUMNS,
-    POSE_COLUMN,
-    Kind,
-    kind_of,
-    require_types,
-)
+from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind
 
 _NAMES_SHOWN = 12
 

@@ -20,13 +20,13 @@ from numpy.typing import DTypeLike, NDArray
 from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod, best_of, contact_window, require_method
 from realtouch.poses import Poses
+from realtouch.video import Avi
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.pictures.sheets import TILE_STYLE, Sheet, Tile, figure_html, sheet
 from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import checked_index, positions
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized, room_for
-from tactile_toolkit.touch.video import Avi
+from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
@@ -88,7 +88,7 @@ class SensorImages(Sequence[Pixels]):
         InputError
             ``out`` is not such an array.
         IntegrityError
-            As for indexing; or the images exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+            As for indexing; or the images exceed :data:`realtouch.media.MAX_BATCH_PIXELS`.
         """
         touches = positions(index, self._count).tolist()
         first = touches[0] if len(touches) else 0
@@ -260,7 +260,7 @@ class TouchClip(Sequence[Pixels]):
         Raises
         ------
         IntegrityError
-            A frame is damaged, or they exceed :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+            A frame is damaged, or they exceed :data:`realtouch.media.MAX_BATCH_PIXELS`.
         """
         wanted = positions(index, len(self)).tolist()
         with self._row.naming("sensor_video", self.touch):
@@ -456,7 +456,7 @@ class SensorClips(Sequence[TouchClip]):
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
 
         Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
-        :data:`tactile_toolkit.touch.jpeg.MAX_BATCH_PIXELS`.
+        :data:`realtouch.media.MAX_BATCH_PIXELS`.
         """
         size = self[0].size if self._count else (0, 0)
         with self.row.naming("sensor_video"):
@@ -517,3 +517,35 @@ def decode_frames(
             raise clips.row.damaged("sensor_video", problem, touches[number]) from error
 
     in_parallel(decode, len(encoded), threads)
+
+
+MAX_BATCH_PIXELS = 1 << 31
+"""Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
+
+
+def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pixels:
+    """Return an array for images of one size, shape (n, H, W, 3), uint8: new, or ``out`` if it fits.
+
+    ``size`` is (height, width), pixels; in ``out``, n may be larger than ``count``. Raises InputError when
+    ``out`` cannot take the images, ValueError when a new array would exceed :data:`MAX_BATCH_PIXELS`.
+    """
+    height, width = size
+    if out is None:
+        if count * height * width > MAX_BATCH_PIXELS:
+            raise ValueError(
+                f"{count:,} images of {width} x {height} pixels at once; the limit is "
+                f"{MAX_BATCH_PIXELS:,} pixels"
+            )
+        return np.empty((count, height, width, 3), np.uint8)
+    if not count:
+        return out
+    fits = isinstance(out, np.ndarray) and out.dtype == np.uint8 and out.ndim == 4 and len(out) >= count
+    # The images may lie apart; the decoder writes the pixels of each in one go.
+    if fits and out.shape[1:] == (height, width, 3) and out[0].flags.c_contiguous and out.flags.writeable:
+        return out
+    shape = (count, height, width, 3)
+    found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
+    raise InputError(
+        f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images",
+        next=f"make one with numpy.empty({shape}, numpy.uint8), or leave `out` out",
+    )

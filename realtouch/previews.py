@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.contact import contact_heights_m
+from realtouch.contact import ContactHeight, contact_heights_m
 from realtouch.media import TouchClip, evenly_spaced, fitted, in_parallel
 from realtouch.opening import load
 from realtouch.rounds import Touch, TouchRound, TouchSeqRound
@@ -31,7 +31,7 @@ from tactile_toolkit.pictures.sheets import (
     sheet,
     with_scale_bar,
 )
-from tactile_toolkit.touch.contact import ContactHeight, height_text
+from tactile_toolkit.touch.contact import height_text
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.wording import counted
 

@@ -28,12 +28,12 @@ from realtouch.media import (
     touch_html,
 )
 from realtouch.poses import Poses, PoseSequences
+from realtouch.schema import flat_row, take_touches
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup, column_names
 from tactile_toolkit.read.dataset import Record, positions
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.touch.jpeg import Pixels
-from tactile_toolkit.touch.schema import flat_row, take_touches
 
 if TYPE_CHECKING:
     from realtouch.pose import Pose

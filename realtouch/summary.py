@@ -13,8 +13,8 @@ import numpy as np
 
 from realtouch.dataset import TouchDataset, Touches
 from realtouch.rounds import TouchRound
+from realtouch.schema import POSE_COLUMN
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch.schema import POSE_COLUMN
 
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
 _HALF_CELL_M = 0.06

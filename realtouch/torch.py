@@ -13,11 +13,12 @@ import numpy as np
 
 from realtouch.contact import require_method
 from realtouch.dataset import TouchDataset, Touches, TouchStream
+from realtouch.media import room_for
 from realtouch.rounds import Touch, TouchSingleRound
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.read.torch import TrainingBatches
-from tactile_toolkit.touch.jpeg import Pixels, decode_image, room_for
+from tactile_toolkit.touch.jpeg import Pixels, decode_image
 
 if TYPE_CHECKING:
     import torch

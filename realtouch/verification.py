@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 
 from realtouch.columns import Damage, TouchRow, stored_rows
-from realtouch.convert.plan import files_of
+from realtouch.convert.plan import files_of, is_unchanged
 from realtouch.integrity import (
     agreeing_files,
     checked_rows,
@@ -16,6 +17,7 @@ from realtouch.integrity import (
     stated_class_names,
 )
 from realtouch.opening import Name, open_shards, place_of
+from realtouch.tars import files_of_tar
 from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.catalog.locate import folder_named, splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -25,11 +27,10 @@ from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.names import typed
 from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.parquet import has_page_checksums, is_unchanged
+from tactile_toolkit.store.parquet import open_parquet
 from tactile_toolkit.store.shards import Finding
 from tactile_toolkit.store.verify import verify as verify_files
 from tactile_toolkit.touch.jpeg import decode_image, image_size
-from tactile_toolkit.touch.tars import files_of_tar
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,3 +234,28 @@ def _repeated_id(row: TouchRow, seen: dict[str, str]) -> list[Damage]:
     if first == here:
         return []
     return [Damage(row.path, row.number, None, "id", f"{name!r} is not unique, it also stands in {first}")]
+
+
+def has_page_checksums(folder: DataFolder, path: str) -> bool:
+    """Return whether the pages of a Parquet file carry checksums, by the first page of each column.
+
+    Raises IntegrityError when the file is damaged.
+    """
+    footer = open_parquet(folder, path).metadata
+    columns = [
+        footer.row_group(group).column(index)
+        for group in range(footer.num_row_groups)
+        for index in range(footer.num_columns)
+    ]
+    starts = [
+        min(filter(None, (column.dictionary_page_offset, column.data_page_offset)))
+        for column in columns
+        if column.num_values
+    ]
+    with folder.open(path) as stream:
+        return all(stream.seek(start) and _CHECKED_PAGE.match(stream.read(32)) for start in starts)
+
+
+# How the head of a page with a checksum begins: four integers (type, two sizes, the checksum), each after the
+# mark of a field that follows on the one before it (Thrift's compact protocol).
+_CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)

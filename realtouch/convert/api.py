@@ -24,7 +24,14 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from realtouch.columns import TouchRow
-from realtouch.contact import ContactMethod, difference, require_method
+from realtouch.contact import (
+    MIN_CONTACT_HEIGHT_M,
+    PLATE_COLUMN,
+    ContactHeight,
+    ContactMethod,
+    difference,
+    require_method,
+)
 from realtouch.convert.plan import (
     Conversion,
     JobOptions,
@@ -43,27 +50,7 @@ from realtouch.media import SensorClips, SensorImages, TouchClip
 from realtouch.poses import Poses
 from realtouch.preprocess import background
 from realtouch.rounds import TouchSingleRound
-from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.columns import class_names, column_types
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.names import problem_of_name
-from tactile_toolkit.store.parquet import sha256_hex
-from tactile_toolkit.touch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight, height_text
-from tactile_toolkit.touch.jpeg import (
-    IMAGE_SUFFIX,
-    MAX_IMAGE_PIXELS,
-    ImageFormat,
-    Pixels,
-    encode_image,
-    resized,
-)
-from tactile_toolkit.touch.schema import (
-    CLASS_NAMES,
-    MEDIA_TYPE,
+from realtouch.schema import (
     POSE_COLUMN,
     bytes_lists,
     column_type,
@@ -72,7 +59,26 @@ from tactile_toolkit.touch.schema import (
     number_lists,
     take_touches,
 )
-from tactile_toolkit.touch.video import write_avi
+from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
+from realtouch.video import write_avi
+from tactile_toolkit.catalog.choose import choose_rows
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.read.columns import class_names, column_types
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.names import problem_of_name
+from tactile_toolkit.store.parquet import sha256_hex
+from tactile_toolkit.touch.contact import height_text
+from tactile_toolkit.touch.jpeg import (
+    IMAGE_SUFFIX,
+    MAX_IMAGE_PIXELS,
+    ImageFormat,
+    Pixels,
+    encode_image,
+    resized,
+)
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE
 
 _CONTACT_FRAME_ROWS = 16
 _INDEX_ROWS = 16

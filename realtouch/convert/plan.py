@@ -21,7 +21,13 @@ from realtouch.card import origin_of, write_card
 from realtouch.columns import TouchRow
 from realtouch.dataset import dataset_of
 from realtouch.opening import open_shards, place_of
-from tactile_toolkit.catalog.locate import file_fingerprint, manifest_beside, refuse_source, splits_of
+from realtouch.schema import flat_schema, kind_of, require_types
+from tactile_toolkit.catalog.locate import (
+    file_fingerprint,
+    manifest_beside,
+    refuse_source,
+    splits_of,
+)
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import class_names, column_types
 from tactile_toolkit.read.parquet import Shard
@@ -30,18 +36,9 @@ from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, is_unchanged, sha256_hex
+from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
-from tactile_toolkit.touch.schema import (
-    CLASS_NAMES,
-    MEDIA_COLUMN,
-    MEDIA_TYPE,
-    Kind,
-    flat_schema,
-    kind_of,
-    require_types,
-    with_features,
-)
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
 
 KIND = "realtouch"
 
@@ -409,3 +406,8 @@ def write_changed(folder: DataFolder, path: str, content: bytes) -> str:
     if not folder.exists(path) or folder.read_bytes(path) != content:
         folder.write_bytes(path, content)
     return sha256_hex(content)
+
+
+def is_unchanged(folder: DataFolder, path: str, sha256: str, reads: bool) -> bool:
+    """Return whether a file is there and, where it is to be read, unchanged."""
+    return folder.exists(path) and (not reads or file_sha256(folder, path) == sha256)

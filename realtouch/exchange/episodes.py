@@ -19,9 +19,10 @@ from realtouch.convert.plan import Choices, Made, RowChoice, Source, schema_of, 
 from realtouch.exchange.items import image_column, require_intact
 from realtouch.media import SensorImages, TouchClip
 from realtouch.poses import Poses
+from realtouch.schema import POSE_COLUMN
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}

@@ -29,11 +29,12 @@ from realtouch.convert.plan import (
 )
 from realtouch.exchange.items import image_column, require_intact
 from realtouch.rounds import touch_id
+from realtouch.schema import POSE_COLUMN
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, POSE_COLUMN
+from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE = "image"
 

@@ -19,11 +19,11 @@ from realtouch.exchange.flat import IMAGE
 from realtouch.exchange.flat import plan as plan_rows
 from realtouch.exchange.items import HERE, IMAGE_ENDINGS, Item, require_columns
 from realtouch.spec import ImportColumns
+from realtouch.tars import files_of_tar
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.touch.tars import files_of_tar
 
 _FOLDER = "webdataset"
 _MOST_TEXT_BYTES = 1 << 20  # of a file with fields; of a longer one nothing is read

@@ -6,7 +6,6 @@ import contextlib
 import hashlib
 import io
 import os
-import re
 import struct
 import zlib
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
@@ -216,31 +215,6 @@ def _require_checked_footer(source: str | IO[bytes]) -> None:
                 raise pa.ArrowInvalid("the footer does not match its checksum")
 
 
-def has_page_checksums(folder: DataFolder, path: str) -> bool:
-    """Return whether the pages of a Parquet file carry checksums, by the first page of each column.
-
-    Raises IntegrityError when the file is damaged.
-    """
-    footer = open_parquet(folder, path).metadata
-    columns = [
-        footer.row_group(group).column(index)
-        for group in range(footer.num_row_groups)
-        for index in range(footer.num_columns)
-    ]
-    starts = [
-        min(filter(None, (column.dictionary_page_offset, column.data_page_offset)))
-        for column in columns
-        if column.num_values
-    ]
-    with folder.open(path) as stream:
-        return all(stream.seek(start) and _CHECKED_PAGE.match(stream.read(32)) for start in starts)
-
-
-# How the head of a page with a checksum begins: four integers (type, two sizes, the checksum), each after the
-# mark of a field that follows on the one before it (Thrift's compact protocol).
-_CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
-
-
 def sha256_hex(content: bytes) -> str:
     """Return the SHA-256 of bytes in hexadecimal."""
     return hashlib.sha256(content).hexdigest()
@@ -250,11 +224,6 @@ def file_sha256(folder: DataFolder, path: str) -> str:
     """Return the SHA-256 of a stored file, read in pieces."""
     with folder.open(path) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
-
-
-def is_unchanged(folder: DataFolder, path: str, sha256: str, reads: bool) -> bool:
-    """Return whether a file is there and, where it is to be read, unchanged."""
-    return folder.exists(path) and (not reads or file_sha256(folder, path) == sha256)
 
 
 def _paths(schema: Any) -> list[str]:

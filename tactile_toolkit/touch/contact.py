@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Container
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 from tactile_toolkit.checked_fields import real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_count
-
-MIN_CONTACT_HEIGHT_M = 0.006
-"""A gel that stops so far above the plate touched an object: the publisher's own threshold, metres."""
 
 PRESS_DEPTH_M = 0.002125
 """How far the highest point under the gel is pressed into it where touches are rendered, metres (package
@@ -19,45 +14,6 @@ tactile-mnist 0.13.0): the height of a sensor that stops on the bare plate."""
 
 RENDERED_CONTACT_M = 1e-6
 """Any height above the plate is one of an object where touches are rendered; a micrometre is for rounding."""
-
-PLATE_COLUMN = "plate_z_m"
-"""Height of the plate in a round from which `select` took touches, metres, cell frame."""
-
-# Only touches of `tactile-sim generate` have it; those lie on a plate at z = 0 and stop by geometry alone.
-_MADE_BY_US = "info.touched_object_pose.position"
-
-_PLATES = {
-    "known": "the height of the plate is known",
-    "stored": "the height of the plate is stored with each round",
-    "estimated": "the deepest touch of each round is taken as the plate",
-}
-
-
-@dataclass(frozen=True, slots=True)
-class ContactHeight:
-    """The rule of a data set; as text, it reads as part of a sentence.
-
-    Attributes
-    ----------
-    min_height_m : float
-        Height above the plate from which a touch counts, metres.
-    plate : "known", "stored" or "estimated"
-        Where the height of the plate is from: that of all touches of `tactile-sim generate`, the column
-        ``plate_z_m``, or the deepest touch of each round.
-    """
-
-    min_height_m: float
-    plate: Literal["known", "stored", "estimated"]
-
-    @classmethod
-    def of(cls, columns: Container[str]) -> ContactHeight:
-        """Return the rule for rounds with these columns, by dotted name."""
-        if _MADE_BY_US in columns:
-            return cls(RENDERED_CONTACT_M, "known")
-        return cls(MIN_CONTACT_HEIGHT_M, "stored" if PLATE_COLUMN in columns else "estimated")
-
-    def __str__(self) -> str:
-        return f"{height_text(self.min_height_m)}; {_PLATES[self.plate]}"
 
 
 def height_text(min_height_m: float) -> str:

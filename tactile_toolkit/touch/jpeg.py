@@ -14,8 +14,6 @@ import numpy as np
 import simplejpeg
 from numpy.typing import NDArray
 
-from tactile_toolkit.errors import InputError
-
 MAX_IMAGE_PIXELS = 1 << 24
 """Largest image that is decoded (4096 x 4096); a sensor's has 76,800 pixels."""
 
@@ -32,8 +30,6 @@ _SMALL_BYTES = 1 << 12
 MAX_HEADER_BYTES = 1 << 22
 """Most bytes of a JPEG before its first scan: four make a segment, and Pillow keeps an object for each."""
 
-MAX_BATCH_PIXELS = 1 << 31
-"""Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
 
 Pixels = NDArray[np.uint8]
 """Colours as red, green, blue; 0 to 255."""
@@ -127,34 +123,6 @@ def _undecodable(data: memoryview | bytes, error: Exception) -> ValueError:
     return ValueError(
         f"an image of {len(data):,} bytes that begin with {start} cannot be decoded ({error}); "
         "expected a JPEG, PNG or WebP"
-    )
-
-
-def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pixels:
-    """Return an array for images of one size, shape (n, H, W, 3), uint8: new, or ``out`` if it fits.
-
-    ``size`` is (height, width), pixels; in ``out``, n may be larger than ``count``. Raises InputError when
-    ``out`` cannot take the images, ValueError when a new array would exceed :data:`MAX_BATCH_PIXELS`.
-    """
-    height, width = size
-    if out is None:
-        if count * height * width > MAX_BATCH_PIXELS:
-            raise ValueError(
-                f"{count:,} images of {width} x {height} pixels at once; the limit is "
-                f"{MAX_BATCH_PIXELS:,} pixels"
-            )
-        return np.empty((count, height, width, 3), np.uint8)
-    if not count:
-        return out
-    fits = isinstance(out, np.ndarray) and out.dtype == np.uint8 and out.ndim == 4 and len(out) >= count
-    # The images may lie apart; the decoder writes the pixels of each in one go.
-    if fits and out.shape[1:] == (height, width, 3) and out[0].flags.c_contiguous and out.flags.writeable:
-        return out
-    shape = (count, height, width, 3)
-    found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
-    raise InputError(
-        f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images",
-        next=f"make one with numpy.empty({shape}, numpy.uint8), or leave `out` out",
     )
 
 

@@ -17,9 +17,9 @@ from realtouch.contact import (
     contact_window,
 )
 from realtouch.media import TouchClip
+from realtouch.video import MAX_CLIP_FRAMES, Avi, write_avi
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.touch.jpeg import decode_image, encode_image
-from tactile_toolkit.touch.video import MAX_CLIP_FRAMES, Avi, write_avi
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
+from realtouch.video import Avi
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch.video import Avi
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 

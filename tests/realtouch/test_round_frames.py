@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 import realtouch
 from realtouch.media import in_parallel
+from realtouch.video import Avi, write_avi
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.touch.video import Avi, write_avi
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
+from realtouch.video import write_avi
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch.video import write_avi
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
