@@ -79,7 +79,7 @@ def preview_touches(*, name: str = TOUCH_SET, spec: TouchPreviewSpec, pictures: 
     """Write pictures of touches as PNG, without a screen; a grid alone goes to touches.png.
 
     Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
-    realtouch preview real-seq --kind all --touch 12
+    realtouch preview real-seq --kind all
     """
     from realtouch.previews import plan_previews
 

@@ -1,4 +1,4 @@
-"""Pictures of digits: contact sheets, single objects, and the steps from an image to a solid."""
+"""Pictures of digits: contact sheets, and the steps from an image to a solid."""
 
 from __future__ import annotations
 
@@ -25,15 +25,13 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.pictures.previews import MeshPreviews, draw_by_class, draw_two_views
+from tactile_toolkit.pictures.previews import MeshPreviews, draw_by_class
 from tactile_toolkit.pictures.render import (
     OBLIQUE,
-    TOP,
     Body,
     Picture3d,
     box_downsample,
     draw_bodies,
-    fitting_scale,
     relief_of,
 )
 from tactile_toolkit.pictures.sheets import (
@@ -66,8 +64,7 @@ _SAMPLING = 2
 _SPREAD = 4.0
 _IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 _TILE_PX = 132
-_VIEW_PX = (560, 520)
-_FILLED = 0.9
+_VIEW_PX = 520
 
 
 def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
@@ -83,7 +80,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
         return _plan_set(name, spec)
     if ending in FORMATS:
         mesh = read_mesh(path)
-        return _plan_file("object", name, spec, partial(draw_object, mesh=mesh, title=path.name))
+        return _plan_file("sheet", name, spec, partial(draw_mesh, mesh=mesh, title=path.name))
     if ending in _IMAGES:
         from mnist3d.sources.canvas import fit
         from mnist3d.sources.folder import read_picture
@@ -121,9 +118,6 @@ def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
     def heading(record: MeshRecord, where: str) -> str:
         return f"Digit {class_name(names, record.label)}, id {record.id} {where}"
 
-    def one(record: MeshRecord, where: str) -> Pixels:
-        return draw_object(Mesh(record.vertices_m, record.faces), heading(record, where))
-
     def plan_steps() -> list[PlannedPicture]:
         if "source" not in opened.made_by:
             raise InputError(f"{name!r} does not name the source of its images")
@@ -141,10 +135,9 @@ def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
 
     plans = {
         "sheet": lambda: opened.plan_sheets(sheet_of),
-        "object": lambda: opened.plan_each("object", "from above and obliquely", one),
         "steps": plan_steps,
     }
-    return plan_kinds(spec.kinds, plans, ("object",) if spec.ids else ("sheet",))
+    return plan_kinds(spec.kinds, plans, ("sheet",))
 
 
 def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> Pixels:
@@ -159,19 +152,12 @@ def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: S
     return draw_by_class(tiles, per_row, title, words, px_per_mm)
 
 
-def draw_object(mesh: Mesh, title: str) -> Pixels:
-    """Draw a mesh from above and obliquely at one scale, with scale bars and its measures."""
-    bodies = (Body(mesh, CLAY),)
-    inner_px = (round(_VIEW_PX[0] * _FILLED), round(_VIEW_PX[1] * _FILLED))
-    px_per_m = min(fitting_scale(bodies, inner_px, TOP), fitting_scale(bodies, inner_px))
-    px_per_mm = px_per_m / MM_PER_M
-    relief = relief_of(mesh, px_per_mm)
-    canvas = np.full((_VIEW_PX[1], _VIEW_PX[0]), 255, np.uint8)
-    top, left = ((room - size) // 2 for room, size in zip(canvas.shape, relief.shape, strict=True))
-    canvas[top : top + relief.shape[0], left : left + relief.shape[1]] = relief
-    above = Tile(with_scale_bar(canvas, px_per_mm), "shaded relief, from above")
-    oblique = Picture3d(bodies, _VIEW_PX, px_per_m)
-    return draw_two_views(above, oblique, title, object_facts(mesh))
+def draw_mesh(mesh: Mesh, title: str) -> Pixels:
+    """Draw a mesh from above, with a scale bar and its measures."""
+    px_per_mm = _VIEW_PX / max(MM_PER_M * float(np.ptp(mesh.vertices_m[:, :2], axis=0).max()), 1e-6)
+    # Room below the mesh for the bar.
+    relief = np.pad(relief_of(mesh, px_per_mm), ((0, 40), (0, 0)), constant_values=255)
+    return sheet([Tile(with_scale_bar(relief, px_per_mm))], Sheet(1, title, object_facts(mesh)))
 
 
 def object_facts(mesh: Mesh) -> tuple[str, ...]:

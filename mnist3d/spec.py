@@ -257,7 +257,7 @@ class DigitPreviewSpec(PreviewSpec):
 
     kinds: tuple[str, ...] = choice(
         (),
-        ("sheet", "object", "steps", "all"),
+        ("sheet", "steps", "all"),
         name="--kind",
         help="What to draw; may be repeated. Of a data set: sheet.",
     )

@@ -1,4 +1,4 @@
-"""Pictures of real touches: a round as a grid or on a map of the cell, a clip as a strip."""
+"""Pictures of real touches: a round as a grid, or on a map of the cell."""
 
 from __future__ import annotations
 
@@ -10,22 +10,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.contact import ContactHeight, contact_heights_m
-from realtouch.media import TouchClip, evenly_spaced, fitted, in_parallel
+from realtouch.media import evenly_spaced, fitted, in_parallel
 from realtouch.opening import load
-from realtouch.rounds import Touch, TouchRound, TouchSeqRound
+from realtouch.rounds import Touch, TouchRound
 from realtouch.spec import TouchPreviewSpec
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.pictures.sheets import (
     ACCENTS,
-    INK,
-    MUTED,
     PAPER,
     PicturePlan,
     PlannedPicture,
     Sheet,
     Tile,
-    draw_text,
     file_stem,
     plan_kinds,
     sheet,
@@ -187,17 +184,10 @@ def _taken(
 CONTACT = ACCENTS[0]
 """Colour of the frame around touches in which the gel stopped on an object."""
 
-IN_CONTACT = ACCENTS[3]
-"""Colour of the frame around pictures between the first and the last registered contact."""
 
 _COLUMNS = 8
 _TILE_PX = 160
 _PX_PER_MM = 7.0
-_MOST_FRAMES = 24
-_STRIP_TILE_PX = 168
-_BAR_PX = 34
-_GAP_PX = 2
-_TRACK = (224, 228, 232)
 
 
 def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
@@ -219,82 +209,12 @@ def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
     def planned(kind: str, what: str, draw: Callable[[], Pixels]) -> list[PlannedPicture]:
         return [PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
 
-    def strip() -> list[PlannedPicture]:
-        if not isinstance(record, TouchSeqRound):
-            raise InputError(
-                "a film strip needs clips, and this data set holds images", next="give a seq set"
-            )
-        touch, clips = spec.touch, record.sensor_video
-        if not 0 <= touch < len(clips):
-            raise InputError(f"--touch is {touch}; round {number} has touches 0 to {len(clips) - 1}")
-        title = f"{_title(record)}, touch {touch}"
-        what = f"the clip of touch {touch} of {record!r}"
-        return planned(f"touch-{touch}-strip", what, lambda: draw_strip(clips[touch], title))
-
     on_map = f"all touches of {record!r} at their positions"
     plans = {
         "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
         "overlay": lambda: planned("overlay", on_map, lambda: draw_overlay(record)),
-        "strip": strip,
     }
     return plan_kinds(spec.kinds, plans, ("grid",))
-
-
-def frames_shown(count: int, contact: slice, most: int = _MOST_FRAMES) -> tuple[int, ...]:
-    """Choose frames of a clip: every frame of contact and one on each side, the others at equal steps.
-
-    Where contact alone has too many frames, all are chosen at equal steps.
-    """
-    near = range(max(contact.start - 1, 0), min(contact.stop + 1, count))
-    left = [frame for frame in range(count) if frame not in near]
-    room = most - len(near)
-    if room < 2:
-        return tuple(evenly_spaced(count, most))
-    return tuple(sorted({*near, *(left[index] for index in evenly_spaced(len(left), room))}))
-
-
-def draw_strip(clip: TouchClip, title: str) -> Pixels:
-    """Draw a clip as a film strip with a bar of time below it."""
-    contact, times_s = clip.contact_window, clip.timestamps_s
-    shown = frames_shown(len(clip), contact)
-    tiles = [
-        Tile(
-            fitted(clip[frame], _STRIP_TILE_PX),
-            f"{frame}: {times_s[frame]:.2f} s",
-            IN_CONTACT if contact.start <= frame < contact.stop else PAPER,
-        )
-        for frame in shown
-    ]
-    words = (
-        f"{len(shown)} of {counted(len(clip), 'frames')}, with their times; framed: contact, frames "
-        f"{contact.start} to {contact.stop - 1}",
-    )
-    strip = sheet(tiles, Sheet(_COLUMNS, title, words))
-    bar = timeline(len(clip), contact, shown, strip.shape[1])
-    return np.concatenate([strip, bar])
-
-
-def timeline(count: int, contact: slice, shown: tuple[int, ...], width_px: int) -> NDArray[np.uint8]:
-    """Draw a bar with a cell for each frame: contact in colour, a tick at each frame that is shown."""
-    from PIL import Image, ImageDraw
-
-    margin, top = 16, 4
-    picture = Image.new("RGB", (width_px, _BAR_PX + 26), PAPER)
-    pen = ImageDraw.Draw(picture)
-    step = (width_px - 2 * margin) / count
-    # Many frames leave no space for gaps between the cells; those of contact come last, above others.
-    gap = _GAP_PX if step > 2 * _GAP_PX else 0
-    for frame in sorted(range(count), key=lambda frame: contact.start <= frame < contact.stop):
-        left = margin + frame * step
-        box = (left, top, max(left, left + step - max(gap, 1)), top + 16)
-        pen.rectangle(box, fill=IN_CONTACT if contact.start <= frame < contact.stop else _TRACK)
-    for frame in shown:
-        middle = margin + (frame + 0.5) * step - 1
-        pen.line((middle, top + 20, middle, top + 26), fill=INK, width=2)
-    for frame, anchor in ((0, "la"), (count - 1, "ra")):
-        x = margin if frame == 0 else width_px - margin
-        draw_text(pen, (x, top + 30), f"frame {frame}", 14, MUTED, anchor)
-    return np.asarray(picture)
 
 
 def draw_grid(record: TouchRound, most: int) -> Pixels:

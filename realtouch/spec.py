@@ -111,13 +111,11 @@ class TouchPreviewSpec:
 
     kinds: tuple[str, ...] = choice(
         (),
-        ("grid", "overlay", "strip", "all"),
+        ("grid", "overlay", "all"),
         name="--kind",
-        help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell, "
-        "a clip as a strip.",
+        help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell.",
     )
     split: str | None = ONE_SPLIT
     round_number: int = integer(0, name="--round", help="Round to draw, counted from 0.")
     touches: int = integer(32, 1, help="Number of touches in a grid.")
-    touch: int = integer(0, help="Touch that a strip shows, counted from 0.")
     revision: str | None = REVISION

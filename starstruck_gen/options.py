@@ -125,7 +125,7 @@ class ScenePreviewSpec(PreviewSpec):
     per_class: int = integer(8, 1, help="Objects of each class on a sheet.")
     kinds: tuple[str, ...] = choice(
         (),
-        ("sheet", "scene", "all"),
+        ("sheet", "all"),
         name="--kind",
         help="What to draw; may be repeated. By default sheet.",
     )

@@ -295,19 +295,6 @@ class Placement(NamedTuple):
         return self.shape.partition("(")[0] == STAR
 
 
-@dataclass(frozen=True, slots=True)
-class Rejected:
-    """A position that was drawn and not taken.
-
-    ``blocker`` is the object, the first found, that ``candidate`` would have come too close to; in a layout
-    that was given up it is not part of the scene.
-    """
-
-    candidate: Placement
-    blocker: Placement
-    given_up: bool
-
-
 Clear = Callable[[Placement, Placement, float], bool]
 """Whether two objects keep a clearance in metres."""
 

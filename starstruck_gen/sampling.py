@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from starstruck_gen.placement import COLLISION_TESTS, Clear, Placement, Rejected
+from starstruck_gen.placement import COLLISION_TESTS, Placement
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.deprecation import former_attributes
@@ -198,32 +198,6 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
     ]
 
 
-@dataclass(frozen=True, slots=True)
-class SceneTrace:
-    """A scene and the positions that were not taken, in the order in which they were drawn."""
-
-    scene: Scene
-    rejected: tuple[Rejected, ...]
-
-
-def trace_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> SceneTrace:
-    """Make one scene as :func:`sample_scene` does, and keep the positions that were rejected."""
-    rule = COLLISION_TESTS[spec.collision]
-    met: list[tuple[Placement, Placement]] = []
-
-    # The collision rule is where a position is rejected: watching it there costs nothing elsewhere.
-    def watched(one: Placement, other: Placement, clearance_m: float) -> bool:
-        if rule(one, other, clearance_m):
-            return True
-        met.append((one, other))
-        return False
-
-    _require_class(spec, star_count)
-    scene = rejection_sampling(spec, rng.random, star_count, watched)
-    standing = set(scene.placements)
-    return SceneTrace(scene, tuple(Rejected(one, other, other not in standing) for one, other in met))
-
-
 def require_feasible(
     spec: SceneSpec, seed: int, on_failure: LayoutFailed = lambda _failed, _allowed: None
 ) -> None:
@@ -261,7 +235,6 @@ def rejection_sampling(
     spec: SceneSpec,
     uniform: Uniform,
     star_count: int | None,
-    clear: Clear | None = None,
     on_failure: LayoutFailed = lambda _failed, _allowed: None,
 ) -> Scene:
     """Make one scene (Tactile MNIST paper, 3D Mesh Dataset Generation Details, section Starstruck).
@@ -271,9 +244,8 @@ def rejection_sampling(
     times; where one object finds no position, the scene starts over.
 
     ``uniform`` gives numbers in [0, 1): the order in which they are drawn is part of every data set's bytes.
-    ``clear`` is the collision rule, that of the specification by default.
     """
-    clear = clear or COLLISION_TESTS[spec.collision]
+    clear = COLLISION_TESTS[spec.collision]
     if star_count is None:
         star_count = _choice(spec.stars, uniform)
     least, most = spec.distractors

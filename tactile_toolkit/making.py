@@ -278,7 +278,7 @@ def _sample(making: Making, plan: BuildPlan) -> tuple[int, float, float]:
     few = replace(first, items=first.items[: making.layout().sampled])
     start_s = time.perf_counter()
     table = few.make().table
-    size_bytes = len(encode_parquet(table, plan.style))
+    size_bytes = len(encode_parquet(table, plan.style)) if len(table) else 0
     return len(table), size_bytes / few.size, (time.perf_counter() - start_s) / few.size
 
 

@@ -13,8 +13,6 @@ from tactile_toolkit.catalog.locate import folder_named, require_kind
 from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.pictures.render import Picture3d, draw_bodies
 from tactile_toolkit.pictures.sheets import (
     Pixels,
     PlannedPicture,
@@ -104,10 +102,3 @@ def draw_by_class(
     drawn = sheet(cells, Sheet(columns, title, (words,), ("",), row_labels, gap_px=12))
     widest = max(tile.pixels.shape[1] for _, tile in tiles)
     return with_scale_bar(drawn, px_per_mm, bar_length_mm(4 * widest, px_per_mm))
-
-
-def draw_two_views(above: Tile, oblique: Picture3d, title: str, facts: tuple[str, ...]) -> Pixels:
-    """Draw a picture from above next to an oblique view."""
-    view = with_scale_bar(draw_bodies(oblique), oblique.px_per_m / MM_PER_M)
-    tiles = (above, Tile(view, "oblique view; the bar holds along the picture plane"))
-    return sheet(tiles, Sheet(2, title, facts))

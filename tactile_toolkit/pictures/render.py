@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -45,9 +44,6 @@ class View:
         """Turn points, shape (n, 3), into right, up and towards the viewer, in the same unit."""
         return moved(np.asarray(points, np.float64), self.axes.T)
 
-
-TOP = View(0.0, 90.0)
-"""Straight from above."""
 
 OBLIQUE = View(-25.0, 42.0)
 """From the front, somewhat left and well above: digits stay readable and show their height."""
@@ -124,12 +120,6 @@ class Picture3d:
     px_per_m: float
     view: View = OBLIQUE
     paper: Colour = PAPER
-
-
-def fitting_scale(bodies: Sequence[Body], size_px: tuple[int, int], view: View = OBLIQUE) -> float:
-    """Return the scale, pixels per metre, at which bodies just fill a picture of some size."""
-    points = np.concatenate([view.project(body.mesh.vertices_m)[:, :2] for body in bodies])
-    return float((np.array(size_px) / np.maximum(np.ptp(points, axis=0), 1e-9)).min())
 
 
 # Pictures are drawn so many times larger and averaged: smooth edges.

@@ -123,15 +123,16 @@ def test_a_box_of_known_size_is_as_wide_as_the_bar_says(ending, tmp_path):
     path = tmp_path / f"my box.{ending}"
     write_mesh(path, Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)))
     ((name, pixels),) = drawn(path).items()
-    assert name == "my-box-object.png"
-    left = pixels[84:594, 16:576].astype(int)
-    bar_px = int((left[-12:] == INK).all(axis=2).sum(axis=1).max())
-    block = (left[:-60] < 250).any(axis=2)
+    assert name == "my-box-sheet.png"
+    drawn_px = pixels[16:-16, 16:-16].astype(int)
+    bar_px = int((drawn_px[-24:] == INK).all(axis=2).sum(axis=1).max())
+    # No word of the heading stands above the right end of the box.
+    block = (drawn_px[:-40] < 250).any(axis=2)
     width_px = int(block.sum(axis=1).max())
     scale = width_px / 30.0
-    length_mm = bar_length_mm(560, scale)
+    length_mm = bar_length_mm(drawn_px.shape[1], scale)
     assert bar_px == pytest.approx(length_mm * scale, abs=1.5)
-    assert block.sum(axis=0).max() == pytest.approx(20 * scale, abs=2)
+    assert block[:, -width_px // 8 :].sum(axis=0).max() == pytest.approx(20 * scale, abs=2)
 
 
 def test_an_object_that_is_no_solid_says_so(tmp_path):
@@ -144,13 +145,13 @@ def test_an_object_that_is_no_solid_says_so(tmp_path):
     assert len(drawn(tmp_path / "open.stl")) == 1
 
 
-def test_ids_draw_single_objects_from_whatever_split_they_are_in(folder):
+def test_ids_are_drawn_from_whatever_split_they_are_in(folder):
     train, test = (mnist3d.load(str(folder), split) for split in ("train", "test"))
     ids = (int(test.ids[3]), int(train.ids[0]), int(test.ids[3]))
     plan = plan_previews(str(folder), PreviewSpec(ids=ids))
-    assert {picture.name for picture in plan.pictures} == {
-        f"digits-test-{ids[0]}-object.png",
-        f"digits-train-{ids[1]}-object.png",
+    assert {picture.name: picture.what for picture in plan.pictures} == {
+        "digits-train-sheet.png": "1 digit of train from above",
+        "digits-test-sheet.png": "1 digit of test from above",
     }
     with pytest.raises(InputError, match=f"no object with id {ids[0]} in what"):
         plan_previews(str(folder), PreviewSpec(ids=ids, split="train"))
@@ -290,7 +291,7 @@ def test_the_usual_pictures_of_a_data_set(folder):
     assert plan.left_out == ()
     assert [picture.name for picture in plan.pictures] == ["digits-train-sheet.png", "digits-test-sheet.png"]
     everything = plan_previews(str(folder), PreviewSpec(kinds=("all",)))
-    assert len(everything.pictures) == 4
+    assert len(everything.pictures) == 3
 
 
 # ---------------------------------------------------------------- bad input
@@ -319,7 +320,7 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(folder), PreviewSpec(split="holdout"))
     with pytest.raises(InputError, match="no object with id 999999"):
         plan_previews(str(folder), PreviewSpec(ids=(999999,)))
-    with pytest.raises(InputError, match="expected one of sheet, object, steps, all"):
+    with pytest.raises(InputError, match="expected one of sheet, steps, all"):
         plan_previews(str(folder), PreviewSpec(kinds=("shoe",)))
     with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)
@@ -337,7 +338,7 @@ def test_options_of_a_data_set_are_refused_for_a_single_file(tmp_path):
     faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)
     write_mesh(tmp_path / "part.stl", Mesh(corners, faces))
     for options, words in (
-        ({"kinds": ("sheet",)}, "--kind sheet needs a data set"),
+        ({"kinds": ("steps",)}, "--kind steps needs a data set"),
         ({"split": "train"}, "--split needs a data set"),
         ({"ids": (3,)}, "--ids needs a data set"),
     ):

@@ -14,7 +14,6 @@ import realtouch
 from realtouch.previews import (
     CELL_M,
     CONTACT,
-    IN_CONTACT,
     SENSING_AREA_M,
     CellMap,
     Placed,
@@ -22,12 +21,9 @@ from realtouch.previews import (
     cell_map,
     draw_grid,
     draw_overlay,
-    draw_strip,
-    frames_shown,
     overlay,
     placed_touches,
     plan_previews,
-    timeline,
 )
 from realtouch.rounds import Touch
 from tactile_toolkit.errors import InputError
@@ -157,65 +153,6 @@ def test_without_poses_the_intended_position_is_taken(tmp_path: Path, truth: lis
     assert (draw_grid(record, 5) == CONTACT).all(axis=2).sum() == 0
 
 
-# ---------------------------------------------------------------- clips
-
-
-@given(st.integers(1, 120), st.data())
-def test_frames_shown_hold_contact_and_what_is_beside_it(count, data):
-    start = data.draw(st.integers(0, count - 1))
-    stop = data.draw(st.integers(start + 1, count))
-    most = data.draw(st.integers(2, 40))
-    shown = frames_shown(count, slice(start, stop), most)
-    assert list(shown) == sorted(set(shown))
-    assert set(shown) <= set(range(count))
-    assert len(shown) <= most
-    if stop - start + 4 <= most:
-        assert {*range(max(start - 1, 0), min(stop + 1, count))} <= set(shown)
-        assert shown[0] == 0
-        assert count - shown[-1] == 1
-        assert len(shown) == min(most, count)
-
-
-@given(st.integers(2, 730), st.data())
-def test_the_bar_of_time_marks_exactly_the_frames_of_contact(count, data):
-    start = data.draw(st.integers(0, count - 1))
-    stop = data.draw(st.integers(start + 1, count))
-    bar = timeline(count, slice(start, stop), (0, count - 1), 1480)
-    step = (1480 - 32) / count
-    for frame in range(count):
-        colour = tuple(bar[10, int(16 + (frame + 0.4) * step)])
-        assert (colour == IN_CONTACT) == (start <= frame < stop)
-
-
-def test_frames_of_contact_are_framed_in_the_strip(seq_folder: Path, truth: list[RoundTruth]) -> None:
-    record = realtouch.load(str(seq_folder), "train")[0]
-    for touch in range(2):
-        known, clip = truth[0].touches[touch], record.sensor_video[touch]
-        assert clip.contact_window == slice(known.contact_start, known.contact_end + 1)
-        pixels = draw_strip(clip, "title")
-        shown = frames_shown(len(clip), clip.contact_window)
-        step = (pixels.shape[1] - 32 + 8) / 8
-        for column in range(8):
-            # Below one another in a column: each frame drawn around a picture is one run of its colour.
-            edge = pixels[:-60, round(16 + column * step) + 1]
-            runs = np.flatnonzero((edge == IN_CONTACT).all(axis=1))
-            framed = len(np.flatnonzero(np.diff(runs) > 1)) + 1 if len(runs) else 0
-            assert framed == sum(_within(clip.contact_window, frame) for frame in shown[column::8])
-        assert sum(_within(clip.contact_window, frame) for frame in shown) == (
-            known.contact_end + 1 - known.contact_start
-        )
-
-
-def test_a_bar_of_more_frames_than_pixels_shows_a_single_frame_of_contact():
-    bar = timeline(9_000, slice(4_500, 4_501), (0, 8_999), 1480)
-    assert 1 <= (bar[10] == IN_CONTACT).all(axis=1).sum() <= 2
-    assert tuple(bar[10, 740]) == IN_CONTACT
-
-
-def _within(window: slice, frame: int) -> bool:
-    return bool(window.start <= frame < window.stop)
-
-
 # ---------------------------------------------------------------- rounds
 
 
@@ -235,29 +172,22 @@ def test_touches_that_met_the_digit_are_framed_in_the_grid(
     assert fewer.shape[1] != 0
 
 
-def test_plans_name_round_and_touch(seq_folder: Path, single_folder: Path) -> None:
-    plan = plan_previews(
-        str(seq_folder), TouchPreviewSpec(("grid", "strip", "overlay"), "train", round_number=2, touch=3)
-    )
+def test_plans_name_the_round(seq_folder: Path) -> None:
+    plan = plan_previews(str(seq_folder), TouchPreviewSpec(("grid", "overlay"), "train", round_number=2))
     stem = f"{seq_folder.name}-train"
     assert [picture.name for picture in plan.pictures] == [
         f"{stem}-round-2-grid.png",
         f"{stem}-round-2-overlay.png",
-        f"{stem}-round-2-touch-3-strip.png",
     ]
     for picture in plan.pictures:
         assert np.array_equal(picture.draw(), picture.draw())
-    everything = plan_previews(str(single_folder), TouchPreviewSpec(("all",), "train"))
-    assert any("film strip needs clips" in reason for reason in everything.left_out)
+    assert len(plan_previews(str(seq_folder), TouchPreviewSpec(("all",), "train")).pictures) == 2
     for kinds, spec, words in (
-        (("strip",), {}, "film strip needs clips"),
         (("grid",), {"round_number": 3}, "--round is 3; split 'train' has rounds 0 to 2"),
-        (("hat",), {}, "no pictures of kind 'hat'"),
+        (("strip",), {}, "no pictures of kind 'strip'; expected grid, overlay or all"),
     ):
         with pytest.raises(InputError, match=words):
-            plan_previews(str(single_folder), TouchPreviewSpec(kinds, "train", **spec))
-    with pytest.raises(InputError, match="--touch is 5; round 0 has touches 0 to 4"):
-        plan_previews(str(seq_folder), TouchPreviewSpec(("strip",), "train", touch=5))
+            plan_previews(str(seq_folder), TouchPreviewSpec(kinds, "train", **spec))
     assert SIZE == (96, 72)
 
 

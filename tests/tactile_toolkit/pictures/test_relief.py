@@ -9,20 +9,18 @@ from hypothesis import strategies as st
 
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.render import (
-    OBLIQUE,
-    TOP,
     Body,
     Picture3d,
     View,
     box_downsample,
     draw_bodies,
-    fitting_scale,
     relief,
 )
 from tests.processes import printed_by
 
 CLAY = (200, 120, 40)
 angles = st.floats(-180, 180), st.floats(5, 90)
+TOP = View(0.0, 90.0)
 
 
 def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
@@ -75,13 +73,6 @@ def test_a_mesh_in_millimetres_is_drawn_coarser():
     assert (drawn < 250).mean() > 0.98
 
 
-def test_a_fitting_scale_fills_one_side():
-    bodies = (Body(box(20, 10, 5), CLAY),)
-    drawn = draw_bodies(Picture3d(bodies, (200, 150), fitting_scale(bodies, (200, 150), OBLIQUE), OBLIQUE))
-    rows, columns = np.nonzero((drawn < 250).any(axis=2))
-    assert max((np.ptp(columns) + 1) / 200, (np.ptp(rows) + 1) / 150) == pytest.approx(1.0, abs=0.02)
-
-
 @given(st.integers(1, 4), st.integers(1, 6), st.integers(1, 6), st.integers(0, 255))
 def test_averaging_keeps_levels(factor, height, width, level):
     large = np.full((height * factor, width * factor, 3), level, np.uint8)
@@ -97,7 +88,7 @@ def colours_of(pixels: np.ndarray) -> np.ndarray:
 
 def test_sides_of_a_box_are_flat_and_its_edges_sharp():
     bodies = (Body(box(20, 10, 8), CLAY),)
-    drawn = draw_bodies(Picture3d(bodies, (240, 180), fitting_scale(bodies, (220, 160))))
+    drawn = draw_bodies(Picture3d(bodies, (240, 180), 9_000.0))
     assert len(colours_of(drawn)) == 3 + 1  # three sides are seen, and the paper
 
 

@@ -43,7 +43,7 @@ for shard in find_shards(sys.argv[1], "train"):
         "tactile_toolkit.store.parquet",
         """
 from tactile_toolkit.store.folder import DataFolder
-assert len(tactile_toolkit.store.derived.read_report(DataFolder(sys.argv[1]), "reports/toy.parquet"))
+assert len(tactile_toolkit.store.parquet.read_report(DataFolder(sys.argv[1]), "reports/toy.parquet"))
 """,
     ),
 }

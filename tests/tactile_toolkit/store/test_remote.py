@@ -15,7 +15,7 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, SpecMismatchError
 from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part, ProcessRunner
-from tactile_toolkit.store import derived, remote
+from tactile_toolkit.store import parquet, remote
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import MissingPartsError
@@ -328,7 +328,7 @@ def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, buc
 
 def test_the_report_of_splits_made_in_turn_is_that_of_one_run(folder, s3, bucket, tmp_path, monkeypatch):
     # Shards lie across row groups, as they do in large sets.
-    monkeypatch.setattr(derived, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
+    monkeypatch.setattr(parquet, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
     for split in ("test", "train"):
         build(folder, toy_plan((split,)), InlineRunner())
     build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())

@@ -11,7 +11,7 @@ import pytest
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store import derived
+from tactile_toolkit.store import parquet
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import ParquetStyle, merge_reports, read_report
@@ -23,7 +23,7 @@ REPORT = "reports/toy.parquet"
 @pytest.fixture(autouse=True)
 def small_row_groups(monkeypatch):
     """Shards lie across row groups, as they do in large sets."""
-    monkeypatch.setattr(derived, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
+    monkeypatch.setattr(parquet, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
 
 
 @pytest.fixture

@@ -14,7 +14,7 @@ from tactile_toolkit.errors import StorageError
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store import derived
+from tactile_toolkit.store import parquet
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -26,7 +26,7 @@ FILES = [f"reports/columns-train-{number:05d}-of-00002.parquet" for number in ra
 
 @pytest.fixture(autouse=True)
 def two_shards_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(derived, "_SHARDS_TOGETHER", 3)
+    monkeypatch.setattr(parquet, "_SHARDS_TOGETHER", 3)
 
 
 def make(folder: Path, **options: object) -> Manifest:
@@ -71,7 +71,7 @@ def test_a_file_that_is_wrong_costs_speed_only(tmp_path: Path, monkeypatch: pyte
     content = first.read_bytes()
     changed = bytearray(content)
     changed[40] ^= 1
-    other = pq.read_table(first).replace_schema_metadata({derived.SOURCE_DIGEST: b"others"})
+    other = pq.read_table(first).replace_schema_metadata({parquet.SOURCE_DIGEST: b"others"})
     damages = [bytes(changed), content[:-20], b"", second.read_bytes(), None]
     for damage in [*damages, other]:
         first.unlink(missing_ok=True)
@@ -104,6 +104,6 @@ def test_bytes_do_not_depend_on_how_a_set_was_made(tmp_path: Path) -> None:
 
 
 def test_few_shards_have_no_such_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(derived, "_SHARDS_TOGETHER", 5)
+    monkeypatch.setattr(parquet, "_SHARDS_TOGETHER", 5)
     manifest = make(tmp_path / "set")
     assert list(manifest.files or ()) == ["reports/toy.parquet"]
