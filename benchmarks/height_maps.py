@@ -24,8 +24,8 @@ import numpy as np
 from figures import tell
 
 import env_assets
+from env_assets.height_map import HeightMap, top_surface
 from mnist3d.loader import MeshRecord
-from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 
 
 def main() -> None:

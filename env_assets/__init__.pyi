@@ -11,6 +11,6 @@ from env_assets.wrench.making import write_wrench as write_wrench
 from env_assets.wrench.solid import wrench_mesh as wrench_mesh
 from env_assets.wrench.spec import WrenchSpec as WrenchSpec
 from env_assets.wrenches import WrenchDataset as WrenchDataset, WrenchRecord as WrenchRecord
-from tactile_toolkit.mesh.height_map import HeightMap as HeightMap, top_surface as top_surface
+from env_assets.height_map import HeightMap as HeightMap, top_surface as top_surface
 
 __version__: str

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_chec
 import numpy as np
 from numpy.typing import NDArray
 
+from env_assets.height_map import HeightMap, top_surface
 from env_assets.meshes import MeshView, mesh_bounds_m, mesh_files
 from env_assets.wrench.kind import KIND as WRENCH
 from env_assets.wrenches import WrenchDataset
@@ -25,7 +26,6 @@ from tactile_toolkit.catalog.locate import find_shards, kind_of_meshes, splits_o
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.height_map import HeightMap, top_surface
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
 from tactile_toolkit.read.columns import class_names

@@ -23,22 +23,13 @@ from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, Kind
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
 
-
 _Tests = tuple[Callable[[Any], bool], ...]
 
 
 _WHOLE: _Tests = (pa.types.is_integer,)
-
-
 _TEXT: _Tests = (pa.types.is_string, pa.types.is_large_string, pa.types.is_integer)
-
-
 _FLOAT: _Tests = (pa.types.is_float32, pa.types.is_float64)
-
-
 _TIME: _Tests = (pa.types.is_duration, *_FLOAT)
-
-
 _BYTES: _Tests = (pa.types.is_binary, pa.types.is_large_binary)
 
 

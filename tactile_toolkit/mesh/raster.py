@@ -15,6 +15,9 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.mesh.mesh import Indices, Numbers
 
+MOST_PIXELS = 1 << 27
+"""Largest grid that users get, 512 MiB: a finer pitch is refused instead of filling the memory."""
+
 # A centre no further than this outside an edge counts as on it: rounding must leave no hole between
 # neighbours.
 _EDGE_PX = 1e-9

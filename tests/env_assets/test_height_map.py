@@ -8,9 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tactile_toolkit.mesh.raster
+from env_assets.height_map import top_surface
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.height_map import MOST_PIXELS, top_surface
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh.raster import MOST_PIXELS
 from tests.env_assets.shapes import box, cylinder, joined, ramp, surfaces
 
 

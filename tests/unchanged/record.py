@@ -162,12 +162,10 @@ def pictures(sets: Path) -> dict[str, str]:
     """Draw the sets of :func:`data_sets` and a plate, and return digests of the pixels."""
     plans = (
         mnist3d.previews.plan_previews(
-            str(sets / "coarse"), PreviewSpec(kinds=("sheet", "object", "steps"), per_class=2)
+            str(sets / "coarse"), PreviewSpec(kinds=("sheet", "steps"), per_class=2)
         ),
-        starstruck_gen.previews.plan_previews(
-            str(sets / "scenes"), PreviewSpec(kinds=("sheet", "scene"), split="test", per_class=2)
-        ),
-        realtouch.previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay", "strip"))),
+        starstruck_gen.previews.plan_previews(str(sets / "scenes"), PreviewSpec(split="test", per_class=2)),
+        realtouch.previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay"))),
     )
     drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}
     objects = named([ell(40, 9), ring(20, 14), box(20, 12), box(8, 50)])

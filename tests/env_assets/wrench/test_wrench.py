@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 import env_assets
 import mnist3d
+from env_assets.height_map import top_surface
 from env_assets.wrench.making import wrench_schema, write_wrench
 from env_assets.wrench.solid import wrench_mesh
 from env_assets.wrench.spec import (
@@ -22,7 +23,6 @@ from env_assets.wrench.spec import (
 )
 from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
-from tactile_toolkit.mesh.height_map import top_surface
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.verify import verify
 

@@ -89,8 +89,8 @@ def test_voxels_are_the_inside(digits: mnist3d.MeshDataset) -> None:
 
 
 def test_height_maps_and_meshes(digits: mnist3d.MeshDataset) -> None:
+    from env_assets.height_map import top_surface
     from mnist3d.torch import DigitTensors
-    from tactile_toolkit.mesh.height_map import top_surface
 
     heights, volume_m3 = DigitTensors(digits, "height_map", pitch_m=0.0005, target="volume_m3")[3]
     assert (tuple(heights.shape), heights.dtype) == ((1, 200, 200), torch.float32)

@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import as_mesh
-from tactile_toolkit.mesh.raster import highest_values
-
-MOST_PIXELS = 1 << 27
-"""Largest grid, 512 MiB: a finer pitch is refused instead of filling the memory."""
+from tactile_toolkit.mesh.raster import MOST_PIXELS, highest_values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
