@@ -59,6 +59,30 @@ def signed_distance_px(mask: Any, inside_px: float, outside_px: float) -> Any:
 
 
 @compiled
+def narrow(distance: Any, wide_px: float, reach: int) -> Any:
+    """Return rows and columns, shape (2, N), of ink and paper that nothing wide of its kind is near.
+
+    These are necks, gaps, whiskers and notches. Near is within a square.
+    """
+    height, width = distance.shape
+    found, count = np.empty((2, height * width), np.int64), 0
+    for row in range(height):
+        for column in range(width):
+            if abs(distance[row, column]) >= wide_px:
+                continue
+            sign, near = np.float32(1 if distance[row, column] > 0 else -1), False
+            for other in range(max(row - reach, 0), min(row + reach + 1, height)):
+                for beside in range(max(column - reach, 0), min(column + reach + 1, width)):
+                    near |= sign * distance[other, beside] >= wide_px
+                if near:
+                    break
+            if not near:
+                found[0, count], found[1, count] = row, column
+                count += 1
+    return found[:, :count]
+
+
+@compiled
 def blurred(values: Any, nodes: Any, sigma_per_pitch: float, bell_reach: float, grain: float) -> Any:
     """Return what a blur as wide as nodes lie apart leaves at them of values, along the first axis.
 
@@ -120,3 +144,52 @@ def runs(mask: Any) -> tuple[Any, Any]:
                 count, begin = count + 1, -1
         above = first
     return found[:count], pairs[:touching]
+
+
+@compiled
+def smoothed(vertices: Any, faces: Any, flat: Any, shares: Any) -> Any:
+    """Move vertices by shares of the way to the middle of their neighbours, those of a flat rim in its plane.
+
+    An edge counts once for each of its triangles. The order in which neighbours are added decides the last
+    bit: here it is from the last to the first.
+    """
+    ends = np.zeros(len(vertices) + 1, np.int64)
+    for corner in faces.ravel():
+        ends[corner + 1] += 2
+    ends = np.cumsum(ends)
+    beside, weights = np.empty(ends[-1], np.int32), np.empty(ends[-1], np.float32)
+    filled = ends[:-1].copy()
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        for corner, other in ((a, b), (a, c), (b, c), (b, a), (c, a), (c, b)):
+            first, last = ends[corner], filled[corner]
+            place = last
+            while place > first and beside[place - 1] < other:
+                place -= 1
+            if place > first and beside[place - 1] == other:
+                weights[place - 1] += 1
+                continue
+            for later in range(last, place, -1):
+                beside[later], weights[later] = beside[later - 1], weights[later - 1]
+            beside[place], weights[place] = other, 1
+            filled[corner] += 1
+    for vertex in range(len(vertices)):
+        first, last = ends[vertex], filled[vertex]
+        share = np.float32(1) / np.float32(ends[vertex + 1] - first)
+        for place in range(first, last):
+            weights[place] *= share
+    for share in shares:
+        moved = np.empty_like(vertices)
+        for vertex in range(len(vertices)):
+            x, y, z = np.float32(0), np.float32(0), np.float32(0)
+            for place in range(ends[vertex], filled[vertex]):
+                weight, other = weights[place], beside[place]
+                x += weight * vertices[other, 0]
+                y += weight * vertices[other, 1]
+                z += weight * vertices[other, 2]
+            here_x, here_y, here_z = vertices[vertex]
+            moved[vertex, 0] = here_x + share * (x - here_x)
+            moved[vertex, 1] = here_y + share * (y - here_y)
+            moved[vertex, 2] = here_z if flat[vertex] else here_z + share * (z - here_z)
+        vertices = moved
+    return vertices

@@ -22,7 +22,7 @@ from typing import Any, NamedTuple, TypeAlias, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.ink import Mask, Places, grown
+from mnist3d.ink import Mask, Places
 from mnist3d.spec import SolidSpec
 
 Singles: TypeAlias = NDArray[np.float32]
@@ -229,6 +229,8 @@ class Mirrored(NamedTuple):
 
 def lattice_of(ink: Mask, spec: SolidSpec) -> Lattice:
     """Lay a lattice over clean ink (:func:`mnist3d.ink.clean`) that shows all that is narrow."""
+    from mnist3d import kernels
+
     # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
     margin_px = math.ceil(2 * LARGEST_PITCH_PX)
     (top, bottom), (left, right) = (np.flatnonzero(ink.any(axis=axis))[[0, -1]].tolist() for axis in (1, 0))
@@ -236,7 +238,7 @@ def lattice_of(ink: Mask, spec: SolidSpec) -> Lattice:
     # Deeper than the half thickness the surface is flat; 4 px more keep the cut-off out of the blur there.
     distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
     distance = _on_grid(distance, _FACTOR_GRAIN_PX)
-    narrow = np.stack(np.nonzero(_narrow_parts(distance)))
+    narrow = kernels.narrow(distance, NARROW_PX, NARROW_REACH_PX)
     pitch_px = _first_pitch_px(distance, spec)
     rows, columns = (np.arange(0.0, side - 1, pitch_px) for side in distance.shape)
     corner_px = top - margin_px, left - margin_px
@@ -306,14 +308,6 @@ def _crossed_edges(s_px: Singles, pitch_px: float, spec: SolidSpec) -> int:
     inked = layers > 0
     rim = np.count_nonzero(inked[1:] != inked[:-1]) + np.count_nonzero(inked[:, 1:] != inked[:, :-1])
     return int(2 * (beside + np.count_nonzero(inked)) - rim)
-
-
-def _narrow_parts(distance: Singles) -> Mask:
-    """Mark the pixels of ink and paper that nothing wide is near: necks, gaps, whiskers and notches."""
-    wide_ink, wide_paper = distance >= NARROW_PX, distance <= -NARROW_PX
-    for _ in range(NARROW_REACH_PX):
-        wide_ink, wide_paper = grown(wide_ink), grown(wide_paper)
-    return np.where(distance > 0, ~wide_ink, ~wide_paper)
 
 
 def _refined(nodes: Doubles, lines: Places, count: int) -> Doubles:

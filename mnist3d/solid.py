@@ -94,7 +94,8 @@ def _smoothed(
     image: Mask, spec: SolidSpec, on_surface: Callable[[Lattice, Mirrored, Surface], None]
 ) -> Surface:
     """Take the steps from ink to a smooth surface, on finer lattices until all bodies and holes are there."""
-    counts, lattice = count_bodies_and_holes(image), lattice_of(image, spec)
+    lattice = lattice_of(image, spec)
+    counts = count_bodies_and_holes(lattice.ink)
     while True:
         layers = [erode(lattice, height_px, spec) for height_px in lattice.heights_px(spec)]
         volume = mirror(stack(layers))

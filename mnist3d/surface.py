@@ -92,28 +92,14 @@ def smooth(surface: Surface, iterations: int, factor: float) -> Surface:
     Each round is a step of ``factor`` of the way to the middle of the neighbours and a slightly longer one
     back. As its rim stays in the mid-plane, the upper half moves exactly as it would within the whole.
     """
-    from scipy import sparse
+    from mnist3d import kernels
 
-    vertices, faces, rim = surface.vertices_px, surface.faces, surface.rim
-    ends = faces[:, [0, 1, 2, 1, 2, 0]].T.reshape(-1)
-    others = faces[:, [1, 2, 0, 0, 1, 2]].T.reshape(-1)
-    weights = np.ones(len(ends), dtype=np.float32)
-    average: Any = sparse.csr_matrix((weights, (ends, others)), shape=(len(vertices), len(vertices)))
-    counts = np.bincount(ends, minlength=len(vertices))
-    # The order in which neighbours are added decides the last bit: here from the last to the first.
-    starts, sizes = average.indptr, np.diff(average.indptr)
-    backwards = np.repeat(starts[:-1] + starts[1:] - 1, sizes) - np.arange(starts[-1])
-    # A vertex without a face has no neighbours and stays where it is.
-    shares = np.float32(1) / np.maximum(counts, 1).astype(np.float32)
-    average.data = average.data[backwards] * np.repeat(shares, sizes)
-    average.indices = average.indices[backwards]
-    for _ in range(iterations):
-        for share in (factor, factor * TAUBIN_RATIO):
-            moved = vertices + np.float32(share) * (average @ vertices - vertices)
-            moved[rim, 2] = vertices[rim, 2]
-            vertices = moved
+    rim = surface.rim
+    flat = np.zeros(len(surface.vertices_px), dtype=bool)
+    flat[rim] = True
+    shares = np.array([factor, factor * TAUBIN_RATIO] * iterations, np.float32)
+    vertices = kernels.smoothed(surface.vertices_px.copy(), surface.faces, flat, shares)
     # Volume and topology come before smoothness there: a wall that folds is not a solid.
-    vertices = vertices.copy()
     vertices[surface.still] = surface.vertices_px[surface.still]
     vertices[:, 2] = np.maximum(vertices[:, 2], np.float32(surface.least_px))
     vertices[rim, 2] = 0

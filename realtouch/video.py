@@ -18,6 +18,7 @@ MAX_CLIP_FRAMES = 10_000
 
 _RIFF = struct.Struct("<4sI4s")
 _CHUNK = struct.Struct("<4sI")
+_CHUNK_BYTES = 8
 # Kind, codec, scale and rate, whose quotient are the frames per second.
 _STREAM_HEADER = struct.Struct("<4s4s12xII")
 _ENTRY_BYTES = 16  # name of the chunk, flags, offset, size
@@ -37,17 +38,17 @@ class Avi:
                 f"{len(data):,} bytes that begin with {bytes(data[:8]).hex(' ')}; expected an AVI with MJPEG "
                 "frames"
             )
-        end = size + _CHUNK.size
+        end = size + _CHUNK_BYTES
         if end > len(data):
             raise ValueError(
                 f"an AVI cut short: {len(data):,} bytes are there; expected {end:,} by its header"
             )
         self.data, self.fps = data, 0.0
         parts: dict[bytes, tuple[int, int]] = {}
-        stream, number, position = None, -1, _RIFF.size
-        while position + _CHUNK.size <= end:
-            name, size = _CHUNK.unpack_from(data, position)
-            start = position + _CHUNK.size
+        stream, number, position, chunk_at = None, -1, _RIFF.size, _CHUNK.unpack_from
+        while position + _CHUNK_BYTES <= end:
+            name, size = chunk_at(data, position)
+            start = position + _CHUNK_BYTES
             position = start + size + size % 2
             if start + size > end:
                 raise ValueError(
@@ -77,9 +78,10 @@ class Avi:
     def _read_index(self, index: tuple[int, int], movie: tuple[int, int]) -> None:
         stored = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0])
         # Most of the time in which a clip opens goes to calls of numpy, so that there are few.
-        names, _, offsets, sizes = stored.reshape(-1, 4).T.astype(np.int64)
-        packed, plain = (int.from_bytes(name, "little") for name in self._names)
-        if np.count_nonzero(names == packed) < len(names):
+        offsets, sizes = stored[2::4].astype(np.int64), stored[3::4].astype(np.int64)
+        names = stored[0::4]
+        if names.tobytes() != self._names[0] * len(names):
+            packed, plain = (int.from_bytes(name, "little") for name in self._names)
             is_frame = (names == packed) | (names == plain)
             offsets, sizes = offsets[is_frame], sizes[is_frame]
         if len(sizes) > MAX_CLIP_FRAMES:

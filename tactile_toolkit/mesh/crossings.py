@@ -87,9 +87,10 @@ def _rim_is_simple(points: Numbers, edges: Indices) -> bool:
 
     start, end = edges.T
     # An edge that the half has in both directions is not of its rim.
-    rim = ~np.isin(start * len(points) + end, end * len(points) + start)
+    forth, back = np.sort(start * len(points) + end), end * len(points) + start
+    rim = forth[np.searchsorted(forth[:-1], back)] != back
     start, end = start[rim], end[rim]
-    if len(np.unique(start)) != len(start):
+    if np.bincount(start, minlength=1).max() > 1:
         return False  # lines that share a corner
     p, q = points[start], points[end]
     one, other = near_pairs(np.stack([p, q], axis=1), 0.0)

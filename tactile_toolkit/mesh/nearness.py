@@ -75,7 +75,8 @@ def near_pairs(corners_mm: Numbers, reach_mm: float) -> Indices:
     if not len(corners_mm):
         return np.zeros((2, 0), np.int64)
     low, high = corners_mm.min(axis=1) - reach_mm / 2, corners_mm.max(axis=1) + reach_mm / 2
-    return np.ascontiguousarray(_meeting(_along_a_curve((low + high) / 2), low, high).T)
+    order = _along_a_curve((low + high) / 2) & 0xFFFFFFFF
+    return np.ascontiguousarray(_meeting(order, low, high).T)
 
 
 def thinnest_wall_mm(vertices_mm: Numbers, faces: Indices, reach_mm: float) -> float:
@@ -86,17 +87,17 @@ def thinnest_wall_mm(vertices_mm: Numbers, faces: Indices, reach_mm: float) -> f
     vertices_mm = np.ascontiguousarray(vertices_mm, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     # A corner of each triangle: near enough to its middle, and less to gather.
-    order = _along_a_curve(vertices_mm[faces[:, 0]])
-    return round(float(_thinnest_wall(vertices_mm, faces, order, reach_mm)), 6)
+    numbered = _along_a_curve(vertices_mm.take(faces[:, 0], axis=0))
+    return round(float(_thinnest_wall(vertices_mm, faces, numbered, reach_mm)), 6)
 
 
 def _along_a_curve(points: Numbers) -> Indices:
-    """Return an order of points in which neighbours are near: that of Morton's curve."""
+    """Return :func:`_numbered` sorted: points in an order in which neighbours are near, that of the curve."""
     # Axis by axis: along rows of three numpy takes thirteen times as long.
     low = np.array([axis.min() for axis in points.T])
     span = max(*(axis.max() - least for axis, least in zip(points.T, low, strict=True)), 1e-300)
     # Sorted together with their numbers: equal ones stay in order, and numpy has vector code for it.
-    return np.asarray(np.sort(_numbered(points, low, 1023.0 / span)) & 0xFFFFFFFF)
+    return np.sort(_numbered(points, low, 1023.0 / span))
 
 
 @compiled
@@ -184,6 +185,36 @@ def connected(ends: Indices, others: Indices, count: int) -> Indices:
     for thing in range(count):
         least[thing] = least[least[thing]]
     return least
+
+
+@compiled
+def _tree_of_cells(numbered: Indices, low: Numbers, high: Numbers) -> tuple[Numbers, Indices]:
+    """Return the boxes of a tree as of :func:`_tree`, and the two nodes that each holds; leaves their own.
+
+    Each node holds a cell of Morton's curve. The curve jumps between cells, and boxes over jumps are wide: of
+    the pairs of nodes that are looked at for the wall of a digit this leaves a seventh.
+    """
+    count, columns = len(numbered), low.shape[1]
+    boxes, held = np.empty((2 * count, 2, columns)), np.empty((2 * count, 2), np.int64)
+    # Nodes whose cells may go on, and the bits in which the next thing lies apart from each.
+    waiting, apart, top, last = np.empty(64, np.int64), np.empty(64, np.int64), 0, count
+    for leaf in range(count):
+        thing, node = numbered[leaf] & 0xFFFFFFFF, count + leaf
+        held[node] = node
+        for axis in range(columns):
+            boxes[node, 0, axis], boxes[node, 1, axis] = low[thing, axis], high[thing, axis]
+        bits = numbered[leaf] ^ numbered[leaf + 1] if leaf + 1 < count else 1 << 62
+        while top and apart[top - 1] < bits:
+            top -= 1
+            last -= 1
+            held[last, 0], held[last, 1] = waiting[top], node
+            for axis in range(columns):
+                boxes[last, 0, axis] = min(boxes[waiting[top], 0, axis], boxes[node, 0, axis])
+                boxes[last, 1, axis] = max(boxes[waiting[top], 1, axis], boxes[node, 1, axis])
+            node = last
+        waiting[top], apart[top] = node, bits
+        top += 1
+    return boxes, held
 
 
 # --- vectors -----------------------------------------------------------------------------------------
@@ -336,7 +367,7 @@ def _across(u: Vector, along: Vector) -> Vector:
 
 
 @compiled
-def _thinnest_wall(points: Numbers, faces: Indices, order: Indices, reach: float) -> float:
+def _thinnest_wall(points: Numbers, faces: Indices, numbered: Indices, reach: float) -> float:
     """Return the least distance below the reach at which two triangles face each other, or infinity.
 
     Branch and bound: boxes that are further apart than the best so far, do not lie before each other within
@@ -344,17 +375,20 @@ def _thinnest_wall(points: Numbers, faces: Indices, order: Indices, reach: float
     """
     solid = _surface(points, faces)
     low, high = _boxes(solid, reach)
-    boxes, count, best = _tree(order, low, high), len(order), reach
+    boxes, held = _tree_of_cells(numbered, low, high)
+    count, best = len(numbered), reach
     stack, top = np.ones((_DEEPEST, 2), np.int64), 1
     while top:
         top -= 1
         one, other = stack[top, 0], stack[top, 1]
         if min(one, other) >= count:
-            best = _between(solid, order[one - count], order[other - count], best)
+            faced, facing = numbered[one - count] & 0xFFFFFFFF, numbered[other - count] & 0xFFFFFFFF
+            best = _between(solid, faced, facing, best)
             continue
-        for left in _within(one, count):
-            for right in _within(other, count):
-                if (left <= right or one != other) and _may_face(boxes, left, right, best):
+        for first in range(2 if one < count else 1):
+            for second in range(first if one == other else 0, 2 if other < count else 1):
+                left, right = held[one, first], held[other, second]
+                if _may_face(boxes, left, right, best):
                     stack[top, 0], stack[top, 1] = left, right
                     top += 1
     return best if best < reach else np.inf
@@ -408,20 +442,17 @@ def _surface(points: Numbers, faces: Indices) -> Solid:
         unit = _unit(_row(at_corner, corner))
         for axis in range(3):
             at_corner[corner, axis] = unit[axis]
-    # The half-edges that leave each corner, and where they lead.
+    # The half-edges so far that leave each corner, and where they lead.
     leaving, filled = np.empty((3 * len(faces), 2), np.int64), begun.copy()
-    for face in range(len(faces)):
-        for k in range(3):
-            place = filled[faces[face, k]]
-            leaving[place, 0], leaving[place, 1] = 3 * face + k, faces[face, following[k]]
-            filled[faces[face, k]] += 1
     twin = np.arange(3 * len(faces))
     for face in range(len(faces)):
         for k in range(3):
-            end = faces[face, following[k]]
-            for place in range(begun[end], begun[end + 1]):
-                if leaving[place, 1] == faces[face, k]:
-                    twin[3 * face + k] = leaving[place, 0]
+            half, start, end = 3 * face + k, faces[face, k], faces[face, following[k]]
+            for place in range(begun[end], filled[end]):
+                if leaving[place, 1] == start:
+                    twin[half], twin[leaving[place, 0]] = leaving[place, 0], half
+            leaving[filled[start], 0], leaving[filled[start], 1] = half, end
+            filled[start] += 1
     return points, faces, inward, at_corner, twin
 
 

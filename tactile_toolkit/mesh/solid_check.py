@@ -94,8 +94,8 @@ def array_problem(mesh: Mesh) -> tuple[str, str] | None:
         return "bad-shape", f"{shapes}; expected (V, 3) and (F, 3)"
     if not len(vertices) or not len(faces):
         return "empty", f"{len(vertices)} vertices and {len(faces)} faces; expected a closed surface"
-    bad = int((~np.isfinite(vertices)).any(axis=1).sum())
-    if bad:
+    if not np.isfinite(vertices).all():
+        bad = int((~np.isfinite(vertices)).any(axis=1).sum())
         return "not-finite", f"{bad} vertices are NaN or infinite"
     if faces.min() < 0 or faces.max() >= len(vertices):
         found = f"faces name vertices {faces.min()} to {faces.max()}"
