@@ -1,4 +1,4 @@
-"""What stores and their clients raise: which sentence it becomes, and how often and when it is tried again."""
+"""What clients of stores raise: which sentence it becomes, and how often and when it is tried again."""
 
 from __future__ import annotations
 
