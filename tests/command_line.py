@@ -5,9 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from importlib import import_module
+from typing import Any
 from unittest import mock
 
-__all__ = ["call", "program"]
+__all__ = ["alone", "call", "program"]
+
+
+def alone() -> Any:
+    """Commands use one process unless workers are asked for: each other one imports all they need."""
+    return mock.patch.object(os, "cpu_count", return_value=1)
 
 
 def call(program: str, *arguments: object) -> int:
@@ -16,7 +22,7 @@ def call(program: str, *arguments: object) -> int:
     before = sys.argv
     sys.argv = [program, *map(str, arguments)]
     try:
-        with mock.patch.object(os, "cpu_count", return_value=1):
+        with alone():
             main()
     except SystemExit as leave:
         return int(leave.code or 0)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 import subprocess
 import sys
 from collections.abc import Generator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -35,6 +37,14 @@ def pytest_configure(config: pytest.Config) -> None:
     settings.load_profile("toolkit")
 
 
+# Hundreds of tests start processes: where byte code may not be kept, each compiles all that it imports.
+if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
+    sys.dont_write_bytecode = False
+
+# No test speaks to a server that has a certificate, and each client would read all that the system trusts.
+os.environ.pop("SSL_CERT_FILE", None)
+os.environ["SSL_CERT_DIR"] = str(Path(__file__).parent)
+
 # What a power cut leaves cannot be seen here, and waiting for the disk would take a fifth of the time.
 os.fsync = lambda _handle: None
 
@@ -51,6 +61,22 @@ _LONG = ("test_readme.py", "test_ray.py", "test_damage.py")
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the tests of a minute or more: as the last ones they would keep one core waiting."""
     items.sort(key=lambda item: item.path.name not in _LONG)
+
+
+def pytest_collection_finish() -> None:
+    """Keep the collector from walking through all that was collected, again and again."""
+    gc.collect()
+    gc.freeze()
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give neighbours to one worker, where nothing else is asked for: what a module makes, it makes once."""
+    if config.getoption("dist") != "load":
+        return None
+    from xdist.scheduler import WorkStealingScheduling
+
+    return WorkStealingScheduling(config, log)
 
 
 @pytest.fixture(autouse=True)

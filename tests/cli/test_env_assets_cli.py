@@ -8,10 +8,12 @@ from typer.testing import CliRunner
 import mnist3d
 import starstruck_gen
 from cli.env_assets import app
+from tests.command_line import alone
 
 
 def run(*words):
-    return CliRunner().invoke(app, list(map(str, words)))
+    with alone():
+        return CliRunner().invoke(app, list(map(str, words)))
 
 
 def test_a_wrench_is_made_as_data_set_and_file(tmp_path):

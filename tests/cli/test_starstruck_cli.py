@@ -13,11 +13,13 @@ from cli.starstruck import app
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import write_record
 from tactile_toolkit.store.manifest import read_manifest
+from tests.command_line import alone
 from tests.processes import start_held
 
 
 def run(*words):
-    return CliRunner().invoke(app, list(map(str, words)))
+    with alone():
+        return CliRunner().invoke(app, list(map(str, words)))
 
 
 @pytest.fixture(scope="module")
@@ -222,7 +224,7 @@ def test_info_shows_acceptance(made):
 
 def test_validate_and_verify_pass(made):
     folder, _ = made
-    result = run("validate", folder)
+    result = run("validate", folder, "--workers", 2)
     assert result.exit_code == 0
     assert "66 of 66 scenes are valid" in result.stdout
     document = json.loads(run("validate", folder, "--json", "--limit", 3).stdout)

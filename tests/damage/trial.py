@@ -164,6 +164,9 @@ def warm_up() -> None:
                 import_module(module.name)
     for library in ("PIL.Image", "datasets", "manifold3d", "pyarrow.parquet", "skimage.measure", "trimesh"):
         import_module(library)
+    # What reads command lines is imported by the first of them.
+    for kind in _COMMAND_LINES:
+        assert verified(kind, "info", Path("/dev/null/absent"))[0] == 2
 
 
 _COMMAND_LINES = {"digits": "mnist3d", "scenes": "starstruck", "images": "realtouch", "clips": "realtouch"}

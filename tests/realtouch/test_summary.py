@@ -52,4 +52,7 @@ def test_notebooks_show_rounds_and_touches(seq_folder: Path, single_folder: Path
         assert shown.count("<img") == 5
         assert dataset[1].id in shown
         assert "label 1" in shown
-        assert dataset.touches()[0]._repr_html_().count("data:image/png;base64,") == 1
+        touch = dataset.touches()[1]
+        x_mm, y_mm = 1000 * np.asarray(touch.pos_in_cell_m)
+        assert f"label {touch.label}, touch 1, x {x_mm:.1f} mm, y {y_mm:.1f} mm" in touch._repr_html_()
+        assert touch._repr_html_().count("data:image/png;base64,") == 1

@@ -194,6 +194,16 @@ def test_rounds_follow_from_seed_split_object_and_number():
 
 def test_places_of_touches():
     solid, draw = tactile_sim.Pressable.of(block((0.05, 0.004, 0.003))), tactile_sim.plan_round
+    for touches in (1, 2, 3, 7, 9, 12):
+        grid = draw(tactile_sim.TouchPlan(1, touches, positions="grid"), solid, "train", 0, 0).positions_m
+        columns = np.ceil(np.sqrt(touches))
+        rows = np.ceil(touches / columns)
+        middles = [
+            ((2 * column + 1) / columns - 1, (2 * row + 1) / rows - 1)
+            for row in np.arange(rows)
+            for column in np.arange(columns)
+        ]
+        np.testing.assert_allclose(grid, middles[:touches] * np.array(REACH_M), atol=1e-12)
     grid = draw(tactile_sim.TouchPlan(1, 9, positions="grid"), solid, "train", 0, 0).positions_m
     assert np.ptp(grid, axis=0) == pytest.approx(2 * np.array(REACH_M) * 2 / 3)
     plan = tactile_sim.TouchPlan(

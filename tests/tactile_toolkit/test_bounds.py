@@ -8,6 +8,7 @@ import json
 import struct
 import zipfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -157,9 +158,9 @@ def nested(levels: int, each: int, items: int = 1) -> bytes:
 
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n"
 FACET = b"facet normal 0 0 0\nouter loop\n" + b"vertex 0 0 0\n" * 3 + b"endloop\nendfacet\n"
-UNKNOWN = model_of(0).replace(b"</resources>", b"<a/>" * 4_000_000 + b"</resources>")
+UNKNOWN = model_of(0).replace(b"</resources>", b"<a/>" * 1_000_000 + b"</resources>")
 NAMED = model_of(0).replace(
-    b"</resources>", b"".join(b"<a%x/>" % n for n in range(1_500_000)) + b"</resources>"
+    b"</resources>", b"".join(b"<a%x/>" % n for n in range(400_000)) + b"</resources>"
 )
 ENTITY = b'<!DOCTYPE m [<!ENTITY a "' + b"a" * 1_000_000 + b'">]><model b="' + b"&a;" * 90 + b'" '
 
@@ -211,12 +212,12 @@ BOMBS = {
         lambda: ply("ascii", 10**9, 1, b"0 0 0\n3 0 0 0\n"),
         "1,000,000,001 vertices and triangles unpacks to",
     ),
-    "lines.ply": (lambda: ply("ascii", 1_500_000, 1, b"0 0 0\n" * 1_500_000), "1,500,001 lines and corners"),
+    "lines.ply": (lambda: ply("ascii", 375_000, 1, b"0 0 0\n" * 375_000), "375,001 lines and corners"),
     "bytes.ply": (
-        lambda: ply("binary_little_endian", 3_000_000, 0, bytes(9_000_000)),
-        "3,000,000 vertices and triangles unpacks to",
+        lambda: ply("binary_little_endian", 750_000, 0, bytes(2_250_000)),
+        "750,000 vertices and triangles unpacks to",
     ),
-    "polygon.obj": (lambda: TRIANGLE + b"f" + b" 1" * 2_000_000, "2,000,001 lines and corners"),
+    "polygon.obj": (lambda: TRIANGLE + b"f" + b" 1" * 500_000, "500,001 lines and corners"),
     "materials.obj": (lambda: TRIANGLE + b"usemtl a\nf 1 2 3\n" * 5_000, "5,000 parts; expected"),
     "solids.stl": (lambda: (b"solid a\n" + FACET + b"endsolid a\n") * 5_000, "5,000 parts; expected"),
     "elements.3mf": (lambda: zipped(UNKNOWN), "elements unpacks to"),
@@ -229,10 +230,10 @@ BOMBS = {
     "packed.3mf": (lambda: packed_as(zipfile.ZIP_BZIP2), "is packed by method 12; expected Deflate"),
     "entity.3mf": (lambda: zipped(model_of(0).replace(b"<model ", ENTITY)), "the model has a document type"),
     "attribute.3mf": (
-        lambda: zipped(model_of(0).replace(b"<model ", b'<model a="' + b"x" * 100_000_000 + b'" ')),
+        lambda: zipped(model_of(0).replace(b"<model ", b'<model a="' + b"x" * 25_000_000 + b'" ')),
         "XML of 1,048,576 bytes in which no element ends",
     ),
-    "entries.glb": (lambda: nodes_glb(b'"nodes": [' + b"{}," * 3_000_000 + b'{"mesh"'), "objects and lists"),
+    "entries.glb": (lambda: nodes_glb(b'"nodes": [' + b"{}," * 750_000 + b'{"mesh"'), "objects and lists"),
     "chain.glb": (lambda: chain(1_500), "nodes more than 64 deep, or in a circle"),
     "colours.glb": (lambda: coloured(900), "values of vertices and triangles unpacks to"),
     "list.glb": (lambda: glb_of(b"[]"), "not a readable GLB file"),
@@ -252,11 +253,13 @@ def test_meshes_that_state_more_than_they_hold_are_refused_before_it_is_made(tmp
         except ToolkitError as error:
             print(error)
     """
-    peak, said = peak_mb(code.strip(), *(str(tmp_path / name) for name in BOMBS), run=printed_by)
+    # A quarter of the usual limit, for an answer sooner: that one is asked for above.
+    run = partial(printed_by, **{UNPACKED_VARIABLE: "128"})
+    peak, said = peak_mb(code.strip(), *(str(tmp_path / name) for name in BOMBS), run=run)
     for line, (name, (_, words)) in zip(said.splitlines(), BOMBS.items(), strict=True):
         assert name in line
         assert words in line
-    assert peak < 350
+    assert peak < 128
 
 
 def test_large_surfaces_are_read_as_ever(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -23,6 +24,7 @@ from tactile_toolkit.gallery.items import (
     Item,
     natural_order,
     packed_mesh,
+    relief_thumbnail,
     require_mesh,
     thumbnail,
 )
@@ -66,6 +68,14 @@ def test_a_packed_mesh_is_the_mesh_to_half_a_step(mesh):
     assert packed["step_mm"] == STEP_MM if 10 < extent_mm < 655 else packed["step_mm"] >= 1e-6
     assert extent_mm < 1e-3 or steps.max() >= 1000
     assert (unpacked(packed["faces"], faces.size).reshape(-1, 3) == faces).all()
+    assert np.abs(packed["low_mm"] - 1000 * corners.min(axis=0)).max() <= 1e-6
+    assert (packed["vertex_count"], packed["face_count"]) == (len(corners), len(faces))
+    assert (packed["parts"], packed["flat"]) == ([[len(faces), "main"]], False)
+    parts = [(1, "other"), (len(faces) - 1, "main")]
+    assert packed_mesh(corners, faces, parts, flat=True) == packed | {
+        "parts": [list(part) for part in parts],
+        "flat": True,
+    }
 
 
 def test_broken_meshes_are_named():
@@ -105,6 +115,19 @@ def test_thumbnails_have_clear_paper_and_no_light_rim():
     assert seen.max() <= 82
     plain = read_png(thumbnail(np.full((9, 9, 3), 7, np.uint8)))
     assert (plain.shape, plain.max()) == ((9, 9, 3), 7)
+
+
+@pytest.mark.parametrize("sides_m", [(0.03, 0.08), (0.08, 0.03), (0.02, 0.02)])
+def test_a_relief_fills_its_tile_whatever_its_size(sides_m):
+    box = trimesh.creation.box((*sides_m, 0.01))
+    content = relief_thumbnail(box.vertices, box.faces)
+    small = read_png(content)
+    assert max(small.shape[:2]) == THUMBNAIL_PX
+    seen = np.argwhere(small[..., -1] > 0)
+    up, across = np.ptp(seen, axis=0) + 1
+    assert THUMBNAIL_PX - 12 <= max(up, across) <= THUMBNAIL_PX
+    assert up / across == pytest.approx(sides_m[1] / sides_m[0], rel=0.05)
+    assert relief_thumbnail(3 * box.vertices, box.faces) == content
 
 
 def test_smoothed_edges_keep_the_colour_of_the_ink():

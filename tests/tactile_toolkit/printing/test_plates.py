@@ -6,6 +6,7 @@ import csv
 import io
 import itertools
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -177,6 +178,8 @@ def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) 
 def test_words_on_a_map_name_the_split_where_ids_are_shared() -> None:
     ((placed,),) = lay_out(named([box(40, 40)]), SMALL).plates
     plain = draw_map([placed], SMALL, "", ["0"])
+    assert placed.item.split
+    assert draw_map([replace(placed, item=replace(placed.item, split=""))], SMALL, "", ["0"]) == plain
     assert draw_map([placed], SMALL, "", ["0"], shared=[7]) == plain
     assert draw_map([placed], SMALL, "", ["0"], shared=[placed.item.id]) != plain
 

@@ -129,3 +129,21 @@ def test_lists_are_seen_as_numpy_without_a_copy_at_any_offset() -> None:
         assert not column.values.flags.writeable
         for row in range(count):
             np.testing.assert_array_equal(column[row], arrays[first + row])
+
+
+@pytest.mark.parametrize(
+    ("path", "origin"),
+    [
+        ("sets/digits/data/test-00000-of-00001.parquet", ("'digits'", "test")),
+        ("/sets//digits/./data/train-00003-of-00004.parquet", ("'digits'", "train")),
+        ("/sets/digits/test-00000-of-00001.parquet", ("'digits'", "test")),
+        ("/sets/digits/odd.parquet", ("'digits'", "")),
+        ("s3://lake/sets/digits/data/test-00000-of-00001.parquet", ("'digits'", "test")),
+        ("hf://datasets/you/digits@main/data/test-00000-of-00001.parquet", ("'you/digits'", "test")),
+        ("hf://datasets/you/digits/data/test-00000-of-00001.parquet", ("'you/digits'", "test")),
+        ("/hub/datasets--you--digits/snapshots/1/data/test-00000-of-00001.parquet", ("'you/digits'", "test")),
+        ("/data/test-00000-of-00001.parquet", ("'data'", "test")),
+    ],
+)
+def test_a_shard_names_the_set_that_it_is_of(path, origin):
+    assert Shard(path).origin == origin

@@ -194,8 +194,14 @@ def test_errors_cross_the_border_of_a_process(error: Exception) -> None:
     assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
 
 
-@pytest.mark.parametrize("finished", [1, 2, 5])
-@pytest.mark.parametrize("doomed", [1, 2])
+@pytest.mark.parametrize(
+    ("finished", "doomed"),
+    [
+        (2, 1),
+        (1, 2),
+        *(pytest.param(*each, marks=pytest.mark.thorough) for each in ((1, 1), (5, 1), (2, 2), (5, 2))),
+    ],
+)
 def test_no_task_is_lost_when_workers_die_while_their_parent_is_busy(finished: int, doomed: int) -> None:
     results = []
     for result in ProcessRunner(2).run(operator.neg, range(8)):

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import is_remote, normalize_uri
 from tests.processes import printed_by
@@ -106,3 +106,13 @@ except InputError as error:
     said = printed_by(program)
     assert re.search(words, said), said
     assert not Path("s3:").exists()
+
+
+def test_what_cannot_be_read_is_named_in_the_words_of_the_system(tmp_path):
+    """Without its number, and without the path a second time."""
+    place = DataFolder(str(tmp_path))
+    (tmp_path / "folder").mkdir()
+    for path, words in (("absent", "No such file or directory"), ("folder", "Is a directory")):
+        with pytest.raises(IntegrityError) as caught:
+            place.read_bytes(path)
+        assert str(caught.value) == f"cannot read {str(tmp_path / path)!r}: {words}"

@@ -27,6 +27,9 @@ from tactile_toolkit.store.verify import verify
 from tests.processes import children, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
+NUMBERS = [2, *(pytest.param(number, marks=pytest.mark.thorough) for number in (1, 4))]
+"""Of worker processes, which take a second each to start, or of shards."""
+
 
 def make(path: Path, plan=None, runner=None, **options):
     return build(DataFolder(str(path)), plan or toy_plan(), runner or InlineRunner(), **options)
@@ -52,7 +55,7 @@ def test_folder_holds_shards_report_and_manifest_and_nothing_else(tmp_path):
     assert report["id"].to_pylist() == ids
 
 
-@pytest.mark.parametrize("workers", [1, 2, 4])
+@pytest.mark.parametrize("workers", NUMBERS)
 def test_bytes_do_not_depend_on_workers(tmp_path, workers):
     make(tmp_path / "one")
     make(tmp_path / "many", runner=ProcessRunner(workers))
@@ -192,7 +195,7 @@ def test_a_set_is_complete_only_with_the_shards_of_all_tasks(tmp_path):
         make(tmp_path / "part", runner=Part(0, 2, Forgetful(1)))
 
 
-@pytest.mark.parametrize("shards", [1, 2, 4])
+@pytest.mark.parametrize("shards", NUMBERS)
 def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, shards):
     make(tmp_path / "whole")
     script = """
@@ -320,7 +323,7 @@ def test_another_source_is_told_in_few_words(tmp_path):
     assert len(str(told.value)) < 500
 
 
-@pytest.mark.parametrize("workers", [1, 2, 4])
+@pytest.mark.parametrize("workers", NUMBERS)
 def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
     make(tmp_path / "whole")
     script = f"""

@@ -29,7 +29,7 @@ from tactile_toolkit.store.shards import ShardName
 from tactile_toolkit.store.verify import verify
 from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, toy_plan
 
-SAMPLED = 30
+SAMPLED = 20
 """Points of each command that the run at a desk draws; all of them are `thorough`."""
 
 
