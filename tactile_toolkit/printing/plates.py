@@ -34,7 +34,6 @@ from tactile_toolkit.printing.objects import (
     export,
     local_folder,
     place_on_plate,
-    require_free,
     require_same_solid,
 )
 from tactile_toolkit.printing.packing import Layout, Outline, Placed, cells_touched
@@ -53,8 +52,7 @@ _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer kno
 class PlateFile:
     """A plate: its file (3MF, or MJCF) and PNG map, its objects and which share of it they need.
 
-    ``bytes`` is the size of that file; ``state`` is ``"planned"``, ``"written"``, or ``"kept"`` where the
-    very same file was there already.
+    ``bytes`` is the size of that file; ``state`` is that of :class:`~tactile_toolkit.printing.objects.Made`.
     """
 
     file: str
@@ -85,6 +83,7 @@ def write_plates(
     out: str,
     *,
     overwrite: bool = False,
+    dry_run: bool = False,
     on_progress: Progress = lambda _done, _total: None,
 ) -> PlateExport:
     """Write the plates of a layout into a folder, which is made where it is not there.
@@ -92,33 +91,22 @@ def write_plates(
     Every object of a 3MF file has to come back as the same solid under the same name, inside the plate; each
     file is read back from disk before it gets its name. Files that are there already with the very same bytes
     are kept. With ``overwrite``, the plates of another export are replaced, and those that this one has not
-    are removed: what the table of that export lists, and no other files.
+    are removed: what the table of that export lists, and no other files. A ``dry_run`` makes and checks the
+    same plates and changes nothing.
 
     Raises InputError where plates of another export stand in the folder, before anything is written, and
     StorageError where the folder cannot be written; finished files stay.
     """
     unknown = _unknown_files(layout, local_folder(out))
-    if not overwrite:
-        require_free([_table_product(tuple(_rows(layout)), unknown)], out)
-    plates, failures = export(_products(layout), out, overwrite=overwrite, on_progress=on_progress)
-    written = {plate.file for plate in plates}
+    # The table first: it says most clearly whether these are the plates of another export.
+    export([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
+    made = export(_products(layout), out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
+    written = {plate.file for plate in made.files}
     rows = tuple(row for row in _rows(layout) if row["file"] in written)
-    # Last: what it lists is there and was checked.
-    export([_table_product(rows, unknown)], out, overwrite=True)
-    return PlateExport(tuple(plates), layout.least_plates, rows, (*layout.failures, *failures), unknown)
-
-
-def forecast_plates(layout: Layout, out: str, *, overwrite: bool = False) -> PlateExport:
-    """Forecast what :func:`write_plates` would write.
-
-    Raises InputError where plates of another export stand in the folder.
-    """
-    rows, unknown = tuple(_rows(layout)), _unknown_files(layout, local_folder(out))
-    if not overwrite:
-        require_free(_products(layout), out)
-        require_free([_table_product(rows, unknown)], out)
-    plates = tuple(product.make().record("planned") for product in _products(layout))
-    return PlateExport(plates, layout.least_plates, rows, layout.failures, unknown)
+    if not dry_run:
+        # Last: what it lists is there and was checked.
+        export([_table_product(rows, unknown)], out, overwrite=True)
+    return PlateExport(made.files, layout.least_plates, rows, (*layout.failures, *made.failed), unknown)
 
 
 def _products(layout: Layout) -> list[Product[PlateFile]]:

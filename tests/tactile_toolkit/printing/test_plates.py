@@ -6,6 +6,7 @@ import csv
 import io
 import itertools
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -25,7 +26,7 @@ from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate
 from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure
-from tactile_toolkit.printing.plates import draw_map, forecast_plates, write_plates
+from tactile_toolkit.printing.plates import draw_map, write_plates
 from tactile_toolkit.printing.spec import BEDS_MM, PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
@@ -358,7 +359,7 @@ def test_going_on_keeps_plates_and_overwriting_leaves_no_stale_ones(tmp_path: Pa
     assert folder_bytes(tmp_path) == whole
     for name in ("mine.txt", "plate-2024.png", "plate-77.3mf"):
         (tmp_path / name).write_text("keep")
-    view = forecast_plates(few, out, overwrite=True)
+    view = write_plates(few, out, overwrite=True, dry_run=True)
     made = write_plates(few, out, overwrite=True)
     assert "plate-02.3mf" in made.removed
     assert made.removed == view.removed
@@ -402,24 +403,28 @@ def test_a_table_of_another_kind_removes_nothing(table: str, tmp_path: Path) -> 
     assert all(path.read_text() == "keep" for path in others)
 
 
-def test_forecast_says_what_stands_in_the_way(tmp_path: Path) -> None:
+def test_a_dry_run_says_what_stands_in_the_way(tmp_path: Path) -> None:
     write_plates(lay_out(named(FEW), SMALL), str(tmp_path))
     with pytest.raises(InputError, match="--overwrite"):
-        forecast_plates(lay_out(named(FEW[:2]), SMALL), str(tmp_path))
+        write_plates(lay_out(named(FEW[:2]), SMALL), str(tmp_path), dry_run=True)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="is a file"):
-        forecast_plates(lay_out(named(FEW), SMALL), str(tmp_path / "file"), overwrite=True)
+        write_plates(lay_out(named(FEW), SMALL), str(tmp_path / "file"), overwrite=True, dry_run=True)
     (tmp_path / "folders" / "plates.csv").mkdir(parents=True)
     with pytest.raises(InputError, match=r"plates.csv': Is a directory"):
-        forecast_plates(lay_out(named(FEW), SMALL), str(tmp_path / "folders"))
+        write_plates(lay_out(named(FEW), SMALL), str(tmp_path / "folders"), dry_run=True)
 
 
-def test_forecast_says_what_will_be_written(tmp_path: Path) -> None:
+def test_a_dry_run_says_what_will_be_written(tmp_path: Path) -> None:
     layout = lay_out(named(FEW), SMALL)
-    view = forecast_plates(layout, str(tmp_path / "forecast"))
+    view = write_plates(layout, str(tmp_path / "forecast"), dry_run=True)
     assert [plate.objects for plate in view.plates] == [len(plate) for plate in layout.plates]
     assert {plate.state for plate in view.plates} == {"planned"}
     assert len(view.objects) == len(FEW)
+    assert list(tmp_path.iterdir()) == []
+    made = write_plates(layout, str(tmp_path / "out"))
+    assert [replace(plate, state="planned") for plate in made.plates] == list(view.plates)
+    assert made.objects == view.objects
 
 
 def test_bodies_that_lie_apart_stay_together() -> None:
