@@ -15,7 +15,6 @@ import manifold3d
 import numpy as np
 import pytest
 import shapely
-import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -24,6 +23,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
+from tactile_toolkit.printing import plates
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate
 from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure
 from tactile_toolkit.printing.plates import draw_map, write_plates
@@ -123,21 +123,6 @@ def test_nothing_stands_among_the_parts_of_another_object(shapes: list[Mesh], ga
                 assert apart_mm >= gap_mm - 1e-6
 
 
-def test_the_map_shows_which_parts_belong_together(tmp_path: Path) -> None:
-    """All ground among the parts of an object is white, and not the colour of the plate."""
-    ((placed,),) = lay_out(named(GROUPS[:1]), SMALL).plates
-    write_plates(lay_out(named(GROUPS[:1]), SMALL), str(tmp_path))
-    picture = np.asarray(Image.open(tmp_path / "plate-01.png").convert("RGB"))
-    px_per_mm = 1200 / 100
-    between = shapely.affinity.scale(polygon_of(placed).convex_hull, 0.98, 0.98) - polygon_of(placed).buffer(
-        1
-    )
-    points = [point for point in grid_points(90, 70) if between.contains(shapely.Point(point))]
-    assert len(points) > 20
-    seen = [picture[int(60 + (80 - y) * px_per_mm), int(60 + x * px_per_mm)] for x, y in points]
-    assert (np.array(seen) >= 250).all()
-
-
 def test_the_line_round_the_parts_of_an_object_is_closed() -> None:
     """From whichever corner it begins, and where no part of the object has an outline of its own."""
     spec = PlateSpec(100, 80, 0.0, 0.0)
@@ -149,10 +134,6 @@ def test_the_line_round_the_parts_of_an_object_is_closed() -> None:
         points = [line.interpolate(at_mm) for at_mm in np.arange(0, line.length, 1)]
         at = [(int(60 + (80 - point.y) * 12), int(60 + point.x * 12)) for point in points]
         assert max(picture[row - 3 : row + 4, column - 3 : column + 4].min() for row, column in at) < 180
-
-
-def grid_points(width_mm: int, depth_mm: int) -> list[tuple[float, float]]:
-    return [(x + 0.5, y + 0.5) for x in range(0, width_mm, 2) for y in range(0, depth_mm, 2)]
 
 
 @pytest.mark.parametrize(
@@ -173,6 +154,24 @@ def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) 
     # The plate is paper with lines on it, not lines alone.
     middle = picture[60 : shape[0] - 60, 60 : shape[1] - 60]
     assert (middle > 235).mean() > 0.8
+
+
+def test_words_that_have_no_room_are_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[str] = []
+    draw_text = plates.draw_text
+    monkeypatch.setattr(plates, "draw_text", lambda *a, **b: (written.append(a[2]), draw_text(*a, **b)))
+    spec = PlateSpec(256, 256, 0.5, 0.0)
+    (plate,) = lay_out(named([box(1.5, 1.5)] * 40), spec).plates
+    draw_map(plate, spec, "the title", list("0123456789"))
+    assert written[:26] == [f"{at_mm}" for at_mm in range(0, 256, 20)] * 2
+    *words, foot, title = written[26:]
+    shown = len(words) // 2
+    assert 0 < shown < 40
+    assert f"; {40 - shown} without words, for want of space: plates.csv lists them" in foot
+    assert title == "the title"
+    assert {*zip(words[::2], words[1::2], strict=True)} < {
+        (f"{number % 3}", f"{number}") for number in range(40)
+    }
 
 
 def test_words_on_a_map_name_the_split_where_ids_are_shared() -> None:
