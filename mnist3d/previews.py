@@ -30,7 +30,6 @@ from tactile_toolkit.pictures.render import (
     OBLIQUE,
     TOP,
     Body,
-    Picture3d,
     box_downsample,
     draw_bodies,
     fitting_scale,
@@ -40,7 +39,6 @@ from tactile_toolkit.pictures.sheets import (
     PicturePlan,
     Pixels,
     PlannedPicture,
-    Sheet,
     Tile,
     file_stem,
     plan_kinds,
@@ -170,8 +168,8 @@ def draw_object(mesh: Mesh, title: str) -> Pixels:
     top, left = ((room - size) // 2 for room, size in zip(canvas.shape, relief.shape, strict=True))
     canvas[top : top + relief.shape[0], left : left + relief.shape[1]] = relief
     above = Tile(with_scale_bar(canvas, px_per_mm), "shaded relief, from above")
-    oblique = Picture3d(bodies, _VIEW_PX, px_per_m)
-    return draw_two_views(above, oblique, title, object_facts(mesh))
+    oblique = draw_bodies(bodies, _VIEW_PX, px_per_m)
+    return draw_two_views(above, oblique, px_per_m, title, object_facts(mesh))
 
 
 def object_facts(mesh: Mesh) -> tuple[str, ...]:
@@ -204,7 +202,7 @@ def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
     upper = scale(replace(surface, rim=surface.rim[:0]), (ink.shape[0], ink.shape[1]), spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
     views = [
-        draw_bodies(Picture3d((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M))
+        draw_bodies((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)
         for mesh in (upper, solid)
     ]
     pitch_px, triangles = lattice.pitch_px, len(solid.faces)
@@ -224,7 +222,7 @@ def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
         f"the nodes of the lattice are {pitch_px:.2f} px of {spec.pixel_pitch_mm:g} mm apart, closer where "
         "something is narrow; the surface passes between them",
     )
-    return sheet(tiles, Sheet(3, title, words))
+    return sheet(tiles, 3, title, words)
 
 
 def _layers_px(

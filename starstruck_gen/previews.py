@@ -33,7 +33,7 @@ from tactile_toolkit.pictures.previews import (
     draw_by_class,
     draw_two_views,
 )
-from tactile_toolkit.pictures.render import TOP, Body, Picture3d, draw_bodies, fitting_scale
+from tactile_toolkit.pictures.render import TOP, Body, draw_bodies, fitting_scale
 from tactile_toolkit.pictures.sheets import PicturePlan, Pixels, Tile, plan_kinds, with_scale_bar
 from tactile_toolkit.wording import counted
 
@@ -111,8 +111,8 @@ def draw_one(record: SceneRecord, spec: SceneSpec | None, title: str) -> Pixels:
         facts += "; circles must not meet" if circles else "; outlines must not touch"
     bodies = _bodies(record, known)
     scale = fitting_scale(bodies, (round(0.96 * _PANEL_PX), round(0.96 * _PANEL_PX)))
-    oblique = Picture3d(bodies, (_PANEL_PX, _PANEL_PX), scale)
-    return draw_two_views(Tile(with_scale_bar(above, px_per_mm), caption), oblique, title, (facts,))
+    oblique = draw_bodies(bodies, (_PANEL_PX, _PANEL_PX), scale)
+    return draw_two_views(Tile(with_scale_bar(above, px_per_mm), caption), oblique, scale, title, (facts,))
 
 
 def traced(record: SceneRecord, spec: SceneSpec | None) -> SceneTrace | None:
@@ -166,7 +166,7 @@ def _from_above(record: SceneRecord, spec: SceneSpec, px_per_mm: float) -> NDArr
     if record.has_placements:
         return np.asarray(draw_scene(record.placements, spec.cell_m, px_per_mm))
     width, height = (round(side * MM_PER_M * px_per_mm) for side in spec.cell_m)
-    return draw_bodies(Picture3d(_bodies(record, spec), (width, height), px_per_mm * MM_PER_M, TOP))
+    return draw_bodies(_bodies(record, spec), (width, height), px_per_mm * MM_PER_M, TOP)
 
 
 def _bodies(record: SceneRecord, spec: SceneSpec) -> tuple[Body, ...]:

@@ -15,7 +15,7 @@ from tactile_toolkit.mesh.nearness import compiled
 
 Numbers: TypeAlias = NDArray[np.float64]
 
-_EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
+_EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.height_map, whose steps these are
 
 
 Point: TypeAlias = tuple[float, float, float]

@@ -29,7 +29,8 @@ from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask, natural_order
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.files import LOCK_FILE, expanded, locked, named_failures
+from tactile_toolkit.store.files import LOCK_FILE, locked, named_failures
+from tactile_toolkit.store.folder import local_folder
 
 PAGE_FILE = "index.html"
 
@@ -39,8 +40,6 @@ MOST_ITEMS = 20_000
 MOST_BYTES = 2_000_000_000
 """Larger sites are refused: they would not be copied to look at a data set."""
 
-# The first few items may be unusually large.
-_JUDGED_AFTER = 24
 # In a folder of files: the page, before it is known how that folder is called.
 _TEMPLATE_FILE = "page.template"
 _FOLDER_PREFIX, _FOLDER_MARK = "files-", "{{files}}"
@@ -104,13 +103,10 @@ def build_site(
                     write(folder / f"items/{number:06d}.js", content)
                     for ending, medium in item.media.items():
                         write(folder / f"media/{number:06d}-{ending}", medium)
-                forecast = written["bytes"] * gallery.size // max(len(shown), 1)
-                # A site that grows too large stops as soon as that is known, not when the disk is full.
-                is_judged = len(shown) >= _JUDGED_AFTER and forecast > MOST_BYTES
-                if is_judged or written["bytes"] > MOST_BYTES:
+                if written["bytes"] > MOST_BYTES:
                     raise InputError(
-                        f"the gallery would take about {forecast / 1e9:.1f} GB; the most is "
-                        f"{MOST_BYTES / 1e9:.0f} GB; what was written is removed",
+                        f"the gallery would take more than {MOST_BYTES / 1e9:.0f} GB with {len(shown):,} of "
+                        f"{gallery.size:,} {gallery.nouns[1]}; what was written is removed",
                         next="choose fewer with --limit, --split or --per-class",
                     )
                 on_progress(len(shown), gallery.size)
@@ -188,18 +184,10 @@ def _page_of(files: Path) -> bytes:
 
 def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
     """Return where the site of a gallery may be made; InputError where :func:`build_site` would raise it."""
-    if "://" in out:
-        raise InputError(
-            f"--out is {out!r}; a gallery is made in a local folder", next="make it there, then copy it"
-        )
     # Where a symbolic link leads: the link itself is not ours to replace.
-    path = Path(os.path.realpath(expanded(out)))
+    path = Path(os.path.realpath(local_folder(out)))
     if path.is_dir():
         _former_folders(path, overwrite=overwrite)
-    elif path.exists():
-        raise InputError(
-            f"{str(path)!r} is a file; a gallery is a folder; nothing was changed", next="another --out"
-        )
     one, many = gallery.nouns
     if gallery.size == 0:
         raise InputError(

@@ -57,7 +57,7 @@ class BuildItem:
 
 @dataclass(slots=True, eq=False)
 class _Object:
-    """An object of a model, or what a model says to build: its surface in mm, or the parts that it is made of.
+    """An object of a model, or what is to be built: its surface in mm, or the parts that it is made of.
 
     A part is what it names, a path and an id, and how that is moved, in mm.
     """

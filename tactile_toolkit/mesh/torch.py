@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError, needs_extra
-from tactile_toolkit.mesh.height_map import MOST_PIXELS
-from tactile_toolkit.mesh.raster import covered_pixels, highest_values
+from tactile_toolkit.mesh.height_map import MOST_PIXELS, covered_pixels, highest_values
 from tactile_toolkit.mesh.records import SolidRecord
 from tactile_toolkit.read.dataset import RecordDataset
 

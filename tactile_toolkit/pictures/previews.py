@@ -14,11 +14,9 @@ from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.pictures.render import Picture3d, draw_bodies
 from tactile_toolkit.pictures.sheets import (
     Pixels,
     PlannedPicture,
-    Sheet,
     Tile,
     bar_length_mm,
     file_stem,
@@ -100,14 +98,15 @@ def draw_by_class(
     for name, tile in tiles:
         groups.setdefault(name, []).append(tile)
     columns, cells, row_labels = in_rows(list(groups.items()), per_row)
-    # The empty line at the foot is the room of the scale bar.
-    drawn = sheet(cells, Sheet(columns, title, (words,), ("",), row_labels, gap_px=12))
+    drawn = sheet(cells, columns, title, (words,), row_labels, gap_px=12, bar_room=True)
     widest = max(tile.pixels.shape[1] for _, tile in tiles)
     return with_scale_bar(drawn, px_per_mm, bar_length_mm(4 * widest, px_per_mm))
 
 
-def draw_two_views(above: Tile, oblique: Picture3d, title: str, facts: tuple[str, ...]) -> Pixels:
-    """Draw a picture from above next to an oblique view."""
-    view = with_scale_bar(draw_bodies(oblique), oblique.px_per_m / MM_PER_M)
+def draw_two_views(
+    above: Tile, oblique: Pixels, px_per_m: float, title: str, facts: tuple[str, ...]
+) -> Pixels:
+    """Draw a picture from above next to an oblique view of this scale."""
+    view = with_scale_bar(oblique, px_per_m / MM_PER_M)
     tiles = (above, Tile(view, "oblique view; the bar holds along the picture plane"))
-    return sheet(tiles, Sheet(2, title, facts))
+    return sheet(tiles, 2, title, facts)

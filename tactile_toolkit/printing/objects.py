@@ -29,7 +29,7 @@ from tactile_toolkit.printing.simulator import model_files
 from tactile_toolkit.printing.spec import MODELS, Physics
 from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.store.files import named_failures, remove_drafts, write_file
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, local_folder
 from tactile_toolkit.wording import class_name
 
 if TYPE_CHECKING:
@@ -128,19 +128,6 @@ def content_of(path: Path) -> bytes | None:
     with named_failures(str(path)), suppress(FileNotFoundError, NotADirectoryError):
         return path.read_bytes()
     return None
-
-
-def local_folder(out: str) -> Path:
-    """Return the path of a folder, which need not be there; InputError where it is a file or not local."""
-    folder = DataFolder(out)
-    if not folder.is_local:
-        raise InputError(
-            f"{out!r} is not a local folder; files to print are written to a disk", next="a local --out"
-        )
-    path = Path(folder.address())
-    if path.is_file():
-        raise InputError(f"{out!r} is a file, a folder was expected", next="another --out")
-    return path
 
 
 def _before(folder: Path, product: Product[R]) -> set[Path]:

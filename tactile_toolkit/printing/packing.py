@@ -18,7 +18,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.raster import highest_values, positions_in_runs
+from tactile_toolkit.mesh.height_map import highest_values, positions_in_runs
 from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.objects import Failure, PrintObject, Progress, place_on_plate, require_scale
 from tactile_toolkit.printing.spec import Physics, PlateSpec

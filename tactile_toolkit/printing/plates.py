@@ -10,7 +10,7 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -32,13 +32,12 @@ from tactile_toolkit.printing.objects import (
     Progress,
     content_of,
     export,
-    local_folder,
     place_on_plate,
     require_same_solid,
 )
-from tactile_toolkit.printing.packing import Layout, Outline, Placed, cells_touched
+from tactile_toolkit.printing.packing import Layout, Outline, cells_touched
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf
-from tactile_toolkit.printing.spec import PlateSpec
+from tactile_toolkit.store.folder import local_folder
 from tactile_toolkit.wording import counted
 
 TABLE_FILE = "plates.csv"
@@ -132,7 +131,7 @@ def _made(layout: Layout, number: int) -> Made[PlateFile]:
     content = _packed(items, layout)
     share = round(layout.shares[number - 1], 4)
     return Made(
-        {picture: _map_of(layout, number), solid: content},
+        {picture: draw_map(layout, number), solid: content},
         partial(PlateFile, solid, picture, len(plate), share, len(content)),
         partial(_check_plate, content, items, layout),
     )
@@ -145,15 +144,6 @@ def _packed(items: Sequence[BuildItem], layout: Layout) -> bytes:
     bodies = [body_of(item.name, item.mesh, layout.physics) for item in items]
     places_m = [(item.offset_mm[0] / MM_PER_M, item.offset_mm[1] / MM_PER_M) for item in items]
     return pack_mjcf(list(zip(bodies, places_m, strict=True)), "plate", floor=True)
-
-
-def _map_of(layout: Layout, number: int) -> bytes:
-    plate = layout.plates[number - 1]
-    title = f"plate {number} of {len(layout.plates)}: {counted(len(plate), 'objects')}, {layout.spec.text}"
-    labels = sorted({placed.item.label for other in layout.plates for placed in other})
-    counts = Counter(placed.item.id for other in layout.plates for placed in other)
-    shared = {identity for identity, count in counts.items() if count > 1}
-    return draw_map(plate, layout.spec, title, labels, shared)
 
 
 def _check_plate(content: bytes, items: Sequence[BuildItem], layout: Layout) -> None:
@@ -233,19 +223,20 @@ _LINES_TO_A_BAR = 3  # of the grid, along a scale bar as pictures have
 _SPOT_PX = 6
 
 
-def draw_map(
-    plate: Sequence[Placed], spec: PlateSpec, title: str, labels: Sequence[str], shared: Collection[int] = ()
-) -> bytes:
+def draw_map(layout: Layout, number: int) -> bytes:
     """Draw a plate from above, a PNG file with the front edge at the bottom, as the printer is looked at.
 
-    ``labels`` are all classes, which choose the colours. Where several objects of the export have an id in
-    common, one of ``shared``, words name the split too; words that would cover others are left out and
-    counted. What belongs to one object of several parts has a line around it. The same input always gives
-    the same bytes.
+    Classes choose the colours. Where several objects of the export have an id in common, words name the split
+    too; words that would cover others are left out and counted. What belongs to one object of several parts
+    has a line around it. The same input always gives the same bytes.
     """
     import manifold3d
     from PIL import Image, ImageDraw
 
+    spec, plate = layout.spec, layout.plates[number - 1]
+    title = f"plate {number} of {len(layout.plates)}: {counted(len(plate), 'objects')}, {spec.text}"
+    every = [placed.item for other in layout.plates for placed in other]
+    labels, ids = sorted({item.label for item in every}), Counter(item.id for item in every)
     longer_mm, (width_mm, depth_mm) = max(spec.sides_mm), spec.sides_mm
     # More pixels for a larger plate, so that words keep their room.
     longer_px = min(max(_LONGER_SIDE_PX, _LEAST_PX_PER_MM * longer_mm), _LONGEST_SIDE_PX)
@@ -290,7 +281,7 @@ def draw_map(
     taken = list[NDArray[np.float64]]()
     for placed in plate:
         item = placed.item
-        split = [item.split] if item.split and item.id in shared else []
+        split = [item.split] if item.split and ids[item.id] > 1 else []
         lines = [item.label, str(item.id), *split] if item.label else [item.name]
         spot_mm = np.add(_widest_spot(placed.outline, _SPOT_PX / scale), (placed.x_mm, placed.y_mm))
         middle = np.array(places([spot_mm])[0])
@@ -298,8 +289,8 @@ def draw_map(
         box = np.array([middle - np.divide(sides_px, 2), middle + np.divide(sides_px, 2)])
         if all((box[1] < other[0]).any() or (box[0] > other[1]).any() for other in taken):
             taken.append(box)
-            for number, line in enumerate(lines):
-                at_px = (float(middle[0]), float(box[0, 1]) + (number + 0.5) * _LINE_PX)
+            for row, line in enumerate(lines):
+                at_px = (float(middle[0]), float(box[0, 1]) + (row + 0.5) * _LINE_PX)
                 draw_text(pen, at_px, line, _WORD_PX, anchor="mm", halo_px=4)
     left_out = f"; {len(plate) - len(taken):,} without words, for want of space: plates.csv lists them"
     words = f"front; numbers are mm{left_out if len(taken) < len(plate) else ''}"

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import tactile_toolkit.mesh.raster
+import tactile_toolkit.mesh.height_map
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.height_map import MOST_PIXELS, top_surface
 from tactile_toolkit.mesh.mesh import Mesh
@@ -159,7 +159,7 @@ def test_working_in_parts_changes_nothing(assets, monkeypatch):
 
     record = mnist3d.load(str(assets / "mnist3d"), "test")[0]
     whole = top_surface(record, 0.0005)
-    monkeypatch.setattr(tactile_toolkit.mesh.raster, "_AT_ONCE", 50)
+    monkeypatch.setattr(tactile_toolkit.mesh.height_map, "_AT_ONCE", 50)
     np.testing.assert_array_equal(top_surface(record, 0.0005).heights_m, whole.heights_m)
 
 

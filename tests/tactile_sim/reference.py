@@ -13,7 +13,7 @@ import pytest
 from numpy.typing import NDArray
 
 import tactile_sim
-from tactile_toolkit.mesh.raster import covered_pixels
+from tactile_toolkit.mesh.height_map import covered_pixels
 
 Numbers = NDArray[np.float64]
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactile_toolkit.mesh.raster import highest_faces, highest_values
+from tactile_toolkit.mesh.height_map import highest_faces, highest_values
 
 
 @given(st.integers(0, 2**32 - 1))

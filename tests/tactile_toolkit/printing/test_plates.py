@@ -23,6 +23,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
+from tactile_toolkit.pictures.sheets import draw_text, text_size
 from tactile_toolkit.printing import plates
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate
 from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure
@@ -128,8 +129,9 @@ def test_the_line_round_the_parts_of_an_object_is_closed() -> None:
     spec = PlateSpec(100, 80, 0.0, 0.0)
     for turned_deg in (0, 100, 200, 300):
         parts = GROUPS[1].to_manifold().rotate((0, 0, turned_deg))
-        ((placed,),) = lay_out(named([mesh_of(parts)]), spec).plates
-        picture = np.asarray(Image.open(io.BytesIO(draw_map([placed], spec, "", ["0"]))).convert("L"))
+        layout = lay_out(named([mesh_of(parts)]), spec)
+        ((placed,),) = layout.plates
+        picture = np.asarray(Image.open(io.BytesIO(draw_map(layout, 1))).convert("L"))
         line = polygon_of(placed).convex_hull.exterior
         points = [line.interpolate(at_mm) for at_mm in np.arange(0, line.length, 1)]
         at = [(int(60 + (80 - point.y) * 12), int(60 + point.x * 12)) for point in points]
@@ -148,37 +150,49 @@ def test_the_line_round_the_parts_of_an_object_is_closed() -> None:
 )
 def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) -> None:
     spec = PlateSpec.parse(plate, margin_mm=0)
-    picture = np.asarray(Image.open(io.BytesIO(draw_map((), spec, "empty", ()))).convert("L"))
+    picture = np.asarray(Image.open(io.BytesIO(draw_map(Layout(spec, 1.0, (), (), ((),)), 1))).convert("L"))
     assert picture.shape[0] == shape[0]
-    assert shape[1] <= picture.shape[1] <= shape[1] + 60
+    title_px = text_size(f"plate 1 of 1: 0 objects, {spec.text}", 20)[0]
+    assert picture.shape[1] == pytest.approx(max(shape[1], title_px + 120), abs=2)
     # The plate is paper with lines on it, not lines alone.
     middle = picture[60 : shape[0] - 60, 60 : shape[1] - 60]
     assert (middle > 235).mean() > 0.8
 
 
-def test_words_that_have_no_room_are_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+def written_on(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> list[str]:
+    """Return all texts on the map of the first plate."""
     written: list[str] = []
-    draw_text = plates.draw_text
-    monkeypatch.setattr(plates, "draw_text", lambda *a, **b: (written.append(a[2]), draw_text(*a, **b)))
-    spec = PlateSpec(256, 256, 0.5, 0.0)
-    (plate,) = lay_out(named([box(1.5, 1.5)] * 40), spec).plates
-    draw_map(plate, spec, "the title", list("0123456789"))
+
+    def noted(*arguments: Any, **options: Any) -> None:
+        written.append(arguments[2])
+        draw_text(*arguments, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(plates, "draw_text", noted)
+        draw_map(layout, 1)
+    return written
+
+
+def test_words_that_have_no_room_are_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = written_on(monkeypatch, lay_out(named([box(1.5, 1.5)] * 40), PlateSpec(256, 256, 0.5, 0.0)))
     assert written[:26] == [f"{at_mm}" for at_mm in range(0, 256, 20)] * 2
     *words, foot, title = written[26:]
     shown = len(words) // 2
     assert 0 < shown < 40
     assert f"; {40 - shown} without words, for want of space: plates.csv lists them" in foot
-    assert title == "the title"
+    assert title == "plate 1 of 1: 40 objects, 256 x 256 mm, gap 0.5 mm, margin 0 mm"
     assert {*zip(words[::2], words[1::2], strict=True)} < {
         (f"{number % 3}", f"{number}") for number in range(40)
     }
 
 
-def test_words_on_a_map_name_the_split_where_ids_are_shared() -> None:
-    ((placed,),) = lay_out(named([box(40, 40)]), SMALL).plates
-    plain = draw_map([placed], SMALL, "", ["0"])
-    assert draw_map([placed], SMALL, "", ["0"], shared=[7]) == plain
-    assert draw_map([placed], SMALL, "", ["0"], shared=[placed.item.id]) != plain
+def test_words_on_a_map_name_the_split_where_ids_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    maps = []
+    for other in (named([box(40, 40)], "train"), named([box(40, 40)] * 2, "train")[1:]):
+        layout = lay_out([*named([box(40, 40)]), *other], SMALL)
+        maps.append(written_on(monkeypatch, layout))
+    assert maps[0].count("train") == maps[0].count("test") == 1
+    assert not {"train", "test"} & set(maps[1])
 
 
 def test_outlines_pack_tighter_than_boxes() -> None:
