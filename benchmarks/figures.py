@@ -86,7 +86,12 @@ BENCHMARKS = {
         ("--rounds", "40"),
     ),
     "simulators": Benchmark(("tactile_toolkit/printing/simulator.py",)),
-    "height_maps": Benchmark(("tactile_toolkit/mesh/height_map.py", "tactile_toolkit/mesh/raster.py")),
+    "height_maps": Benchmark(
+        (
+            "env_assets/height_map.py",
+            "tactile_toolkit/mesh/raster.py",
+        )
+    ),
     "env_adapter": Benchmark(("env_assets/published", "env_assets/provider.py", *_READ)),
     "native_environments": Benchmark(("tactile_envs",)),
     "touches": Benchmark(("tactile_sim", "env_assets/published/environments.py")),

@@ -97,17 +97,16 @@ class Job:
 
 def _make_page(sink: Sink, gallery: Gallery, out: Path, job: Job) -> None:
     """Make a gallery with progress and print what was made, or only what would be made."""
-    from tactile_toolkit.gallery.site import MOST_BYTES, build_site, forecast_site
+    from tactile_toolkit.gallery.site import PAGE_FILE, build_site, site_folder
 
     nouns, workers = gallery.nouns[1], process_count(job.workers)
     if job.dry_run:
-        view = forecast_site(gallery, str(out), overwrite=job.overwrite)
-        sink.document(asdict(view))
-        sink.table(("split", nouns), list(view.splits.items()))
-        files = counted(view.files, "files")
-        sink.line(f"would make {out}: {files}, about {bytes_text(view.bytes)}; nothing was written")
-        if view.bytes > MOST_BYTES:
-            sink.info("that is too large and would be refused; choose fewer with --limit or --split")
+        path = site_folder(gallery, str(out), overwrite=job.overwrite)
+        items, splits = counted(gallery.size, nouns), dict(gallery.splits)
+        sink.document({"path": str(path), "items": gallery.size, "splits": splits})
+        sink.table(("split", nouns), list(splits.items()))
+        verb = "replace the gallery in" if (path / PAGE_FILE).exists() else "make"
+        sink.line(f"would {verb} {out}: {items}; nothing was written")
         return
     start_s = time.monotonic()
     try:
@@ -116,7 +115,7 @@ def _make_page(sink: Sink, gallery: Gallery, out: Path, job: Job) -> None:
     except KeyboardInterrupt as error:
         # The usual words promise that finished work is kept, but half a page would be of no use.
         raise KeyboardInterrupt(f"interrupted; nothing was left behind, {out} is as it was before") from error
-    index = str(Path(site.path) / "index.html")
+    index = str(Path(site.path) / PAGE_FILE)
     made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
     sink.document({"page": index, **made})
     sink.table(("split", nouns), list(site.splits.items()))
@@ -256,21 +255,17 @@ def _refuse(given: Iterable[str], why: str, instead: str) -> None:
 def _export_files(
     sink: Sink, objects: list[PrintObject], ending: str, scale: float, physics: Physics, out: str, job: Job
 ) -> None:
-    from tactile_toolkit.printing.objects import export_files, forecast_files
+    from tactile_toolkit.printing.objects import export_files
 
     how: dict[str, Any] = {"scale": scale, "physics": physics, "overwrite": job.overwrite}
-    if job.dry_run:
-        view = forecast_files(objects, out, ending, **how)
-        sink.document({"out": out, **asdict(view)})
-        sink.line(
-            f"would write {counted(view.files, f'{ending} files')} to {out}, about {bytes_text(view.bytes)} "
-            f"(measured on {view.sampled}); nothing was written"
+    with sink.progress("checking" if job.dry_run else "writing", "files") as update:
+        made = export_files(
+            *(objects, out, ending),
+            **how,
+            dry_run=job.dry_run,
+            workers=process_count(job.workers),
+            on_progress=update,
         )
-        _report_failures(sink, view.failed)
-        return
-    workers = process_count(job.workers)
-    with sink.progress("writing", "files") as update:
-        made = export_files(objects, out, ending, **how, workers=workers, on_progress=update)
     sink.document({"out": out, **asdict(made)})
     if len(made.files) <= _ROWS_SHOWN:
         rows = [
@@ -286,7 +281,11 @@ def _export_files(
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
     kept = _kept(sum(file.state == "kept" for file in made.files))
     size = bytes_text(sum(file.bytes for file in made.files))
-    sink.line(f"{counted(len(made.files), 'files')} in {out} ({size}), each read back as a solid{kept}")
+    if job.dry_run:
+        count = counted(len(made.files), f"{ending} files")
+        sink.line(f"would write {count} to {out} ({size}){kept}; nothing was written")
+    else:
+        sink.line(f"{counted(len(made.files), 'files')} in {out} ({size}), each read back as a solid{kept}")
     _report_failures(sink, made.failed)
 
 
@@ -299,10 +298,9 @@ def _export_flat(
 
     plan = plan_tables(kind, name, choices, some, out)
     if job.dry_run:
-        rows, size = forecast_tables(plan, out, overwrite=job.overwrite)
-        sink.document({"folder": out, "rows": rows, "bytes": size})
-        made = f"{counted(rows, kind.nouns)} to {out}, about {bytes_text(size)}"
-        sink.line(f"would write {made}; nothing was written")
+        rows = forecast_tables(plan, out, overwrite=job.overwrite)
+        sink.document({"folder": out, "rows": rows})
+        sink.line(f"would write {counted(rows, kind.nouns)} to {out}; nothing was written")
         return
     make = partial(build, DataFolder(out), plan, write_card=kind.write_card)
     work = Work(job.workers, overwrite=job.overwrite)
@@ -319,22 +317,24 @@ def _export_plates(
     job: Job,
 ) -> None:
     from tactile_toolkit.printing.packing import arrange, measure
-    from tactile_toolkit.printing.plates import TABLE_FILE, forecast_plates, write_plates
+    from tactile_toolkit.printing.plates import TABLE_FILE, write_plates
 
     with sink.progress("measuring", "objects") as update:
         measured = measure(objects, spec, scale, update)
     with sink.progress("packing", "objects") as update:
         layout = replace(arrange(measured, update), physics=bodies)
-    verb, ending = "wrote", f"maps next to them, and {TABLE_FILE} lists which object lies where"
-    if job.dry_run:
-        verb, ending = "would write", "nothing was written"
-        made = forecast_plates(layout, out, overwrite=job.overwrite)
-    else:
-        with sink.progress("writing", "plates") as update:
-            made = write_plates(layout, out, overwrite=job.overwrite, on_progress=update)
+    done = (
+        "writing",
+        "wrote",
+        "removed",
+        f"maps next to them, and {TABLE_FILE} lists which object lies where",
+    )
+    planned = ("checking", "would write", "would remove", "nothing was written")
+    doing, wrote, removed, ending = planned if job.dry_run else done
+    with sink.progress(doing, "plates") as update:
+        made = write_plates(layout, out, overwrite=job.overwrite, dry_run=job.dry_run, on_progress=update)
     sink.document({"out": out, **asdict(made)})
     if made.removed:
-        removed = "would remove" if job.dry_run else "removed"
         sink.info(f"{removed} plates of the export that was there before: {', '.join(made.removed)}")
     rows = [
         (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.plates
@@ -343,7 +343,7 @@ def _export_plates(
     kept = _kept(sum(plate.state == "kept" for plate in made.plates))
     placed, plates = counted(len(made.objects), "objects"), counted(len(made.plates), "plates")
     sink.line(
-        f"{verb} {placed} on {plates} of {spec.text} to {out} (no packing needs fewer than "
+        f"{wrote} {placed} on {plates} of {spec.text} to {out} (no packing needs fewer than "
         f"{made.least_plates}){kept}; {ending}"
     )
     _report_failures(sink, made.failed)

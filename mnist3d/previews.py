@@ -29,7 +29,6 @@ from tactile_toolkit.pictures.previews import MeshPreviews, draw_by_class
 from tactile_toolkit.pictures.render import (
     OBLIQUE,
     Body,
-    Picture3d,
     box_downsample,
     draw_bodies,
     relief_of,
@@ -38,7 +37,6 @@ from tactile_toolkit.pictures.sheets import (
     PicturePlan,
     Pixels,
     PlannedPicture,
-    Sheet,
     Tile,
     file_stem,
     plan_kinds,
@@ -155,9 +153,8 @@ def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: S
 def draw_mesh(mesh: Mesh, title: str) -> Pixels:
     """Draw a mesh from above, with a scale bar and its measures."""
     px_per_mm = _VIEW_PX / max(MM_PER_M * float(np.ptp(mesh.vertices_m[:, :2], axis=0).max()), 1e-6)
-    # Room below the mesh for the bar.
-    relief = np.pad(relief_of(mesh, px_per_mm), ((0, 40), (0, 0)), constant_values=255)
-    return sheet([Tile(with_scale_bar(relief, px_per_mm))], Sheet(1, title, object_facts(mesh)))
+    drawn = sheet([Tile(relief_of(mesh, px_per_mm))], 1, title, object_facts(mesh), bar_room=True)
+    return with_scale_bar(drawn, px_per_mm)
 
 
 def object_facts(mesh: Mesh) -> tuple[str, ...]:
@@ -190,7 +187,7 @@ def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
     upper = scale(replace(surface, rim=surface.rim[:0]), (ink.shape[0], ink.shape[1]), spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
     views = [
-        draw_bodies(Picture3d((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M))
+        draw_bodies((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)
         for mesh in (upper, solid)
     ]
     pitch_px, triangles = lattice.pitch_px, len(solid.faces)
@@ -210,7 +207,7 @@ def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
         f"the nodes of the lattice are {pitch_px:.2f} px of {spec.pixel_pitch_mm:g} mm apart, closer where "
         "something is narrow; the surface passes between them",
     )
-    return sheet(tiles, Sheet(3, title, words))
+    return sheet(tiles, 3, title, words)
 
 
 def _layers_px(

@@ -22,7 +22,7 @@ from realtouch.contact import ContactMethod, best_of, contact_window, require_me
 from realtouch.poses import Poses
 from realtouch.video import Avi
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
-from tactile_toolkit.pictures.sheets import TILE_STYLE, Sheet, Tile, figure_html, sheet
+from tactile_toolkit.pictures.sheets import TILE_STYLE, Tile, figure_html, sheet
 from tactile_toolkit.read.columns import BytesColumn
 from tactile_toolkit.read.dataset import checked_index, positions
 from tactile_toolkit.run.threads import in_threads
@@ -161,7 +161,7 @@ def contact_sheet(images: Sequence[Pixels], columns: int = 8, tile_width: int = 
     """
     height = fitted(images[0], tile_width).shape[0]
     tiles = [Tile(resized(image, tile_width, height)) for image in images]
-    return sheet(tiles, Sheet(min(columns, len(images)), gap_px=_GAP, margin_px=_GAP))
+    return sheet(tiles, min(columns, len(images)), gap_px=_GAP, margin_px=_GAP)
 
 
 def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], Pixels]]]) -> str:

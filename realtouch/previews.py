@@ -21,7 +21,6 @@ from tactile_toolkit.pictures.sheets import (
     PAPER,
     PicturePlan,
     PlannedPicture,
-    Sheet,
     Tile,
     file_stem,
     plan_kinds,
@@ -233,7 +232,7 @@ def draw_grid(record: TouchRound, most: int) -> Pixels:
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
         words += [f"framed: {height_text(rule.min_height_m)}; its height next to the number"]
-    return sheet(tiles, Sheet(_COLUMNS, _title(record), ("; ".join(words),)))
+    return sheet(tiles, _COLUMNS, _title(record), ("; ".join(words),))
 
 
 def draw_overlay(record: TouchRound) -> Pixels:
@@ -246,7 +245,7 @@ def draw_overlay(record: TouchRound) -> Pixels:
         f"{_touches_in_words(record)} at their positions",
         f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
     )
-    return sheet([Tile(pixels, frame=(205, 210, 215))], Sheet(1, _title(record), words))
+    return sheet([Tile(pixels, frame=(205, 210, 215))], 1, _title(record), words)
 
 
 def _touches_in_words(record: TouchRound) -> str:

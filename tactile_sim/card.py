@@ -14,7 +14,7 @@ from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
 from tactile_toolkit.cards.card import Card, rows_to_draw
 from tactile_toolkit.cards.facts import FolderFacts
-from tactile_toolkit.pictures.sheets import Sheet, Tile, in_rows, png_bytes, sheet
+from tactile_toolkit.pictures.sheets import Tile, in_rows, png_bytes, sheet
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -32,7 +32,7 @@ def sheet_png(rows: Sequence[tuple[str, Any]]) -> bytes:
     """
     groups = [(word, [Tile(_shown(picture)) for picture in pictures]) for word, pictures in rows]
     columns, tiles, words = in_rows(groups, max(len(tiles) for _, tiles in groups))
-    return png_bytes(sheet(tiles, Sheet(columns, row_labels=words, gap_px=2, margin_px=2)))
+    return png_bytes(sheet(tiles, columns, row_labels=words, gap_px=2, margin_px=2))
 
 
 def _shown(picture: NDArray[Any]) -> NDArray[np.uint8]:

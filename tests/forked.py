@@ -45,7 +45,7 @@ _CONTEXT.set_forkserver_preload(
         "starstruck_gen.make",
         "tactile_toolkit.gallery.site",
         "tactile_toolkit.mesh.files",
-        "tactile_toolkit.mesh.height_map",
+        "tactile_toolkit.mesh.raster",
         "tactile_toolkit.mesh.nearness",
         "tactile_toolkit.printing.objects",
         "tactile_toolkit.run.processes",

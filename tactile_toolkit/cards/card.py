@@ -30,7 +30,7 @@ from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_export
 from tactile_toolkit.mesh.records import FACES, MESH, SIZES, VERTICES
 from tactile_toolkit.pictures.render import relief
-from tactile_toolkit.pictures.sheets import Sheet, Tile, png_bytes, sheet
+from tactile_toolkit.pictures.sheets import Tile, png_bytes, sheet
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
@@ -221,7 +221,7 @@ def _table_sheet(facts: FolderFacts) -> bytes | None:
 
 def tiles_png(tiles: Sequence[Tile], columns: int) -> bytes | None:
     """Lay pictures out for a card, as PNG; None without any."""
-    return png_bytes(sheet(tiles, Sheet(columns, margin_px=8))) if tiles else None
+    return png_bytes(sheet(tiles, columns, margin_px=8)) if tiles else None
 
 
 def card_words(file: str) -> dict[str, Any]:

@@ -1,36 +1,38 @@
-"""Making the folder of a gallery: in a hidden folder within it, and put in place when it is complete.
+"""Making the folder of a gallery: its page, and one folder of files that is named by all that it holds.
 
-A page cannot be made in place: whoever looks at it would see half of it for hours. Its marker lists its
-files, so that a run replaces those and no other. Pages opened from a file system may not fetch files; scripts
-they may load. So data is written as scripts that call a function of the page.
+The files are made under a temporary name. The page, which names their folder, is replaced in one step: it
+shows one gallery at any moment. A folder whose name is true holds what a gallery wrote and nothing else; only
+such a one is ever removed. Pages opened from a file system may not fetch files; scripts they may load. So
+data is written as scripts that call a function of the page.
 """
 
 from __future__ import annotations
 
+import hashlib
 import html
 import json
 import os
 import re
 import shutil
-import uuid
 import zipfile
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections import Counter
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from importlib import metadata, resources
 from importlib.util import find_spec
 from itertools import accumulate
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any, cast
 
 from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask, natural_order
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.files import LOCK_FILE, expanded, locked, named_failures
+from tactile_toolkit.store.files import LOCK_FILE, locked, named_failures
+from tactile_toolkit.store.folder import local_folder
 
-MARKER_FILE = "gallery.json"
-"""What a site is, and its files; nothing else is ever replaced."""
+PAGE_FILE = "index.html"
 
 MOST_ITEMS = 20_000
 """The page keeps its index in memory and is tested up to this many items."""
@@ -38,16 +40,15 @@ MOST_ITEMS = 20_000
 MOST_BYTES = 2_000_000_000
 """Larger sites are refused: they would not be copied to look at a data set."""
 
-# The first few items may be unusually large.
-_JUDGED_AFTER = 24
-_MARK = "tactile-toolkit gallery"
-# Folders of runs that are not finished; each is locked as long as its run lives.
-_PREFIX = ".gallery-"
+# In a folder of files: the page, before it is known how that folder is called.
+_TEMPLATE_FILE = "page.template"
+_FOLDER_PREFIX, _FOLDER_MARK = "files-", "{{files}}"
+_UNFINISHED_PREFIX = ".gallery-"
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A site that is finished or planned: its folder, what it holds, and how many items of each split."""
+    """A finished site: its folder, what it holds, and how many items of each split."""
 
     path: str
     items: int
@@ -68,37 +69,61 @@ def build_site(
 
     ``overwrite`` replaces a gallery that is there; anything else is never touched. A folder that is there
     stays, and whoever is in it stays in it.
-    InputError: the folder holds something, there is nothing to show, or the site would be too large.
-    StorageError: it cannot be written, or the disk is full.
+    InputError: the folder holds something, another run makes a gallery there, there is nothing to show, or
+    the site would be too large. StorageError: it cannot be written, or the disk is full.
     """
-    path = _require_free(out, overwrite=overwrite)
-    _require_size(gallery)
-    with named_failures(str(path)), _staging(path) as staging:
-        site = _Files(gallery, staging)
+    path = site_folder(gallery, out, overwrite=overwrite)
+    written, shown = Counter[str](), dict[int, Item]()
+    # Each with the number on the page of its first item.
+    firsts = accumulate((task.size for task in gallery.tasks), initial=0)
+    tasks = list(zip(firsts, gallery.tasks, strict=False))
+    with named_failures(str(path)), _unfinished_folder(path) as folder:
+
+        def write(place: Path, content: str | bytes) -> None:
+            place.parent.mkdir(exist_ok=True)
+            written["bytes"] += place.write_bytes(content.encode() if isinstance(content, str) else content)
+            written["files"] += 1
+
+        code, licence = viewer_library()
+        write(folder / _TEMPLATE_FILE, page(gallery.title))
+        write(folder / "LICENSES.txt", licence)
+        write(folder / "assets/three.js", code)
+        for name in ASSETS:
+            write(folder / "assets" / name, asset(name))
         on_progress(0, gallery.size)
-        # Each with the number on the page of its first item.
-        firsts = accumulate((task.size for task in gallery.tasks), initial=0)
-        tasks = list(zip(firsts, gallery.tasks, strict=False))
         made = cast("Generator[tuple[int, list[Item]]]", runner_for(runner).run(_make, tasks))
         # Closed, so that the workers end when an item is refused.
         with closing(made) as results:
             for first, items in results:
-                site.add(first, items)
-                forecast = site.size * gallery.size // max(len(site.shown), 1)
-                # A site that grows too large stops as soon as that is known, not when the disk is full.
-                is_judged = len(site.shown) >= _JUDGED_AFTER and forecast > MOST_BYTES
-                if is_judged or site.size > MOST_BYTES:
+                for number, item in enumerate(items, start=first):
+                    # What the page filters and sorts by.
+                    shown[number] = replace(item, thumbnail=b"", content={}, media={})
+                    content = f"gallery.receive({number},{script_json(item.content)});\n"
+                    write(folder / f"thumbs/{number:06d}.png", item.thumbnail)
+                    write(folder / f"items/{number:06d}.js", content)
+                    for ending, medium in item.media.items():
+                        write(folder / f"media/{number:06d}-{ending}", medium)
+                if written["bytes"] > MOST_BYTES:
                     raise InputError(
-                        f"the gallery would take about {forecast / 1e9:.1f} GB; the most is "
-                        f"{MOST_BYTES / 1e9:.0f} GB; what was written is removed",
+                        f"the gallery would take more than {MOST_BYTES / 1e9:.0f} GB with {len(shown):,} of "
+                        f"{gallery.size:,} {gallery.nouns[1]}; what was written is removed",
                         next="choose fewer with --limit, --split or --per-class",
                     )
-                on_progress(len(site.shown), gallery.size)
-        site.finish()
-        # Asked again is what may be replaced: hours may have passed.
-        with locked(path):
-            _replace(staging, path, site, _require_gallery(path, overwrite=overwrite))
-    return Site(str(path), len(site.shown), len(site.names), site.size, dict(gallery.splits))
+                on_progress(len(shown), gallery.size)
+        index = index_of(gallery, [shown[number] for number in sorted(shown)])
+        write(folder / "items.js", f"gallery.start({script_json(index)});\n")
+        # Asked again: hours may have passed.
+        former, files = _former_folders(path, overwrite=overwrite), path / _name_of(folder)
+        if files not in former:
+            folder.rename(files)
+        draft = path / f"{_UNFINISHED_PREFIX}{PAGE_FILE}"
+        write(draft, _page_of(files))
+        draft.replace(path / PAGE_FILE)
+        for each in set(former) - {files}:
+            retired = each.rename(path / f"{_UNFINISHED_PREFIX}{each.name}")
+            if _name_of(retired) != each.name:  # a file was put there in this moment
+                retired.rename(each)
+    return Site(str(path), len(shown), written["files"], written["bytes"], dict(gallery.splits))
 
 
 def _make(numbered: tuple[int, RowsTask]) -> tuple[int, list[Item]]:
@@ -106,158 +131,63 @@ def _make(numbered: tuple[int, RowsTask]) -> tuple[int, list[Item]]:
     return first, task.make()
 
 
-class _Files:
-    """The files of a site as they are made, in whatever order; without a folder they are only counted."""
-
-    def __init__(self, gallery: Gallery, folder: Path | None = None) -> None:
-        self.gallery, self.folder = gallery, folder
-        self.names: list[str] = []
-        self.size = 0
-        self.shown: dict[int, Item] = {}  # what the page filters and sorts by, by number
-        code, licence = viewer_library()
-        self._write("index.html", page(gallery.title))
-        self._write("LICENSES.txt", licence)
-        self._write("assets/three.js", code)
-        for name in ASSETS:
-            self._write(f"assets/{name}", asset(name))
-
-    def add(self, first: int, items: Iterable[Item]) -> None:
-        """Write the files of some items, by the number of the first."""
-        for number, item in enumerate(items, start=first):
-            self.shown[number] = replace(item, thumbnail=b"", content={}, media={})
-            self._write(f"thumbs/{number:06d}.png", item.thumbnail)
-            self._write(f"items/{number:06d}.js", f"gallery.receive({number},{script_json(item.content)});\n")
-            for ending, content in item.media.items():
-                self._write(f"media/{number:06d}-{ending}", content)
-
-    def finish(self) -> None:
-        """Write the index of the items, and the marker, which lists all files but itself."""
-        shown = [self.shown[number] for number in sorted(self.shown)]
-        self._write("items.js", f"gallery.start({script_json(index_of(self.gallery, shown))});\n")
-        self._write(MARKER_FILE, self.marker())
-
-    def marker(self, further: Iterable[str] = ()) -> bytes:
-        """Return the marker, with further files of which it says that they are those of a gallery."""
-        content = {
-            "what": _MARK,
-            "kind": self.gallery.kind,
-            "items": self.gallery.size,
-            "version": toolkit_version(),
-            "files": sorted({*self.names, *further} - {MARKER_FILE}),
-        }
-        return (json.dumps(content, indent=1) + "\n").encode()
-
-    def _write(self, name: str, content: str | bytes) -> None:
-        encoded = content.encode() if isinstance(content, str) else content
-        if self.folder is not None:
-            path = self.folder / name
-            path.parent.mkdir(exist_ok=True)
-            path.write_bytes(encoded)
-        self.names.append(name)
-        self.size += len(encoded)
-
-
 @contextmanager
-def _staging(path: Path) -> Iterator[Path]:
-    """Give a new folder within ``path``, which is removed in the end, and ``path`` too if it was made for it.
+def _unfinished_folder(path: Path) -> Iterator[Path]:
+    """Hold ``path``, which is made, and give a new folder in it.
 
-    What a killed process left there is removed first: its lock is free.
+    What a killed run left there is removed first. In the end the folder is removed where it still has its
+    name, and so is ``path`` where it was made for it and is empty.
     """
     is_new = not path.is_dir()
     path.mkdir(parents=True, exist_ok=True)
-    for left in path.glob(f"{_PREFIX}*"):
-        with suppress(BlockingIOError, FileNotFoundError), locked(left, patience_s=0):
-            shutil.rmtree(left, ignore_errors=True)
-    staging = path / f"{_PREFIX}{uuid.uuid4().hex}"
-    staging.mkdir()
     try:
-        with locked(staging):
-            yield staging
+        with locked(path, patience_s=0):
+            try:
+                _remove_unfinished(path)
+                folder = path / f"{_UNFINISHED_PREFIX}files"
+                folder.mkdir()
+                yield folder
+            finally:
+                _remove_unfinished(path)
+    except BlockingIOError as error:
+        raise InputError(
+            f"another run makes a gallery in {str(path)!r}; nothing was changed",
+            next="wait until it has ended, or choose another folder with --out",
+        ) from error
     finally:
-        shutil.rmtree(staging, ignore_errors=True)
         if is_new:
             with suppress(OSError):  # where it holds the page
                 path.rmdir()
 
 
-def _replace(staging: Path, path: Path, site: _Files, former: set[str]) -> None:
-    """Replace the files of a gallery one by one; when it is ended at any point, it can be done once more."""
-
-    def mark(content: bytes) -> None:
-        (staging / MARKER_FILE).write_bytes(content)
-        (staging / MARKER_FILE).replace(path / MARKER_FILE)
-
-    # As long as files of both are there, the marker lists both: none is ever one that no gallery wrote.
-    mark(site.marker(former))
-    # The former ones first: where one is a link to a folder, nothing is written through it.
-    for name in former.difference(site.names):
-        (path / name).unlink(missing_ok=True)
-        with suppress(OSError):
-            (path / name).parent.rmdir()
-    # The page itself, which is the first, at last.
-    for name in reversed(site.names):
-        (path / name).parent.mkdir(exist_ok=True)
-        if name != MARKER_FILE and (staging / name).exists():
-            (staging / name).replace(path / name)
-    mark(site.marker())
+def _remove_unfinished(path: Path) -> None:
+    for left in path.glob(f"{_UNFINISHED_PREFIX}*"):
+        if left.is_dir() and not left.is_symlink():
+            shutil.rmtree(left)
+        else:
+            left.unlink()
 
 
-def _require_free(out: str, *, overwrite: bool) -> Path:
-    """Return where a site may be made; InputError where anything is there that it may not replace."""
-    if "://" in out:
-        raise InputError(
-            f"--out is {out!r}; a gallery is made in a local folder", next="make it there, then copy it"
-        )
+def _name_of(folder: Path) -> str:
+    """Return the name of a folder that holds what this one does: no file or link more, less or other."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*")):
+        is_file = path.is_file() and not path.is_symlink()
+        content = hashlib.sha256(path.read_bytes()).hexdigest() if is_file else f"{path.is_symlink()}"
+        digest.update(f"{path.relative_to(folder).as_posix()}\n{content}\n".encode(errors="surrogateescape"))
+    return f"{_FOLDER_PREFIX}{digest.hexdigest()[:16]}"
+
+
+def _page_of(files: Path) -> bytes:
+    return (files / _TEMPLATE_FILE).read_bytes().replace(_FOLDER_MARK.encode(), files.name.encode())
+
+
+def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
+    """Return where the site of a gallery may be made; InputError where :func:`build_site` would raise it."""
     # Where a symbolic link leads: the link itself is not ours to replace.
-    path = Path(os.path.realpath(expanded(out)))
+    path = Path(os.path.realpath(local_folder(out)))
     if path.is_dir():
-        _require_gallery(path, overwrite=overwrite)
-    elif path.exists():
-        raise InputError(
-            f"{str(path)!r} is a file; a gallery is a folder; nothing was changed", next="another --out"
-        )
-    return path
-
-
-def _require_gallery(path: Path, *, overwrite: bool) -> set[str]:
-    """Return the files of the gallery that a folder holds.
-
-    InputError where it holds anything else, or a finished gallery that is not to be overwritten.
-    """
-    try:
-        marker = json.loads((path / MARKER_FILE).read_bytes())
-    except (OSError, ValueError):
-        marker = None
-    is_ours = isinstance(marker, dict) and marker.get("what") == _MARK
-    listed = set(map(str, marker["files"])) if is_ours and isinstance(marker.get("files"), list) else set()
-    # A run that was killed may leave a folder of its files empty.
-    known = {LOCK_FILE, *listed, *(str(PurePosixPath(name).parent) for name in listed)}
-    entries = [entry.relative_to(path).as_posix() for entry in _entries(path)]
-    found = [name for name in entries if name != MARKER_FILE or not listed]
-    strangers = [name for name in found if name not in known]
-    if strangers:
-        raise InputError(
-            f"{str(path)!r} holds {strangers[0]!r}, which is not part of a gallery; nothing was changed",
-            next="choose an empty or new folder with --out",
-        )
-    # Of one whose run was killed while it appeared, some files are missing.
-    if listed and listed.issubset(found) and not overwrite:
-        raise InputError(
-            f"{str(path)!r} holds a gallery already; nothing was changed",
-            next="replace it with --overwrite, or choose another folder with --out",
-        )
-    return listed.intersection(found)
-
-
-def _entries(folder: Path) -> Iterator[Path]:
-    """Yield all files, links and empty folders below a folder, but for those of unfinished runs."""
-    for path in sorted(folder.iterdir()):
-        if not path.name.startswith(_PREFIX):
-            inside = list(_entries(path)) if path.is_dir() and not path.is_symlink() else []
-            yield from inside or [path]
-
-
-def _require_size(gallery: Gallery) -> None:
+        _former_folders(path, overwrite=overwrite)
     one, many = gallery.nouns
     if gallery.size == 0:
         raise InputError(
@@ -269,25 +199,36 @@ def _require_size(gallery: Gallery) -> None:
             "written",
             next="choose fewer with --limit, --split or --per-class",
         )
+    return path
 
 
-def forecast_site(gallery: Gallery, out: str, *, overwrite: bool = False) -> Site:
-    """Make a few items, write nothing, and estimate what all would take; InputError as :func:`build_site`.
+def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
+    """Return the folders of files of the gallery that is in ``path``, complete or not.
 
-    Exact where there are so few that all are made.
+    InputError where it holds anything else, or a gallery that is not to be overwritten.
     """
-    path = _require_free(out, overwrite=overwrite)
-    _require_size(gallery)
-    site, tasks = _Files(gallery), gallery.tasks
-    fixed_files, fixed_bytes = len(site.names), site.size
-    # One, or three from first to last.
-    for number in sorted({0, len(tasks) // 2, len(tasks) - 1}):
-        site.add(len(site.shown), tasks[number].make())
-    share = gallery.size / len(site.shown)
-    files = fixed_files + round((len(site.names) - fixed_files) * share) + 2  # the index and the marker
-    site.finish()
-    size = fixed_bytes + round((site.size - fixed_bytes) * share)
-    return Site(str(path), gallery.size, files, size, dict(gallery.splits))
+    former: list[Path] = []
+    for entry in sorted(path.iterdir()):
+        is_ours = entry.name == LOCK_FILE or entry.name.startswith(_UNFINISHED_PREFIX)
+        if entry.name.startswith(_FOLDER_PREFIX) and entry.is_dir() and not entry.is_symlink():
+            is_ours = entry.name == _name_of(entry)
+            former += [entry] if is_ours else []
+        elif entry.name == PAGE_FILE and entry.is_file() and not entry.is_symlink():
+            # Sorted behind the folders: one of them holds what it was made of.
+            is_ours = entry.read_bytes() in map(_page_of, former)
+            if is_ours and not overwrite:
+                raise InputError(
+                    f"{str(path)!r} holds a gallery already; nothing was changed",
+                    next="replace it with --overwrite, or choose another folder with --out",
+                )
+        if not is_ours:
+            raise InputError(
+                f"{str(path)!r} holds {entry.name!r}, which is not part of a gallery or was changed since; "
+                "nothing was changed",
+                next="choose an empty or new folder with --out; a gallery of an earlier version has to be "
+                "removed by hand",
+            )
+    return former
 
 
 _SCRIPTS = ("state.js", "filters.js", "grid.js", "viewer.js", "film.js", "dialog.js", "page.js")
@@ -302,8 +243,8 @@ def asset(name: str) -> str:
 
 
 def page(title: str) -> str:
-    """Return the page itself."""
-    scripts = "\n".join(f'<script src="assets/{name}" defer></script>' for name in _SCRIPTS)
+    """Return the page, but for the name of the folder of its files."""
+    scripts = "\n".join(f'<script src="{_FOLDER_MARK}/assets/{name}" defer></script>' for name in _SCRIPTS)
     filled = asset("page.html").replace("<!-- scripts -->", scripts)
     return filled.replace("{{title}}", html.escape(title))
 

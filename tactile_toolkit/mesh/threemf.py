@@ -16,6 +16,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
@@ -39,7 +40,7 @@ _MOST_PARTS = 20_000
 # Memory that reading takes, at most: for each byte of XML and of what is built, and for each element.
 _PER_BYTE, _PER_ELEMENT = 4, 160
 _PIECE_BYTES = 1 << 20
-_LONGEST_TRANSFORM = 1000
+_UNMOVED = "1 0 0 0 1 0 0 0 1 0 0 0"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,26 +57,45 @@ class BuildItem:
 
 @dataclass(slots=True, eq=False)
 class _Object:
-    """An object of a model: its surface, or the components that it is made of, as what to build is."""
+    """An object of a model, or what is to be built: its surface in mm, or the parts that it is made of.
 
-    name: str
-    surface: Surface | None = None
-    components: list[Mapping[str, str]] = field(default_factory=list)
-
-
-class _Model:
-    """One model of a package: its objects by id, what it says to build, and its unit.
-
-    Read tag by tag: as elements of a tree, a million vertices would take a gigabyte.
+    A part is what it names, a path and an id, and how that is moved, in mm.
     """
 
-    def __init__(self, stream: IO[bytes], file_bytes: int) -> None:
-        self.objects: dict[str, _Object] = {}
-        self.build = self._last = _Object("")
-        self.mm_per_unit = 1.0
+    name: str = ""
+    surface: Surface | None = None
+    parts: list[tuple[tuple[str, str], NDArray[np.float64]]] = field(default_factory=list)
+
+
+class _Package:
+    """The objects of all models of an archive, by path and id; what a model says to build has no id.
+
+    Read tag by tag: as elements of a tree, a million vertices would take a gigabyte. Slicers keep the objects
+    of a plate in models of their own, named by paths inside the archive (3MF production extension).
+    """
+
+    def __init__(self, archive: zipfile.ZipFile, file_bytes: int) -> None:
         self._file_bytes = file_bytes
-        self._tags = 0
-        self._points, self._corners = array("d"), array("q")
+        self._objects: dict[tuple[str, str], _Object] = {}
+        self._tags = self._placed_parts = self._built_bytes = 0
+        self._mm_per_unit = 1.0
+        models = {
+            _plain(each.filename): each
+            for each in archive.infolist()
+            if _plain(each.filename).endswith(".model")
+        }
+        if not models:
+            raise ValueError("the archive holds no .model file")
+        self._root = _MODEL_PATH.lower() if _MODEL_PATH.lower() in models else next(iter(models))
+        size = sum(entry.file_size for entry in models.values())
+        require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
+        for self._path, entry in models.items():
+            with archive.open(entry) as stream:
+                self._read(stream)
+
+    def _read(self, stream: IO[bytes]) -> None:
+        self._last = self._objects[self._path, ""] = _Object()
+        self._points, self._corners = array("d"), array("i")
         parser = expat.ParserCreate(namespace_separator=" ")
         parser.StartElementHandler, parser.EndElementHandler = self._begin, self._end
         parser.StartDoctypeDeclHandler = self._refuse_names_for_text
@@ -94,13 +114,16 @@ class _Model:
             case "triangle":
                 self._corners.extend([int(given[corner]) for corner in ("v1", "v2", "v3")])
             case "object":
-                self._last = self.objects[str(given.get("id"))] = _Object(given.get("name", ""))
+                self._last = self._objects[self._path, given["id"]] = _Object(given.get("name", ""))
             case "build":
-                self._last = self.build
+                self._last = self._objects[self._path, ""]
             case "component" | "item":
-                self._last.components.append(given)
+                numbers = [float(number) for number in given.get("transform", _UNMOVED).split()]
+                # Each model has a unit of its own.
+                matrix = np.array(numbers).reshape(4, 3) * np.array([[1], [1], [1], [self._mm_per_unit]])
+                self._last.parts.append(((_plain(given.get(_PATH, self._path)), given["objectid"]), matrix))
             case "model":
-                self.mm_per_unit = _MM_PER_UNIT[given.get("unit", "millimeter")]
+                self._mm_per_unit = _MM_PER_UNIT[given.get("unit", "millimeter")]
             case "mesh" | "vertices" | "triangles" | "resources" | "components":
                 pass
             case _:
@@ -113,83 +136,41 @@ class _Model:
 
     def _end(self, tag: str) -> None:
         if tag == f"{_CORE} mesh":
-            faces = np.array(self._corners, np.int64)
-            if len(faces) and not (faces.min() >= -(2**31) and faces.max() < 2**31):
-                raise ValueError("a triangle names a vertex by a number of more than 32 bits")
-            vertices = np.array(self._points, np.float64).reshape(-1, 3)
-            self._last.surface = (vertices, faces.astype(np.int32).reshape(-1, 3))
-            self._points, self._corners = array("d"), array("q")
+            vertices = np.array(self._points, np.float64).reshape(-1, 3) * self._mm_per_unit
+            self._last.surface = (vertices, np.array(self._corners, np.int32).reshape(-1, 3))
+            self._points, self._corners = array("d"), array("i")
 
     def _refuse_names_for_text(self, *_: object) -> None:
         """Refuse what 3MF does not have: a few bytes repeat them to any size."""
         raise ValueError("the model has a document type; expected plain XML")
 
-
-class _Package:
-    """The models of an archive."""
-
-    # Slicers keep the objects of a plate in models of their own, named by paths inside the archive (3MF
-    # production extension); nothing else is ever opened.
-
-    def __init__(self, archive: zipfile.ZipFile, file_bytes: int) -> None:
-        self._archive = archive
-        self._file_bytes = file_bytes
-        self._names = {name.lower().lstrip("/"): name for name in archive.namelist()}
-        self._models: dict[str, _Model] = {}
-        self._parts = 0
-        self._built_bytes = 0
-
     def built(self) -> Iterator[BuildItem]:
         """Yield each thing to build where it will be built, all its parts as one."""
-        models = [name for name in self._archive.namelist() if name.lower().endswith(".model")]
-        if not models:
-            raise ValueError("the archive holds no .model file")
-        root = self._model(_MODEL_PATH if _MODEL_PATH in models else models[0])
-        for item in root.build.components:
-            vertices, faces = joined(list(self._placed(item, root)))
-            mesh = Mesh(vertices * root.mm_per_unit / MM_PER_M, faces)
-            yield BuildItem(self._named(item, root)[1].name, mesh)
+        for named, matrix in self._objects[self._root, ""].parts:
+            vertices_mm, faces = joined(list(self._placed(named, matrix)))
+            yield BuildItem(self._objects[named].name, Mesh(vertices_mm / MM_PER_M, faces))
 
-    def _model(self, path: str) -> _Model:
-        name = self._names.get(path.lower().lstrip("/"))
-        if name is None:
-            raise ValueError(f"the archive holds no {path}")
-        if name not in self._models:
-            size = sum(self._archive.getinfo(each).file_size for each in {*self._models, name})
-            require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", self._file_bytes)
-            with self._archive.open(name) as stream:
-                self._models[name] = _Model(stream, self._file_bytes)
-        return self._models[name]
-
-    def _named(self, part: Mapping[str, str], here: _Model) -> tuple[_Model, _Object]:
-        """Return the object that an item or a component names, and its model."""
-        path, identity = part.get(_PATH), str(part.get("objectid"))
-        model = here if path is None else self._model(path)
-        if identity not in model.objects:
-            raise ValueError(f"object {identity!r}{f' of {path}' if path else ''} is missing")
-        return model, model.objects[identity]
-
-    def _placed(self, part: Mapping[str, str], here: _Model, depth: int = 0) -> Iterator[Surface]:
-        """Yield the surfaces of what an item or component names, where it puts them, in the unit of here."""
-        model, thing = self._named(part, here)
+    def _placed(
+        self, named: tuple[str, str], matrix: NDArray[np.float64], depth: int = 0
+    ) -> Iterator[Surface]:
+        """Yield the surfaces of an object, moved."""
+        if named not in self._objects:
+            raise ValueError(f"the archive holds no object {named[1]!r} of /{named[0]}")
+        thing = self._objects[named]
         # A few bytes can name the same object again and again.
-        self._parts += 1
+        self._placed_parts += 1
         self._built_bytes += sum(each.nbytes for each in thing.surface or ())
-        if depth > _DEEPEST or self._parts > _MOST_PARTS:
-            identity = part.get("objectid")
-            raise ValueError(f"object {identity!r} holds itself, or more than {_MOST_PARTS:,} parts")
+        if depth > _DEEPEST or self._placed_parts > _MOST_PARTS:
+            raise ValueError(f"object {named[1]!r} holds itself, or more than {_MOST_PARTS:,} parts")
         require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
-        matrix = np.eye(4, 3)
-        if "transform" in part:
-            words = part["transform"][:_LONGEST_TRANSFORM].split()
-            matrix = np.array([float(number) for number in words]).reshape(4, 3)
-        # Each model of a package has a unit of its own.
-        ratio = model.mm_per_unit / here.mm_per_unit
         mirrored = np.linalg.det(matrix[:3]) < 0
-        below = (surface for each in thing.components for surface in self._placed(each, model, depth + 1))
-        for vertices, faces in below if thing.surface is None else [thing.surface]:
-            placed = moved(vertices * ratio, matrix[:3]) + matrix[3]
-            yield placed, faces[:, ::-1] if mirrored else faces
+        below = (surface for part in thing.parts for surface in self._placed(*part, depth + 1))
+        for vertices_mm, faces in below if thing.surface is None else [thing.surface]:
+            yield moved(vertices_mm, matrix[:3]) + matrix[3], faces[:, ::-1] if mirrored else faces
+
+
+def _plain(path: str) -> str:
+    return path.lower().lstrip("/")
 
 
 def read_build(data: bytes) -> list[BuildItem]:

@@ -92,8 +92,7 @@ def heights_in(
 ) -> NDArray[np.float32]:
     """Return the height of the top surface over each pixel centre, 0 next to the solid.
 
-    Shape (rows, columns), float32, metres; row 0 has the least y. See
-    :func:`tactile_toolkit.mesh.height_map.top_surface`.
+    Shape (rows, columns), float32, metres; row 0 has the least y.
     """
     points = box.grid_points(vertices_m)
     points[2] = vertices_m[:, 2]

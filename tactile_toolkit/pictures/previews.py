@@ -16,7 +16,6 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.pictures.sheets import (
     Pixels,
     PlannedPicture,
-    Sheet,
     Tile,
     bar_length_mm,
     file_stem,
@@ -98,7 +97,6 @@ def draw_by_class(
     for name, tile in tiles:
         groups.setdefault(name, []).append(tile)
     columns, cells, row_labels = in_rows(list(groups.items()), per_row)
-    # The empty line at the foot is the room of the scale bar.
-    drawn = sheet(cells, Sheet(columns, title, (words,), ("",), row_labels, gap_px=12))
+    drawn = sheet(cells, columns, title, (words,), row_labels, gap_px=12, bar_room=True)
     widest = max(tile.pixels.shape[1] for _, tile in tiles)
     return with_scale_bar(drawn, px_per_mm, bar_length_mm(4 * widest, px_per_mm))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +19,7 @@ _PITCH_M = 0.0002
 _TILE_PX = 96
 _MOST_PX = 4096  # of the longer side of a relief
 
-# Where the light of reliefs comes from: right, up and out of the picture.
+# Where the light of reliefs comes from: right, up and out of the
 _LIGHT = np.array([-0.45, 0.55, 0.70])
 
 _DARKEST, _RANGE = 60, 180
@@ -111,17 +112,6 @@ class Body:
     lit: bool = True
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Picture3d:
-    """A picture of bodies, without perspective: lengths along the picture plane keep their scale."""
-
-    bodies: tuple[Body, ...]
-    size_px: tuple[int, int]  # width and height
-    px_per_m: float
-    view: View = OBLIQUE
-    paper: Colour = PAPER
-
-
 # Pictures are drawn so many times larger and averaged: smooth edges.
 _SAMPLING = 2
 
@@ -133,13 +123,22 @@ _AMBIENT, _DIFFUSE, _SPECULAR = 0.22, 0.78, 0.12
 _COS_SHARP = math.cos(math.radians(40.0))
 
 
-def draw_bodies(picture: Picture3d) -> NDArray[np.uint8]:
-    """Draw bodies, in the middle of the paper, shape (H, W, 3): the surface smooth, sharp edges sharp."""
-    counts = [len(body.mesh.faces) for body in picture.bodies]
-    vertices_m, faces = joined([(body.mesh.vertices_m, body.mesh.faces) for body in picture.bodies])
-    seen = picture.view.project(vertices_m)
-    width, height = (side * _SAMPLING for side in picture.size_px)
-    scale = picture.px_per_m * _SAMPLING
+def draw_bodies(
+    bodies: Sequence[Body],
+    size_px: tuple[int, int],
+    px_per_m: float,
+    view: View = OBLIQUE,
+    paper: Colour = PAPER,
+) -> NDArray[np.uint8]:
+    """Draw bodies in the middle of a picture of some width and height: the surface smooth, sharp edges sharp.
+
+    There is no perspective: lengths along the picture plane keep their scale. Shape (H, W, 3).
+    """
+    counts = [len(body.mesh.faces) for body in bodies]
+    vertices_m, faces = joined([(body.mesh.vertices_m, body.mesh.faces) for body in bodies])
+    seen = view.project(vertices_m)
+    width, height = (side * _SAMPLING for side in size_px)
+    scale = px_per_m * _SAMPLING
     middle = (seen[:, :2].min(axis=0) + seen[:, :2].max(axis=0)) / 2
     # Rows run downwards, and the centre of the first pixel is at column 0, row 0.
     places = (seen[:, :2] - middle) * (scale, -scale) + (width / 2 - 0.5, height / 2 - 0.5)
@@ -147,11 +146,11 @@ def draw_bodies(picture: Picture3d) -> NDArray[np.uint8]:
     row, column = np.nonzero(nearest >= 0)
     face = nearest[row, column]
 
-    levels = np.repeat(np.array([body.colour for body in picture.bodies], float), counts, axis=0)[face]
-    lit = np.flatnonzero(np.repeat([body.lit for body in picture.bodies], counts)[face])
+    levels = np.repeat(np.array([body.colour for body in bodies], float), counts, axis=0)[face]
+    lit = np.flatnonzero(np.repeat([body.lit for body in bodies], counts)[face])
     corners, normals = places[faces[face[lit]]], _corner_normals(seen, faces)[face[lit]]
     levels[lit] = _lit(levels[lit], _normals_at(column[lit], row[lit], corners, normals))
-    pixels = np.full((height, width, 3), picture.paper, np.uint8)
+    pixels = np.full((height, width, 3), paper, np.uint8)
     pixels[row, column] = np.clip(np.round(levels), 0, 255)
     return box_downsample(pixels, _SAMPLING)
 

@@ -104,65 +104,55 @@ class Tile:
     frame: Colour | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Sheet:
-    """How a sheet is laid out: heading and lines above, labels left of each row, lines at the foot."""
-
-    columns: int
-    title: str = ""
-    lines: tuple[str, ...] = ()
-    footer: tuple[str, ...] = ()
-    row_labels: tuple[str, ...] = ()
-    gap_px: int = 8
-    margin_px: int = 16
-
-
-def sheet(tiles: Sequence[Tile | None], layout: Sheet) -> NDArray[np.uint8]:
+def sheet(
+    tiles: Sequence[Tile | None],
+    columns: int,
+    title: str = "",
+    lines: Sequence[str] = (),
+    row_labels: Sequence[str] = (),
+    *,
+    gap_px: int = 8,
+    margin_px: int = 16,
+    bar_room: bool = False,
+) -> NDArray[np.uint8]:
     """Lay pictures out row by row in cells of one size, each in the middle of its cell; None is empty.
 
+    Title and lines stand above them, labels left of each row; ``bar_room`` leaves that of a scale bar below.
     Returns colours of shape (H, W, 3).
     """
     from PIL import Image, ImageDraw, ImageOps
 
-    gap, margin = layout.gap_px, layout.margin_px
-    columns = min(layout.columns, max(len(tiles), 1))
+    columns = min(columns, max(len(tiles), 1))
     rows = -(-len(tiles) // columns)
     shown = [tile for tile in tiles if tile is not None]
     frame_px = 2 * _FRAME_PX if any(tile.frame for tile in shown) else 0
     cell_height = max((tile.pixels.shape[0] for tile in shown), default=1) + frame_px
     cell_width = max((tile.pixels.shape[1] for tile in shown), default=1) + frame_px
     captioned = any(tile.caption for tile in shown)
-    row_step = cell_height + gap + (_line_px(CAPTION_PX) if captioned else 0)
-    label_px = max((round(text_size(label, TEXT_PX)[0]) for label in layout.row_labels), default=0)
-    head_px = (_line_px(TITLE_PX) if layout.title else 0) + _line_px(TEXT_PX) * len(layout.lines)
-    left_px = margin + (label_px + gap + 4 if label_px else 0)
-    top_px = margin + (head_px + gap if head_px else 0)
-    words_px = max(
-        [text_size(line, TEXT_PX)[0] for line in (*layout.lines, *layout.footer)]
-        + [text_size(layout.title, TITLE_PX)[0]]
-    )
-    width = max(left_px + columns * (cell_width + gap) - gap, round(words_px) + margin) + margin
-    foot_px = top_px + rows * row_step
-    foot_height = _line_px(TEXT_PX) * len(layout.footer)
-    height = foot_px + (foot_height if layout.footer else -gap) + margin
+    row_step = cell_height + gap_px + (_line_px(CAPTION_PX) if captioned else 0)
+    label_px = max((round(text_size(label, TEXT_PX)[0]) for label in row_labels), default=0)
+    head_px = (_line_px(TITLE_PX) if title else 0) + _line_px(TEXT_PX) * len(lines)
+    left_px = margin_px + (label_px + gap_px + 4 if label_px else 0)
+    top_px = margin_px + (head_px + gap_px if head_px else 0)
+    words_px = max([text_size(line, TEXT_PX)[0] for line in lines] + [text_size(title, TITLE_PX)[0]])
+    width = max(left_px + columns * (cell_width + gap_px) - gap_px, round(words_px) + margin_px) + margin_px
+    height = top_px + rows * row_step + (_line_px(TEXT_PX) if bar_room else -gap_px) + margin_px
 
     picture = Image.new("RGB", (width, height), PAPER)
     pen = ImageDraw.Draw(picture)
-    if layout.title:
-        draw_text(pen, (margin, margin), layout.title, TITLE_PX)
-    for number, line in enumerate(layout.lines):
-        y = margin + head_px - _line_px(TEXT_PX) * (len(layout.lines) - number)
-        draw_text(pen, (margin, y), line, TEXT_PX, MUTED)
-    for number, line in enumerate(layout.footer):
-        draw_text(pen, (margin, foot_px + number * _line_px(TEXT_PX)), line, TEXT_PX, MUTED)
-    for row, label in enumerate(layout.row_labels):
-        middle = (left_px - gap - 4, top_px + row * row_step + cell_height // 2)
+    if title:
+        draw_text(pen, (margin_px, margin_px), title, TITLE_PX)
+    for number, line in enumerate(lines):
+        y = margin_px + head_px - _line_px(TEXT_PX) * (len(lines) - number)
+        draw_text(pen, (margin_px, y), line, TEXT_PX, MUTED)
+    for row, label in enumerate(row_labels):
+        middle = (left_px - gap_px - 4, top_px + row * row_step + cell_height // 2)
         draw_text(pen, middle, label, TEXT_PX, anchor="rm")
     for index, tile in enumerate(tiles):
         if tile is None:
             continue
         row, column = divmod(index, columns)
-        cell_x, cell_y = left_px + column * (cell_width + gap), top_px + row * row_step
+        cell_x, cell_y = left_px + column * (cell_width + gap_px), top_px + row * row_step
         image = Image.fromarray(tile.pixels).convert("RGB")
         if tile.frame is not None:
             image = ImageOps.expand(image, _FRAME_PX, tile.frame)

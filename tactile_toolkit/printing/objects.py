@@ -29,7 +29,7 @@ from tactile_toolkit.printing.simulator import model_files
 from tactile_toolkit.printing.spec import MODELS, Physics
 from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.store.files import named_failures, remove_drafts, write_file
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, local_folder
 from tactile_toolkit.wording import class_name
 
 if TYPE_CHECKING:
@@ -65,7 +65,8 @@ class Made(Generic[R]):
     """What a product is to have: its files by path below the folder, what refers to the others last.
 
     ``check`` raises ItemError where they do not hold what was meant. ``record`` returns what an export
-    lists, by its state: ``"written"``, or ``"kept"`` where the very same files were there already.
+    lists, by its state: ``"written"``, ``"kept"`` where the very same files were there already, or
+    ``"planned"`` in a dry run.
     """
 
     files: dict[str, bytes]
@@ -84,6 +85,14 @@ class Product(Generic[R]):
     name: str
     patterns: tuple[str, ...]
     make: Callable[[], Made[R]]
+
+
+@dataclass(frozen=True, slots=True)
+class FileExport(Generic[R]):
+    """What an export did: the records of what is there, in the order given, and what is not there."""
+
+    files: tuple[R, ...]
+    failed: tuple[Failure, ...]
 
 
 def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None:
@@ -121,41 +130,27 @@ def content_of(path: Path) -> bytes | None:
     return None
 
 
-def local_folder(out: str) -> Path:
-    """Return the path of a folder, which need not be there; InputError where it is a file or not local."""
-    folder = DataFolder(out)
-    if not folder.is_local:
-        raise InputError(
-            f"{out!r} is not a local folder; files to print are written to a disk", next="a local --out"
-        )
-    path = Path(folder.address())
-    if path.is_file():
-        raise InputError(f"{out!r} is a file, a folder was expected", next="another --out")
-    return path
-
-
 def _before(folder: Path, product: Product[R]) -> set[Path]:
     """Return the files of a product that are there."""
     return {path for pattern in product.patterns for path in folder.glob(pattern)}
 
 
-def _exported(folder: Path, only_look: bool, product: Product[R]) -> tuple[str, R | Failure | None]:
-    """Write the files of a product, or only look what stands in their place.
-
-    Whoever looks gets None where nothing stands in the way and not all files are there, and a failure where
-    something else stands there.
-    """
+def _exported(
+    folder: Path, overwrite: bool, dry_run: bool, product: Product[R]
+) -> tuple[str, str, R | Failure]:
+    """Make a product and write its files, or change nothing; returns its name, its state and its record."""
     before = _before(folder, product)
     try:
         made = product.make()
         files = {folder / name: content for name, content in made.files.items()}
         same = {path for path, content in files.items() if content_of(path) == content}
         if same == files.keys() | before:
-            return product.name, made.record("kept")
-        if only_look:
-            others = Failure(product.name, CHANGED, "its files have other content")
-            return product.name, others if before - same else None
+            return product.name, "kept", made.record("kept")
+        if before - same and not overwrite:
+            raise ItemError(CHANGED, "its files have other content")
         made.check()
+        if dry_run:
+            return product.name, "planned", made.record("planned")
         # What this product has not, such as parts of a body that had more of them.
         _remove(before - files.keys())
         for path, content in files.items():
@@ -163,12 +158,12 @@ def _exported(folder: Path, only_look: bool, product: Product[R]) -> tuple[str, 
     except ItemError as error:
         detail = str(error)
         # What is left under these names, of an earlier export too, would pass for this product.
-        if not only_look:
+        if not dry_run:
             _remove(_before(folder, product))
             names = ", ".join(sorted(path.name for path in before))
             detail += f"; {names} of an earlier export was removed" if before else ""
-        return product.name, Failure(product.name, error.reason, detail)
-    return product.name, made.record("written")
+        return product.name, "failed", Failure(product.name, error.reason, detail)
+    return product.name, "written", made.record("written")
 
 
 def _remove(paths: Iterable[Path]) -> None:
@@ -177,49 +172,48 @@ def _remove(paths: Iterable[Path]) -> None:
             path.unlink(missing_ok=True)
 
 
-def require_free(products: Sequence[Product[R]], out: str, workers: int = 1) -> dict[str, R]:
-    """Return the records, by name, of products that are there already; nothing is changed.
-
-    Raises InputError where something else stands in the place of a product.
-    """
-    folder = local_folder(out)
-    there = [product for product in products if _before(folder, product)]
-    looked = dict(runner_for(workers).run(partial(_exported, folder, True), there)) if there else {}
-    others = sorted(each.patterns[0] for each in there if isinstance(looked[each.name], Failure))
-    if others:
-        raise InputError(
-            f"{out!r} holds {others[0]!r} with other content ({len(others)} such files); nothing was written",
-            next="--overwrite to replace them, or another --out",
-        )
-    return {name: each for name, each in looked.items() if not (each is None or isinstance(each, Failure))}
-
-
 def export(
     products: Sequence[Product[R]],
     out: str,
     *,
     overwrite: bool = False,
+    dry_run: bool = False,
     workers: int = 1,
     on_progress: Progress = lambda _done, _total: None,
-) -> tuple[list[R], list[Failure]]:
+) -> FileExport[R]:
     """Write the files of products into a folder, which is made where it is not there.
 
-    Returns their records, and why there is none, in the order of the products. Raises InputError where other
+    A ``dry_run`` makes and checks them too, and changes nothing on the disk. Raises InputError where other
     files stand in the way, before anything is written, and StorageError where the folder cannot be written;
     finished files stay.
     """
     folder = local_folder(out)
-    DataFolder(out).require_folder()
-    remove_drafts(folder)  # of killed exports
-    # What was looked at is not made a second time: the convex parts of a body take longer than its file.
-    found: dict[str, Any] = {} if overwrite else {**require_free(products, out, workers)}
-    left = [product for product in products if product.name not in found]
-    for name, result in runner_for(workers).run(partial(_exported, folder, False), left) if left else ():
-        found[name] = result
-        on_progress(len(found), len(products))
-    results = [found[product.name] for product in products]
-    failures = [result for result in results if isinstance(result, Failure)]
-    return [result for result in results if not isinstance(result, Failure)], failures
+    if not dry_run:
+        DataFolder(out).require_folder()
+        remove_drafts(folder)  # of killed exports
+    found: dict[str, tuple[str, Any]] = {}
+
+    def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
+        make = partial(_exported, folder, overwrite, dry_run)
+        for name, state, record in runner_for(workers).run(make, some) if some else ():
+            found[name] = state, record
+            on_progress(len(found), len(products))
+
+    # A dry run of what is there finds what stands in the way. What is kept is not made a second time: the
+    # convex parts of a body take longer than its file.
+    there = [] if overwrite else [product for product in products if _before(folder, product)]
+    run(products if dry_run else there, overwrite, True)
+    others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")
+    if others:
+        raise InputError(
+            f"{out!r} holds {others[0]!r} with other content ({len(others)} such files); nothing was written",
+            next="--overwrite to replace them, or another --out",
+        )
+    if not dry_run:
+        run([each for each in products if found.get(each.name, ("",))[0] != "kept"], True, False)
+    results = [found[product.name][1] for product in products]
+    failed = tuple(result for result in results if isinstance(result, Failure))
+    return FileExport(tuple(result for result in results if not isinstance(result, Failure)), failed)
 
 
 _ID_DIGITS = 5  # file names sort as the ids do, up to 99,999
@@ -292,15 +286,11 @@ def _safe(word: str) -> str:
     return _UNSAFE.sub("_", unicodedata.normalize("NFC", word))
 
 
-# Objects that a forecast packs, from all over the list, to estimate the size of all.
-_SAMPLED = 32
-
-
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """A file that is there and was found to hold the solid: which object, which file, sizes in mm.
+    """A file that was found to hold the solid: which object, which file, sizes in mm.
 
-    ``state`` is ``"written"``, or ``"kept"`` where the very same file was there already.
+    ``state`` is as :class:`Made` has it.
     """
 
     name: str
@@ -319,27 +309,6 @@ class WrittenFile:
     def size_mm(self) -> tuple[float, float, float]:
         """Width, depth and height."""
         return self.width_mm, self.depth_mm, self.height_mm
-
-
-@dataclass(frozen=True, slots=True)
-class FileExport:
-    """What :func:`export_files` did: files in the order of the objects, and objects without one."""
-
-    files: tuple[WrittenFile, ...]
-    failed: tuple[Failure, ...]
-
-
-@dataclass(frozen=True, slots=True)
-class FileForecast:
-    """What :func:`export_files` would write: how many files, and about how many bytes in all.
-
-    So many objects were ``sampled``; ``failed`` are those of them that are not solids.
-    """
-
-    files: int
-    bytes: int
-    sampled: int
-    failed: tuple[Failure, ...] = ()
 
 
 def _made(item: PrintObject, ending: str, scale: float, physics: Physics) -> Made[WrittenFile]:
@@ -370,9 +339,10 @@ def export_files(
     scale: float = 1.0,
     physics: Physics | None = None,
     overwrite: bool = False,
+    dry_run: bool = False,
     workers: int = 1,
     on_progress: Progress = lambda _done, _total: None,
-) -> FileExport:
+) -> FileExport[WrittenFile]:
     """Write one file per object, in the pose that it has, its lowest point at z = 0.
 
     Each file has to hold the same solid, and to read back from disk as it was written, before it gets its
@@ -383,46 +353,11 @@ def export_files(
     ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres), ``"glb"``, or ``"mjcf"``, ``"urdf"`` or ``"usd"`` for
     simulators (metres), whose masses follow from ``physics``; ``scale`` is a factor on all lengths.
     With ``overwrite``, files of the same name that hold something else are replaced, and that of an object
-    that fails is removed.
+    that fails is removed. A ``dry_run`` makes and checks the same files and writes none.
 
     Raises InputError for an unknown format, a scale that is not positive, or files in the way, before
     anything is written, and StorageError where the folder cannot be written; finished files stay.
     """
-    products = _products(objects, kind, scale, physics)
-    files, failures = export(products, out, overwrite=overwrite, workers=workers, on_progress=on_progress)
-    return FileExport(tuple(files), tuple(failures))
-
-
-def forecast_files(
-    objects: Sequence[PrintObject],
-    out: str,
-    kind: str = "stl",
-    *,
-    scale: float = 1.0,
-    physics: Physics | None = None,
-    overwrite: bool = False,
-) -> FileForecast:
-    """Forecast what :func:`export_files` would write.
-
-    Raises InputError as there, as far as it is known without writing.
-    """
-    products = _products(objects, kind, scale, physics)
-    require_free([] if overwrite else products, out)
-    positions = np.unique(np.linspace(0, len(products) - 1, _SAMPLED).astype(int))
-    sizes, failures = [], []
-    for product in (products[position] for position in positions):
-        try:
-            sizes.append(product.make().record("planned").bytes)
-        except ItemError as error:
-            failures.append(Failure(product.name, error.reason, str(error)))
-    count = len(objects) - len(failures)
-    total = round(sum(sizes) / max(len(sizes), 1) * count)
-    return FileForecast(count, total, len(positions), tuple(failures))
-
-
-def _products(
-    objects: Sequence[PrintObject], kind: str, scale: float, physics: Physics | None
-) -> list[Product[WrittenFile]]:
     name = kind.lower().removeprefix(".")
     ending = MODELS.get(name, f".{name}")
     if ending not in FORMATS and name not in MODELS:
@@ -430,7 +365,7 @@ def _products(
         raise InputError(f"--format is {kind!r}; expected one of {names}")
     require_scale(scale)
     how = (ending, scale, physics or Physics())
-    return [
+    products = [
         Product(
             item.name,
             (f"{item.name}{ending}", f"{item.name}/visual.obj", f"{item.name}/part-*.obj"),
@@ -438,3 +373,6 @@ def _products(
         )
         for item in objects
     ]
+    return export(
+        products, out, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
+    )

@@ -12,7 +12,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from scipy import fft, ndimage
@@ -234,8 +234,7 @@ def arrange(measured: Layout, on_progress: Progress = lambda _done, _total: None
     return replace(measured, plates=tuple(plates), least_plates=least)
 
 
-@dataclass(frozen=True, slots=True, order=True)
-class Spot:
+class Spot(NamedTuple):
     """Where a shape was put: its number in the order given, and the cell on which its first cell lies."""
 
     shape: int
@@ -243,21 +242,21 @@ class Spot:
     column: int
 
 
-@dataclass(frozen=True, slots=True)
-class Weights:
+class Weights(NamedTuple):
     """What the search prefers. Found by trial on the digits of ``printed_test``."""
 
-    rim_cells: int = 12
-    """How far around a shape neighbours count as touching. A wide rim also fills bays."""
-    front: float = 0.1
+    front: float
     """Dislike of positions far from the front edge."""
-    large: float = 0.3
+    large: float
     """Bonus of the largest shape."""
 
 
-_TRIED_WEIGHTS = (Weights(), Weights(12, 0.05, 0.6), Weights(8, 0.2, 0.3))
-# The time of a search grows with the square of the number of shapes: many are searched once, and only the
-# largest of those that are left are tried at each step.
+# One of the two needs a plate less for one set in four or so.
+_TRIED_WEIGHTS = (Weights(0.1, 0.3), Weights(0.05, 0.6))
+# How far around a shape neighbours count as touching. A wide rim also fills bays.
+_RIM_CELLS = 12
+# The time of a search grows with the square of the number of shapes: many are searched once, and only so many
+# of the largest are tried at each step.
 _MOST_SHAPES_FOR_ALL_WEIGHTS = 150
 _TRIED_AT_ONCE = 100
 
@@ -279,10 +278,11 @@ def pack(
     largest_first = sorted(range(len(shapes)), key=lambda number: (-areas[number], number))
     found: list[list[list[Spot]]] = []
     for weights in attempts:
+        bonuses = [weights.large * area / areas[largest_first[0]] for area in areas]
         left, plates = largest_first, list[list[Spot]]()
         while left:
             plates.append([])
-            for spot in _Filling(plate, weights, areas[largest_first[0]]).fill(left, shapes):
+            for spot in _fill(plate, shapes, left, weights.front, bonuses):
                 plates[-1].append(spot)
                 done += 1
                 on_progress(done, total)
@@ -299,85 +299,52 @@ def pack(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Shape:
-    number: int
-    cells: NDArray[np.bool_]
-    area: int
-    rim_area: int
-    body_spectrum: NDArray[np.complex64]
-    rim_spectrum: NDArray[np.complex64]
+def _fill(
+    plate: tuple[int, int],
+    shapes: Sequence[NDArray[np.bool_]],
+    numbers: Sequence[int],
+    front: float,
+    bonuses: Sequence[float],
+) -> Iterator[Spot]:
+    """Put down as many of the numbered shapes as have a position on one plate, and yield where."""
+    # The edge counts as a neighbour: what lies against it wastes nothing.
+    taken = np.pad(np.zeros(plate, np.float32), _RIM_CELLS, constant_values=1)
+    size = [fft.next_fast_len(side, real=True) for side in taken.shape]
+    along_y, along_x = (np.arange(side, dtype=np.float32) / np.float32(side) for side in plate)
+    # Ten times less for columns: plates fill up from the front.
+    distance = np.asarray(front * (along_y[:, None] + 0.1 * along_x), np.float32)
 
+    def transformed(number: int) -> tuple[list[NDArray[np.complex64]], np.float32]:
+        body = np.pad(shapes[number], _RIM_CELLS)
+        rim = (ndimage.distance_transform_cdt(~body, "taxicab") <= _RIM_CELLS) & ~body
+        # Conjugate, for a correlation; a product of spectra as they are is a convolution.
+        spectra = [np.conj(fft.rfft2(part.astype(np.float32), size)) for part in (body, rim)]
+        return [spectrum.astype(np.complex64) for spectrum in spectra], np.float32(rim.sum())
 
-class _Filling:
-    """One plate while it is filled."""
-
-    def __init__(self, plate: tuple[int, int], weights: Weights, largest: int) -> None:
-        rim = weights.rim_cells
-        self._plate = plate
-        self._weights = weights
-        self._largest = largest
-        self._free = plate[0] * plate[1]
-        # The edge counts as a neighbour: what lies against it wastes nothing.
-        self._taken = np.pad(np.zeros(plate, np.float32), rim, constant_values=1)
-        rows, columns = self._taken.shape
-        self._size = (fft.next_fast_len(rows, real=True), fft.next_fast_len(columns, real=True))
-        self._spectrum = fft.rfft2(self._taken, self._size)
-
-    def fill(self, numbers: Sequence[int], shapes: Sequence[NDArray[np.bool_]]) -> Iterator[Spot]:
-        """Put down as many shapes as have a position, and yield where."""
-        waiting = deque(numbers)
-        tried: list[_Shape] = []
-        while waiting or tried:
-            while waiting and len(tried) < _TRIED_AT_ONCE:
-                tried.append(self._prepared(waiting[0], shapes[waiting.popleft()]))
-            scores = [(self._best_spot(shape), shape) for shape in tried]
-            # What has no position now will not find one later: the plate only gets fuller.
-            fitting = [(found, shape) for found, shape in scores if found is not None]
-            tried = [shape for _, shape in fitting]
-            if fitting:
-                (_, spot), best = max(fitting, key=lambda each: each[0][0])
-                tried.remove(best)
-                rows, columns = best.cells.shape
-                rim = self._weights.rim_cells
-                view = self._taken[rim + spot.row :, rim + spot.column :][:rows, :columns]
-                view += best.cells
-                self._free -= best.area
-                self._spectrum = fft.rfft2(self._taken, self._size)
-                yield spot
-
-    def _prepared(self, number: int, cells: NDArray[np.bool_]) -> _Shape:
-        """Transform a shape and its rim."""
-        body = np.pad(cells, self._weights.rim_cells)
-        near = ndimage.distance_transform_cdt(~body, "taxicab") <= self._weights.rim_cells
-        rim = near & ~body
-        spectra = (
-            # Conjugate, for a correlation; a product of spectra as they are is a convolution.
-            np.conj(fft.rfft2(part.astype(np.float32), self._size)).astype(np.complex64)
-            for part in (body, rim)
-        )
-        return _Shape(number, cells, int(cells.sum()), int(rim.sum()), *spectra)
-
-    def _best_spot(self, shape: _Shape) -> tuple[float, Spot] | None:
-        """Return the best score of a shape and where it has it; None where it does not fit."""
-        if shape.area > self._free:
-            return None
-        free = self._counts(shape.body_spectrum, shape) == 0
-        if not free.any():
-            return None
-        contact = self._counts(shape.rim_spectrum, shape) / np.float32(shape.rim_area)
-        rows, columns = (np.arange(side, dtype=np.float32) for side in free.shape)
-        # Ten times less for columns: plates fill up from the front.
-        away = rows[:, None] / np.float32(self._plate[0]) + 0.1 * columns / np.float32(self._plate[1])
-        distance = np.asarray(self._weights.front * away, np.float32)
-        score = np.where(free, contact - distance, -np.inf)
-        row, column = divmod(int(score.argmax()), score.shape[1])
-        bonus = self._weights.large * shape.area / self._largest
-        return float(score[row, column]) + bonus, Spot(shape.number, row, column)
-
-    def _counts(self, spectrum: NDArray[np.complex64], shape: _Shape) -> NDArray[np.float32]:
-        """Count taken cells under a shape or its rim, for every position of the shape."""
-        rows, columns = (side - cells + 1 for side, cells in zip(self._plate, shape.cells.shape, strict=True))
-        counts = fft.irfft2(self._spectrum * spectrum, self._size)[:rows, :columns]
-        # Integers again: the choice does not hang on the last bits of a transform.
-        return np.asarray(np.rint(counts), np.float32)
+    waiting = deque(numbers)
+    tried: dict[int, tuple[list[NDArray[np.complex64]], np.float32]] = {}
+    while waiting or tried:
+        while waiting and len(tried) < _TRIED_AT_ONCE:
+            number = waiting.popleft()
+            tried[number] = transformed(number)
+        spectrum = fft.rfft2(taken, size)
+        scores: list[tuple[float, Spot]] = []
+        for number, (spectra, rim_area) in tried.items():
+            rows, columns = np.subtract(plate, shapes[number].shape) + 1
+            # Integers again: the choice does not hang on the last bits of a transform.
+            under, around = (
+                np.asarray(np.rint(fft.irfft2(spectrum * each, size)[:rows, :columns]), np.float32)
+                for each in spectra
+            )
+            score = np.where(under == 0, around / rim_area - distance[:rows, :columns], -np.inf)
+            row, column = divmod(int(score.argmax()), int(columns))
+            scores.append((float(score[row, column]) + bonuses[number], Spot(number, row, column)))
+        # What has no position now will not find one later: the plate only gets fuller.
+        fitting = [each for each in scores if each[0] > -np.inf]
+        tried = {spot.shape: tried[spot.shape] for _, spot in fitting}
+        if fitting:
+            _, (number, row, column) = max(fitting, key=lambda each: each[0])
+            del tried[number]
+            rows, columns = shapes[number].shape
+            taken[_RIM_CELLS + row :, _RIM_CELLS + column :][:rows, :columns] += shapes[number]
+            yield Spot(number, row, column)

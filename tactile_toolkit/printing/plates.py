@@ -10,7 +10,7 @@ import io
 import math
 import re
 from collections import Counter
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,7 +23,7 @@ from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.pictures.sheets import draw_text, png_bytes, text_size
+from tactile_toolkit.pictures.sheets import PAPER, bar_length_mm, draw_text, png_bytes, text_size
 from tactile_toolkit.printing.objects import (
     CHANGED,
     Failure,
@@ -32,14 +32,12 @@ from tactile_toolkit.printing.objects import (
     Progress,
     content_of,
     export,
-    local_folder,
     place_on_plate,
-    require_free,
     require_same_solid,
 )
-from tactile_toolkit.printing.packing import Layout, Outline, Placed, cells_touched
+from tactile_toolkit.printing.packing import Layout, Outline, cells_touched
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf
-from tactile_toolkit.printing.spec import PlateSpec
+from tactile_toolkit.store.folder import local_folder
 from tactile_toolkit.wording import counted
 
 TABLE_FILE = "plates.csv"
@@ -53,8 +51,7 @@ _EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer kno
 class PlateFile:
     """A plate: its file (3MF, or MJCF) and PNG map, its objects and which share of it they need.
 
-    ``bytes`` is the size of that file; ``state`` is ``"planned"``, ``"written"``, or ``"kept"`` where the
-    very same file was there already.
+    ``bytes`` is the size of that file; ``state`` is that of :class:`~tactile_toolkit.printing.objects.Made`.
     """
 
     file: str
@@ -85,6 +82,7 @@ def write_plates(
     out: str,
     *,
     overwrite: bool = False,
+    dry_run: bool = False,
     on_progress: Progress = lambda _done, _total: None,
 ) -> PlateExport:
     """Write the plates of a layout into a folder, which is made where it is not there.
@@ -92,33 +90,22 @@ def write_plates(
     Every object of a 3MF file has to come back as the same solid under the same name, inside the plate; each
     file is read back from disk before it gets its name. Files that are there already with the very same bytes
     are kept. With ``overwrite``, the plates of another export are replaced, and those that this one has not
-    are removed: what the table of that export lists, and no other files.
+    are removed: what the table of that export lists, and no other files. A ``dry_run`` makes and checks the
+    same plates and changes nothing.
 
     Raises InputError where plates of another export stand in the folder, before anything is written, and
     StorageError where the folder cannot be written; finished files stay.
     """
     unknown = _unknown_files(layout, local_folder(out))
-    if not overwrite:
-        require_free([_table_product(tuple(_rows(layout)), unknown)], out)
-    plates, failures = export(_products(layout), out, overwrite=overwrite, on_progress=on_progress)
-    written = {plate.file for plate in plates}
+    # The table first: it says most clearly whether these are the plates of another export.
+    export([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
+    made = export(_products(layout), out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
+    written = {plate.file for plate in made.files}
     rows = tuple(row for row in _rows(layout) if row["file"] in written)
-    # Last: what it lists is there and was checked.
-    export([_table_product(rows, unknown)], out, overwrite=True)
-    return PlateExport(tuple(plates), layout.least_plates, rows, (*layout.failures, *failures), unknown)
-
-
-def forecast_plates(layout: Layout, out: str, *, overwrite: bool = False) -> PlateExport:
-    """Forecast what :func:`write_plates` would write.
-
-    Raises InputError where plates of another export stand in the folder.
-    """
-    rows, unknown = tuple(_rows(layout)), _unknown_files(layout, local_folder(out))
-    if not overwrite:
-        require_free(_products(layout), out)
-        require_free([_table_product(rows, unknown)], out)
-    plates = tuple(product.make().record("planned") for product in _products(layout))
-    return PlateExport(plates, layout.least_plates, rows, layout.failures, unknown)
+    if not dry_run:
+        # Last: what it lists is there and was checked.
+        export([_table_product(rows, unknown)], out, overwrite=True)
+    return PlateExport(made.files, layout.least_plates, rows, (*layout.failures, *made.failed), unknown)
 
 
 def _products(layout: Layout) -> list[Product[PlateFile]]:
@@ -144,7 +131,7 @@ def _made(layout: Layout, number: int) -> Made[PlateFile]:
     content = _packed(items, layout)
     share = round(layout.shares[number - 1], 4)
     return Made(
-        {picture: _map_of(layout, number), solid: content},
+        {picture: draw_map(layout, number), solid: content},
         partial(PlateFile, solid, picture, len(plate), share, len(content)),
         partial(_check_plate, content, items, layout),
     )
@@ -157,15 +144,6 @@ def _packed(items: Sequence[BuildItem], layout: Layout) -> bytes:
     bodies = [body_of(item.name, item.mesh, layout.physics) for item in items]
     places_m = [(item.offset_mm[0] / MM_PER_M, item.offset_mm[1] / MM_PER_M) for item in items]
     return pack_mjcf(list(zip(bodies, places_m, strict=True)), "plate", floor=True)
-
-
-def _map_of(layout: Layout, number: int) -> bytes:
-    plate = layout.plates[number - 1]
-    title = f"plate {number} of {len(layout.plates)}: {counted(len(plate), 'objects')}, {layout.spec.text}"
-    labels = sorted({placed.item.label for other in layout.plates for placed in other})
-    counts = Counter(placed.item.id for other in layout.plates for placed in other)
-    shared = {identity for identity, count in counts.items() if count > 1}
-    return draw_map(plate, layout.spec, title, labels, shared)
 
 
 def _check_plate(content: bytes, items: Sequence[BuildItem], layout: Layout) -> None:
@@ -231,180 +209,102 @@ def _unknown_files(layout: Layout, folder: Path) -> tuple[str, ...]:
 
 # --- maps ----------------------------------------------------------------------------------------------
 
-_PAPER, _PLATE, _GRID, _INK = "#ffffff", "#f4f2ec", "#e0dcd2", "#222222"
-_MARGIN = "#b9b3a3"
+_PLATE, _GRID, _MARGIN, _OUTLINE = "#f4f2ec", "#e0dcd2", "#b9b3a3", "#222222"
 # One per class; the words on the map, not the colours, distinguish objects.
 _FILLS = (
     *("#9ecae1", "#fdbe85", "#a1d99b", "#fc9f97", "#cbb8dd"),
     *("#d8b49c", "#f5b9d6", "#c4c9cf", "#d9dc8c", "#9fdde2"),
 )
-_COARSE_FROM_MM = 50
-_LEAST_TICK_PX = 20
-_TICKS_MM = (1, 2, 5, 10, 20, 50, 100, 200, 500)
-_TICKS_A_NUMBER = 5
-_TITLE_PX, _SMALL_PX = 20, 15
-_WORDS_PX = (14, 12, 10, 8)
-# What words may take on an object that is narrower.
-_SLACK_PX = 30
-_FIELD_MM = 1.5
-_SPOT_MM = 0.5
-_MOST_SPOTS = 600
-
-_LONGER_SIDE_PX = 1_200
-_LEAST_PX_PER_MM = 4.0
-_LONGEST_SIDE_PX = 4_000
-_SUPERSAMPLING = 2  # drawn so many times larger: PIL's own lines have no smooth edges
-_MARGIN_PX = 60
-_LINE_HEIGHT = 1.25
+# A map is drawn twice as large as it will be, as PIL's own lines have no smooth edges; these are its lengths.
+_FINER = 2
+_LONGER_SIDE_PX, _LONGEST_SIDE_PX, _LEAST_PX_PER_MM = 2_400, 8_000, 8.0
+_EDGE_PX, _TITLE_PX, _NUMBER_PX, _WORD_PX, _LINE_PX = 120, 40, 30, 24, 30
+_LINES_TO_A_BAR = 3  # of the grid, along a scale bar as pictures have
+_SPOT_PX = 6
 
 
-def draw_map(
-    plate: Sequence[Placed], spec: PlateSpec, title: str, labels: Sequence[str], shared: Collection[int] = ()
-) -> bytes:
+def draw_map(layout: Layout, number: int) -> bytes:
     """Draw a plate from above, a PNG file with the front edge at the bottom, as the printer is looked at.
 
-    ``labels`` are all classes, which choose the colours. Where several objects of the export have an id in
-    common, one of ``shared``, words name the split too. What belongs to one object of several parts stands on
-    a white field of its own. The same input always gives the same bytes.
+    Classes choose the colours. Where several objects of the export have an id in common, words name the split
+    too; words that would cover others are left out and counted. What belongs to one object of several parts
+    has a line around it. The same input always gives the same bytes.
     """
     import manifold3d
+    from PIL import Image, ImageDraw
 
-    sheet = _Sheet(spec.sides_mm, title)
-    _draw_plate(sheet, spec)
-    whole = manifold3d.CrossSection.square(spec.sides_mm)
+    spec, plate = layout.spec, layout.plates[number - 1]
+    title = f"plate {number} of {len(layout.plates)}: {counted(len(plate), 'objects')}, {spec.text}"
+    every = [placed.item for other in layout.plates for placed in other]
+    labels, ids = sorted({item.label for item in every}), Counter(item.id for item in every)
+    longer_mm, (width_mm, depth_mm) = max(spec.sides_mm), spec.sides_mm
+    # More pixels for a larger plate, so that words keep their room.
+    longer_px = min(max(_LONGER_SIDE_PX, _LEAST_PX_PER_MM * longer_mm), _LONGEST_SIDE_PX)
+    scale = longer_px / longer_mm
+    width_px, depth_px = (round(side * scale) for side in spec.sides_mm)
+    sheet_px = max(width_px, round(text_size(title, _TITLE_PX)[0])) + 2 * _EDGE_PX
+    picture = Image.new("RGB", (sheet_px, depth_px + 2 * _EDGE_PX), PAPER)
+    pen = ImageDraw.Draw(picture)
+
+    def places(points_mm: Any) -> list[tuple[float, ...]]:
+        """Return where points of the plate, x and y upwards, lie in the picture."""
+        found = np.add(np.multiply(points_mm, (scale, -scale)), (_EDGE_PX, _EDGE_PX + depth_px))
+        return list(map(tuple, found.tolist()))
+
+    def frame(inset_mm: float, colour: str, width: int, fill: str | None = None) -> None:
+        corners = ((inset_mm, depth_mm - inset_mm), (width_mm - inset_mm, inset_mm))
+        pen.rectangle(places(corners), fill, colour, width)
+
+    frame(0, _OUTLINE, 0, _PLATE)
+    step_mm = bar_length_mm(round(longer_px / _LINES_TO_A_BAR), scale)
+    for axis, anchor, aside_px in ((0, "ma", (0, 16)), (1, "rm", (-16, 0))):
+        for at_mm in np.arange(0, spec.sides_mm[axis] + 1e-6, step_mm).tolist():
+            ends_mm = np.zeros((2, 2))
+            ends_mm[:, axis], ends_mm[1, 1 - axis] = at_mm, spec.sides_mm[1 - axis]
+            pen.line(places(ends_mm), _GRID, 2)
+            x, y = np.add(places(ends_mm)[0], aside_px).tolist()
+            draw_text(pen, (x, y), f"{at_mm:g}", _NUMBER_PX, anchor=anchor)
+    frame(spec.margin_mm, _MARGIN, 2)
+    frame(0, _OUTLINE, 4)
     for placed in plate:
-        if placed.outline.parts > 1:
-            # What only it stands on: its hull and a little of the gap around it.
-            hull = placed.outline.footprint().grown(min(spec.gap_mm / 2, _FIELD_MM))
-            sheet.area((hull.translate((placed.x_mm, placed.y_mm)) ^ whole).to_polygons(), _PAPER)
-    for placed in plate:
-        rings = placed.outline.section.translate((placed.x_mm, placed.y_mm)).to_polygons()
-        sheet.area(rings, _FILLS[labels.index(placed.item.label) % len(_FILLS)])
-    _name_objects(sheet, plate, spec, shared)
-    return sheet.png()
-
-
-class _Sheet:
-    """A drawing in millimetres, y upwards, below its title; words are in pixels of the finished picture."""
-
-    def __init__(self, sides_mm: tuple[float, float], title: str) -> None:
-        from PIL import Image, ImageDraw
-
-        longer_mm = max(sides_mm)
-        # More pixels for a larger plate, so that words keep their room.
-        longer_px = min(max(_LONGER_SIDE_PX, _LEAST_PX_PER_MM * longer_mm), _LONGEST_SIDE_PX)
-        self.px_per_mm = longer_px / longer_mm
-        """Of the finished picture."""
-        self._scale = self.px_per_mm * _SUPERSAMPLING
-        width, depth = (round(side * self._scale) for side in sides_mm)
-        words = round(text_size(title, _TITLE_PX * _SUPERSAMPLING)[0])
-        margin = _MARGIN_PX * _SUPERSAMPLING
-        left = max(margin, (words - width) // 2 + 10 * _SUPERSAMPLING)
-        self._front_left = np.array([left, margin + sides_mm[1] * self._scale])
-        self.picture = Image.new("RGB", (width + 2 * left, depth + 2 * margin), _PAPER)
-        self.draw = ImageDraw.Draw(self.picture)
-        self.text((sides_mm[0] / 2, sides_mm[1]), title, _TITLE_PX, anchor="md", shift_px=(0, -14))
-
-    def points(self, *places_mm: Any) -> list[tuple[float, ...]]:
-        """Return where points of the plate, each x and y, lie in the picture."""
-        places = self._front_left + np.array(places_mm, float) * (self._scale, -self._scale)
-        return list(map(tuple, places.tolist()))
-
-    def line(self, *places_mm: Any, colour: str, width: int = 1) -> None:
-        """Draw a line, thin by default."""
-        self.draw.line(self.points(*places_mm), fill=colour, width=width * _SUPERSAMPLING)
-
-    def area(self, rings_mm: Sequence[NDArray[np.float64]], fill: str) -> None:
-        """Fill what rings enclose, of which those that are turned the other way round are holes."""
-        import manifold3d
-
-        corners = self.points(*np.concatenate(rings_mm))
+        # The hull around several parts is their object's own.
+        hull, rings = (
+            [np.asarray(ring) for ring in each.section.translate((placed.x_mm, placed.y_mm)).to_polygons()]
+            for each in (placed.outline.footprint(), placed.outline)
+        )
+        corners, fill = places(np.concatenate(rings)), _FILLS[labels.index(placed.item.label) % len(_FILLS)]
         # What lies in a hole stays visible.
-        for triangle in manifold3d.triangulate([*rings_mm]).tolist():
-            self.draw.polygon([corners[corner] for corner in triangle], fill=fill)
-        for ring in rings_mm:
-            self.line(*ring, ring[0], colour=_INK)
-
-    def text(
-        self,
-        place_mm: tuple[float, float],
-        line: str,
-        size_px: float,
-        anchor: str = "mm",
-        shift_px: tuple[float, float] = (0, 0),
-        halo_px: int = 0,
-    ) -> None:
-        """Write a line at a point."""
-        ((x, y),) = self.points(place_mm)
-        at = (x + shift_px[0] * _SUPERSAMPLING, y + shift_px[1] * _SUPERSAMPLING)
-        size, halo = round(size_px * _SUPERSAMPLING), halo_px * _SUPERSAMPLING
-        draw_text(self.draw, at, line, size, anchor=anchor, halo_px=halo)
-
-    def png(self) -> bytes:
-        """Return the finished picture."""
-        return png_bytes(np.asarray(self.picture.reduce(_SUPERSAMPLING)))
-
-
-def _draw_plate(sheet: _Sheet, spec: PlateSpec) -> None:
-    width_mm, depth_mm = spec.sides_mm
-    # A round distance between ticks that leaves room between them.
-    longer_mm = max(width_mm, depth_mm)
-    least_mm = max(10 if longer_mm >= _COARSE_FROM_MM else 1, _LEAST_TICK_PX / sheet.px_per_mm)
-    step_mm = next(step for step in _TICKS_MM if step >= least_mm)
-    sheet.draw.rectangle(sheet.points((0, depth_mm), (width_mm, 0)), fill=_PLATE)
-    for x_mm in range(0, int(width_mm) + 1, step_mm):
-        sheet.line((x_mm, 0), (x_mm, depth_mm), colour=_GRID)
-        if x_mm % (_TICKS_A_NUMBER * step_mm) == 0:
-            sheet.text((x_mm, 0), str(x_mm) if x_mm else "0 mm", _SMALL_PX, "ma", (0, 8))
-    for y_mm in range(0, int(depth_mm) + 1, step_mm):
-        sheet.line((0, y_mm), (width_mm, y_mm), colour=_GRID)
-        if y_mm % (_TICKS_A_NUMBER * step_mm) == 0 and y_mm:
-            sheet.text((0, y_mm), str(y_mm), _SMALL_PX, "rm", (-8, 0))
-    for inset_mm, colour, width in ((spec.margin_mm, _MARGIN, 1), (0.0, _INK, 2)):
-        right_mm, back_mm = width_mm - inset_mm, depth_mm - inset_mm
-        front = ((inset_mm, inset_mm), (right_mm, inset_mm))
-        sheet.line(*front, (right_mm, back_mm), (inset_mm, back_mm), front[0], colour=colour, width=width)
-    sheet.text((width_mm / 2, 0), "front", _SMALL_PX, "ma", (0, 30))
-
-
-def _name_objects(sheet: _Sheet, plate: Sequence[Placed], spec: PlateSpec, shared: Collection[int]) -> None:
-    """Write on each object what it is, unless no size is left at which that could be read."""
-    taken: list[NDArray[np.float64]] = []
-    left_out = 0
+        for triangle in manifold3d.triangulate(rings).tolist():
+            pen.polygon([corners[corner] for corner in triangle], fill)
+        for ring in (*hull, *rings):
+            pen.line(places([*ring, ring[0]]), _OUTLINE, 2)
+    taken = list[NDArray[np.float64]]()
     for placed in plate:
         item = placed.item
-        middle_mm = np.add(_widest_spot(placed.outline), (placed.x_mm, placed.y_mm))
-        split = [item.split] if item.split and item.id in shared else []
+        split = [item.split] if item.split and ids[item.id] > 1 else []
         lines = [item.label, str(item.id), *split] if item.label else [item.name]
-        # The largest size at which words are hardly wider than their object and on no others.
-        room_mm = np.maximum(placed.outline.size_mm, _SLACK_PX / sheet.px_per_mm)
-        for size_px in _WORDS_PX:
-            step_px = _LINE_HEIGHT * size_px
-            width_px = max(text_size(line, round(size_px * _SUPERSAMPLING))[0] for line in lines)
-            sides_mm = np.array([width_px / _SUPERSAMPLING, len(lines) * step_px]) / sheet.px_per_mm
-            box = np.array([middle_mm - sides_mm / 2, middle_mm + sides_mm / 2])
-            is_free = all((box[1] < other[0]).any() or (box[0] > other[1]).any() for other in taken)
-            if is_free and (sides_mm <= room_mm).all():
-                taken.append(box)
-                for number, line in enumerate(lines):
-                    shift_px = (0, (number - (len(lines) - 1) / 2) * step_px)
-                    sheet.text(tuple(middle_mm), line, size_px, shift_px=shift_px, halo_px=2)
-                break
-        else:
-            left_out += 1
-    if left_out:
-        words = f"{left_out:,} without words, for want of space: plates.csv lists them"
-        sheet.text((spec.width_mm / 2, 0), words, _SMALL_PX, "ma", (0, 44))
+        spot_mm = np.add(_widest_spot(placed.outline, _SPOT_PX / scale), (placed.x_mm, placed.y_mm))
+        middle = np.array(places([spot_mm])[0])
+        sides_px = max(text_size(line, _WORD_PX)[0] for line in lines), len(lines) * _LINE_PX
+        box = np.array([middle - np.divide(sides_px, 2), middle + np.divide(sides_px, 2)])
+        if all((box[1] < other[0]).any() or (box[0] > other[1]).any() for other in taken):
+            taken.append(box)
+            for row, line in enumerate(lines):
+                at_px = (float(middle[0]), float(box[0, 1]) + (row + 0.5) * _LINE_PX)
+                draw_text(pen, at_px, line, _WORD_PX, anchor="mm", halo_px=4)
+    left_out = f"; {len(plate) - len(taken):,} without words, for want of space: plates.csv lists them"
+    words = f"front; numbers are mm{left_out if len(taken) < len(plate) else ''}"
+    draw_text(pen, (_EDGE_PX, depth_px + 2 * _EDGE_PX - 20), words, _NUMBER_PX, anchor="ls")
+    draw_text(pen, (_EDGE_PX, _EDGE_PX - 28), title, _TITLE_PX, anchor="ls")
+    return png_bytes(np.asarray(picture.reduce(_FINER)))
 
 
-def _widest_spot(outline: Outline) -> tuple[float, float]:
+def _widest_spot(outline: Outline, cell_mm: float) -> tuple[float, float]:
     """Find where an outline has most room for words, mm."""
     from scipy import ndimage
 
-    width_mm, depth_mm = outline.size_mm
-    spot_mm = max(_SPOT_MM, max(outline.size_mm) / _MOST_SPOTS)
-    shape = (math.ceil(depth_mm / spot_mm), math.ceil(width_mm / spot_mm))
-    cells = cells_touched([ring / spot_mm for ring in outline.rings], shape)
+    columns, rows = (math.ceil(side / cell_mm) for side in outline.size_mm)
+    cells = cells_touched([ring / cell_mm for ring in outline.rings], (rows, columns))
     room = ndimage.distance_transform_edt(np.pad(cells, 1))
     row, column = np.unravel_index(int(room.argmax()), room.shape)
-    return (float(column) - 0.5) * spot_mm, (float(row) - 0.5) * spot_mm
+    return (float(column) - 0.5) * cell_mm, (float(row) - 0.5) * cell_mm

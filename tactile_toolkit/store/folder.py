@@ -492,3 +492,13 @@ def split_uri(place: str) -> tuple[DataFolder, str]:
         return DataFolder(parent), name
     path = Path(normalize_uri(place))
     return DataFolder(str(path.parent)), path.name
+
+
+def local_folder(place: str) -> Path:
+    """Return the path of a folder, which need not be there; InputError where it is a file or not local."""
+    folder = DataFolder(place)
+    path = Path(folder.root)
+    if not folder.is_local or path.is_file():
+        found = "is a file, a folder was expected" if folder.is_local else "is not a local folder"
+        raise InputError(f"{place!r} {found}; nothing was changed", next="a local folder as --out")
+    return path

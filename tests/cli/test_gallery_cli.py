@@ -45,22 +45,27 @@ def test_gallery_says_what_was_made_and_what_next(program, folders, tmp_path, ca
 
 
 @pytest.mark.parametrize("program", ITEMS)
-def test_dry_run_says_files_and_bytes_and_writes_nothing(program, folders, tmp_path, capsys):
+def test_dry_run_counts_the_items_of_each_split_and_writes_nothing(program, folders, tmp_path, capsys):
     out = tmp_path / "site"
     arguments = ("gallery", folders[program], "--out", out, "--workers", 1)
     assert call(program, *arguments, "--dry-run", "--json") == 0
     view = json.loads(capsys.readouterr().out)
     assert not out.exists()
     assert call(program, *arguments, "--dry-run") == 0
-    assert f"{view['files']} files" in capsys.readouterr().out
+    assert f"would make {out}: {counted(*ITEMS[program])}; nothing was written" in capsys.readouterr().out
     assert call(program, *arguments, "--json", "--quiet") == 0
     printed = capsys.readouterr()
     made = json.loads(printed.out)
     assert printed.err == ""
     files = folder_bytes(out)
     assert (made["files"], made["bytes"]) == (len(files), sum(map(len, files.values())))
-    assert (view["files"], view["items"]) == (made["files"], made["items"])
+    assert (view["path"], view["items"], view["splits"]) == (str(out), made["items"], made["splits"])
     assert made["page"] == str(out / "index.html")
+    assert call(program, *arguments, "--dry-run") == 2
+    assert "holds a gallery already" in capsys.readouterr().err
+    assert call(program, *arguments, "--dry-run", "--overwrite") == 0
+    assert f"would replace the gallery in {out}" in capsys.readouterr().out
+    assert folder_bytes(out) == files
 
 
 def test_quiet_says_nothing(folders, tmp_path, capsys):
@@ -80,7 +85,7 @@ def test_refusals_and_overwrite(folders, tmp_path, capsys):
     assert (
         call("starstruck", "gallery", folders["starstruck"], "--out", folders["mnist3d"], "--overwrite") == 2
     )
-    assert "is not part of a gallery; nothing was changed" in capsys.readouterr().err
+    assert "is not part of a gallery or was changed since; nothing was changed" in capsys.readouterr().err
     assert call("mnist3d", "gallery", tmp_path / "absent", "--out", tmp_path / "new") == 2
     assert call("mnist3d", "gallery", folders["realtouch"], "--out", tmp_path / "new") == 2
     assert "is not a data set of meshes" in capsys.readouterr().err

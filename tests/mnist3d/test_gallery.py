@@ -14,7 +14,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
 from tactile_toolkit.catalog.choose import Choice
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.gallery.site import build_site, forecast_site
+from tactile_toolkit.gallery.site import build_site
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.parquet import read_report
 from tests.gallery_browser import browser, opened
@@ -78,13 +78,6 @@ def test_workers_do_not_show_and_a_choice_is_kept(folder, tmp_path):
     assert one.splits == {"train": 5, "test": 5}
     labels = column(index_of(tmp_path / "a"), "Class")
     assert len({row[0] for row in labels[:5]}) == 5
-
-
-def test_forecast_agrees_with_the_run(folder, tmp_path):
-    choice = Choice(str(folder), "test")
-    view = forecast_site(plan_gallery(choice), str(tmp_path / "site"))
-    site = build_site(plan_gallery(choice), str(tmp_path / "site"))
-    assert (view.items, view.files, view.bytes) == (site.items, site.files, site.bytes)
 
 
 def test_what_cannot_be_shown_is_named(folder, tmp_path):

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,7 +23,7 @@ from mnist3d.splits import SplitSpec
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.pictures.render import OBLIQUE, Picture3d, draw_bodies, relief, relief_of
+from tactile_toolkit.pictures.render import OBLIQUE, Body, draw_bodies, relief, relief_of
 from tactile_toolkit.pictures.sheets import INK, bar_length_mm
 from tests.mnist3d import mnist_files
 
@@ -213,9 +215,9 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
     """The bodies that steps draw."""
     meshes: list[Mesh] = []
 
-    def look(picture: Picture3d) -> np.ndarray:
-        meshes.extend(body.mesh for body in picture.bodies)
-        return draw_bodies(picture)
+    def look(bodies: Sequence[Body], *how: Any) -> np.ndarray:
+        meshes.extend(body.mesh for body in bodies)
+        return draw_bodies(bodies, *how)
 
     monkeypatch.setattr("mnist3d.previews.draw_bodies", look)
     return meshes

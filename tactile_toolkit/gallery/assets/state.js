@@ -2,6 +2,7 @@
 // What the page knows: the index of items, what is chosen, and the contents that were loaded.
 
 const gallery = {
+  files: document.documentElement.dataset.files, // the folder of all files but the page
   index: null,
   chosen: [], // one set of value numbers per facet
   search: "",
@@ -56,7 +57,7 @@ const gallery = {
   },
 
   file(folder, item, ending) {
-    return `${folder}/${String(item).padStart(6, "0")}${ending}`;
+    return `${this.files}/${folder}/${String(item).padStart(6, "0")}${ending}`;
   },
 
   noun(count) {

@@ -209,7 +209,7 @@
 
   // Show a mesh in an element; `wanted` tells whether it still is when all is read.
   gallery.showMesh = async (node, mesh, title, item, wanted) => {
-    if (typeof THREE === "undefined") await gallery.script("assets/three.js");
+    if (typeof THREE === "undefined") await gallery.script(`${gallery.files}/assets/three.js`);
     let shape;
     try {
       view ??= makeView();

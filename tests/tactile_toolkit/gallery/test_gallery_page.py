@@ -15,6 +15,7 @@ from tactile_toolkit.gallery.items import Item, packed_mesh
 from tactile_toolkit.gallery.site import build_site
 from tactile_toolkit.run.processes import InlineRunner
 from tests.gallery_browser import Opened, browser, opened
+from tests.gallery_files import files_of
 from tests.gallery_toy import CORNERS_M, FACES, HOSTILE, ToyTask, toy_gallery
 
 pytestmark = pytest.mark.browser
@@ -386,8 +387,8 @@ def broken(site: Path, out: Path) -> Path:
 
 def test_missing_files_are_named_not_awaited(chromium, site, tmp_path):
     copy = broken(site, tmp_path / "copy")
-    (copy / "items" / "000000.js").unlink()
-    (copy / "items" / "000001.js").write_text("// cut short")
+    (files_of(copy) / "items" / "000000.js").unlink()
+    (files_of(copy) / "items" / "000001.js").write_text("// cut short")
     context = chromium.new_context()
     page = context.new_page()
     page.goto((copy / "index.html").as_uri())
@@ -396,7 +397,7 @@ def test_missing_files_are_named_not_awaited(chromium, site, tmp_path):
     page.evaluate("gallery.open(1)")
     page.get_by_text("items/000001.js is damaged").wait_for()
     page.keyboard.press("Escape")
-    (copy / "items.js").unlink()
+    (files_of(copy) / "items.js").unlink()
     page.reload()
     page.get_by_text("items.js is missing or damaged").wait_for()
     context.close()

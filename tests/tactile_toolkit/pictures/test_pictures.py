@@ -17,7 +17,6 @@ from tactile_toolkit.pictures.sheets import (
     ACCENTS,
     INK,
     PlannedPicture,
-    Sheet,
     Tile,
     bar_length_mm,
     file_stem,
@@ -64,7 +63,7 @@ def ink(pixels: np.ndarray) -> np.ndarray:
 
 def test_letters_of_many_languages_differ_from_the_box_of_a_letter_that_is_missing():
     def drawn(text: str) -> bytes:
-        return sheet([None], Sheet(1, text)).tobytes()
+        return sheet([None], 1, text).tobytes()
 
     absent = drawn("\N{CJK UNIFIED IDEOGRAPH-6570}")
     letters = "aßéŁłøæþđğīΩπЖ²³µ°·\N{EN DASH}\N{MULTIPLICATION SIGN}\N{MINUS SIGN}«»™"
@@ -77,7 +76,7 @@ def test_letters_of_many_languages_differ_from_the_box_of_a_letter_that_is_missi
     ("written", "as_if"), [("u\u0308ber", "über"), ("a\nb\tc\x00", "a?b?c?"), ("\udcff.png", "?.png")]
 )
 def test_a_line_is_one_line_whatever_is_in_it(written, as_if):
-    titled = [sheet([None], Sheet(1, title, (title,))) for title in (written, as_if)]
+    titled = [sheet([None], 1, title, (title,)) for title in (written, as_if)]
     assert np.array_equal(*titled)
     assert text_size(written, 16) == text_size(as_if, 16)
 
@@ -190,10 +189,7 @@ def test_tiles_lie_in_rows_of_one_height_whatever_is_written_around_them():
     colours = [(255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 0)]
     tiles = [Tile(np.full((20 + n, 30, 3), colours[n], np.uint8), f"caption {n}") for n in range(3)]
     framed = Tile(np.full((20, 30, 3), colours[3], np.uint8), "", (1, 2, 3))
-    layout = Sheet(2, "A title", ("a line",), ("foot", "foot"), ("one", "two"))
-    drawn = sheet(
-        [*tiles, None, framed], Sheet(2, "A title", ("a line",), ("foot",), ("one", "two", "three"))
-    )
+    drawn = sheet([*tiles, None, framed], 2, "A title", ("a line",), ("one", "two", "three"))
     for colour, tile in zip(colours, [*tiles, framed], strict=True):
         rows, columns = np.nonzero((drawn == colour).all(axis=2))
         height, width = tile.pixels.shape[:2]
@@ -202,11 +198,13 @@ def test_tiles_lie_in_rows_of_one_height_whatever_is_written_around_them():
     rows, columns = np.nonzero((drawn == (1, 2, 3)).all(axis=2))
     assert (np.ptp(rows) + 1, np.ptp(columns) + 1) == (26, 36)
     assert len(rows) == 26 * 36 - 20 * 30
-    assert sheet(tiles, layout).shape[1] >= text_size("A title", 20)[0]
+    assert sheet(tiles, 2, "A title").shape[1] >= text_size("A title", 20)[0]
+    lengths = [len(sheet(tiles, 2, gap_px=6, bar_room=bar_room)) for bar_room in (False, True)]
+    assert lengths[1] - lengths[0] == 6 + 22, "the room of a line"
 
 
 def test_a_sheet_without_words_is_its_tiles():
-    drawn = sheet([Tile(np.zeros((10, 20), np.uint8))] * 3, Sheet(2, gap_px=4, margin_px=4))
+    drawn = sheet([Tile(np.zeros((10, 20), np.uint8))] * 3, 2, gap_px=4, margin_px=4)
     assert drawn.shape == (4 + 2 * 14, 4 + 2 * 24, 3)
     assert (drawn[4:14, 4:24] == 0).all()
     assert (drawn[18:28, 28:48] == 255).all()

@@ -15,7 +15,6 @@ import manifold3d
 import numpy as np
 import pytest
 import shapely
-import shapely.affinity
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from PIL import Image
@@ -24,9 +23,11 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
+from tactile_toolkit.pictures.sheets import draw_text, text_size
+from tactile_toolkit.printing import plates
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate
 from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure
-from tactile_toolkit.printing.plates import draw_map, forecast_plates, write_plates
+from tactile_toolkit.printing.plates import draw_map, write_plates
 from tactile_toolkit.printing.spec import BEDS_MM, PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
@@ -123,36 +124,18 @@ def test_nothing_stands_among_the_parts_of_another_object(shapes: list[Mesh], ga
                 assert apart_mm >= gap_mm - 1e-6
 
 
-def test_the_map_shows_which_parts_belong_together(tmp_path: Path) -> None:
-    """All ground among the parts of an object is white, and not the colour of the plate."""
-    ((placed,),) = lay_out(named(GROUPS[:1]), SMALL).plates
-    write_plates(lay_out(named(GROUPS[:1]), SMALL), str(tmp_path))
-    picture = np.asarray(Image.open(tmp_path / "plate-01.png").convert("RGB"))
-    px_per_mm = 1200 / 100
-    between = shapely.affinity.scale(polygon_of(placed).convex_hull, 0.98, 0.98) - polygon_of(placed).buffer(
-        1
-    )
-    points = [point for point in grid_points(90, 70) if between.contains(shapely.Point(point))]
-    assert len(points) > 20
-    seen = [picture[int(60 + (80 - y) * px_per_mm), int(60 + x * px_per_mm)] for x, y in points]
-    assert (np.array(seen) >= 250).all()
-
-
 def test_the_line_round_the_parts_of_an_object_is_closed() -> None:
     """From whichever corner it begins, and where no part of the object has an outline of its own."""
     spec = PlateSpec(100, 80, 0.0, 0.0)
     for turned_deg in (0, 100, 200, 300):
         parts = GROUPS[1].to_manifold().rotate((0, 0, turned_deg))
-        ((placed,),) = lay_out(named([mesh_of(parts)]), spec).plates
-        picture = np.asarray(Image.open(io.BytesIO(draw_map([placed], spec, "", ["0"]))).convert("L"))
+        layout = lay_out(named([mesh_of(parts)]), spec)
+        ((placed,),) = layout.plates
+        picture = np.asarray(Image.open(io.BytesIO(draw_map(layout, 1))).convert("L"))
         line = polygon_of(placed).convex_hull.exterior
         points = [line.interpolate(at_mm) for at_mm in np.arange(0, line.length, 1)]
         at = [(int(60 + (80 - point.y) * 12), int(60 + point.x * 12)) for point in points]
         assert max(picture[row - 3 : row + 4, column - 3 : column + 4].min() for row, column in at) < 180
-
-
-def grid_points(width_mm: int, depth_mm: int) -> list[tuple[float, float]]:
-    return [(x + 0.5, y + 0.5) for x in range(0, width_mm, 2) for y in range(0, depth_mm, 2)]
 
 
 @pytest.mark.parametrize(
@@ -167,21 +150,49 @@ def grid_points(width_mm: int, depth_mm: int) -> list[tuple[float, float]]:
 )
 def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) -> None:
     spec = PlateSpec.parse(plate, margin_mm=0)
-    picture = np.asarray(Image.open(io.BytesIO(draw_map((), spec, "empty", ()))).convert("L"))
+    picture = np.asarray(Image.open(io.BytesIO(draw_map(Layout(spec, 1.0, (), (), ((),)), 1))).convert("L"))
     assert picture.shape[0] == shape[0]
-    assert shape[1] <= picture.shape[1] <= shape[1] + 60
+    title_px = text_size(f"plate 1 of 1: 0 objects, {spec.text}", 20)[0]
+    assert picture.shape[1] == pytest.approx(max(shape[1], title_px + 120), abs=2)
     # The plate is paper with lines on it, not lines alone.
     middle = picture[60 : shape[0] - 60, 60 : shape[1] - 60]
     assert (middle > 235).mean() > 0.8
 
 
-def test_words_on_a_map_name_the_split_where_ids_are_shared() -> None:
-    ((placed,),) = lay_out(named([box(40, 40)]), SMALL).plates
-    plain = draw_map([placed], SMALL, "", ["0"])
-    assert placed.item.split
-    assert draw_map([replace(placed, item=replace(placed.item, split=""))], SMALL, "", ["0"]) == plain
-    assert draw_map([placed], SMALL, "", ["0"], shared=[7]) == plain
-    assert draw_map([placed], SMALL, "", ["0"], shared=[placed.item.id]) != plain
+def written_on(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> list[str]:
+    """Return all texts on the map of the first plate."""
+    written: list[str] = []
+
+    def noted(*arguments: Any, **options: Any) -> None:
+        written.append(arguments[2])
+        draw_text(*arguments, **options)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(plates, "draw_text", noted)
+        draw_map(layout, 1)
+    return written
+
+
+def test_words_that_have_no_room_are_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
+    written = written_on(monkeypatch, lay_out(named([box(1.5, 1.5)] * 40), PlateSpec(256, 256, 0.5, 0.0)))
+    assert written[:26] == [f"{at_mm}" for at_mm in range(0, 256, 20)] * 2
+    *words, foot, title = written[26:]
+    shown = len(words) // 2
+    assert 0 < shown < 40
+    assert f"; {40 - shown} without words, for want of space: plates.csv lists them" in foot
+    assert title == "plate 1 of 1: 40 objects, 256 x 256 mm, gap 0.5 mm, margin 0 mm"
+    assert {*zip(words[::2], words[1::2], strict=True)} < {
+        (f"{number % 3}", f"{number}") for number in range(40)
+    }
+
+
+def test_words_on_a_map_name_the_split_where_ids_are_shared(monkeypatch: pytest.MonkeyPatch) -> None:
+    maps = []
+    for other in (named([box(40, 40)], "train"), named([box(40, 40)] * 2, "train")[1:]):
+        layout = lay_out([*named([box(40, 40)]), *other], SMALL)
+        maps.append(written_on(monkeypatch, layout))
+    assert maps[0].count("train") == maps[0].count("test") == 1
+    assert not {"train", "test"} & set(maps[1])
 
 
 def test_outlines_pack_tighter_than_boxes() -> None:
@@ -361,7 +372,7 @@ def test_going_on_keeps_plates_and_overwriting_leaves_no_stale_ones(tmp_path: Pa
     assert folder_bytes(tmp_path) == whole
     for name in ("mine.txt", "plate-2024.png", "plate-77.3mf"):
         (tmp_path / name).write_text("keep")
-    view = forecast_plates(few, out, overwrite=True)
+    view = write_plates(few, out, overwrite=True, dry_run=True)
     made = write_plates(few, out, overwrite=True)
     assert "plate-02.3mf" in made.removed
     assert made.removed == view.removed
@@ -405,24 +416,28 @@ def test_a_table_of_another_kind_removes_nothing(table: str, tmp_path: Path) -> 
     assert all(path.read_text() == "keep" for path in others)
 
 
-def test_forecast_says_what_stands_in_the_way(tmp_path: Path) -> None:
+def test_a_dry_run_says_what_stands_in_the_way(tmp_path: Path) -> None:
     write_plates(lay_out(named(FEW), SMALL), str(tmp_path))
     with pytest.raises(InputError, match="--overwrite"):
-        forecast_plates(lay_out(named(FEW[:2]), SMALL), str(tmp_path))
+        write_plates(lay_out(named(FEW[:2]), SMALL), str(tmp_path), dry_run=True)
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="is a file"):
-        forecast_plates(lay_out(named(FEW), SMALL), str(tmp_path / "file"), overwrite=True)
+        write_plates(lay_out(named(FEW), SMALL), str(tmp_path / "file"), overwrite=True, dry_run=True)
     (tmp_path / "folders" / "plates.csv").mkdir(parents=True)
     with pytest.raises(InputError, match=r"plates.csv': Is a directory"):
-        forecast_plates(lay_out(named(FEW), SMALL), str(tmp_path / "folders"))
+        write_plates(lay_out(named(FEW), SMALL), str(tmp_path / "folders"), dry_run=True)
 
 
-def test_forecast_says_what_will_be_written(tmp_path: Path) -> None:
+def test_a_dry_run_says_what_will_be_written(tmp_path: Path) -> None:
     layout = lay_out(named(FEW), SMALL)
-    view = forecast_plates(layout, str(tmp_path / "forecast"))
+    view = write_plates(layout, str(tmp_path / "forecast"), dry_run=True)
     assert [plate.objects for plate in view.plates] == [len(plate) for plate in layout.plates]
     assert {plate.state for plate in view.plates} == {"planned"}
     assert len(view.objects) == len(FEW)
+    assert list(tmp_path.iterdir()) == []
+    made = write_plates(layout, str(tmp_path / "out"))
+    assert [replace(plate, state="planned") for plate in made.plates] == list(view.plates)
+    assert made.objects == view.objects
 
 
 def test_bodies_that_lie_apart_stay_together() -> None:

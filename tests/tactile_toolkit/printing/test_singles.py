@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,6 @@ from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold, require_solid
 from tactile_toolkit.printing.objects import (
     export_files,
-    forecast_files,
     place_on_plate,
     require_same_solid,
 )
@@ -143,22 +143,34 @@ def test_what_stood_under_the_name_of_a_failed_object_is_removed(tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
 
 
-def test_forecast_says_what_stands_in_the_way_and_what_is_no_solid(tmp_path: Path) -> None:
+def test_a_dry_run_finds_what_stands_in_the_way_and_what_is_no_solid(tmp_path: Path) -> None:
     export_files(named(SHAPES), str(tmp_path), scale=2)
     before = folder_bytes(tmp_path)
     with pytest.raises(InputError, match="--overwrite"):
-        forecast_files(named(SHAPES), str(tmp_path))
-    view = forecast_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), overwrite=True)
-    assert (view.files, [failure.name for failure in view.failed]) == (1, ["test-1-00001"])
+        export_files(named(SHAPES), str(tmp_path), dry_run=True)
+    some = named([box(5, 5), open_box(5, 5)])
+    view = export_files(some, str(tmp_path), overwrite=True, dry_run=True)
+    assert [file.state for file in view.files] == ["planned"]
+    assert [failure.name for failure in view.failed] == ["test-1-00001"]
+    assert "removed" not in view.failed[0].detail
     assert folder_bytes(tmp_path) == before
 
 
-def test_forecast_is_near_the_truth_and_writes_nothing(tmp_path: Path) -> None:
-    objects = named(SHAPES * 10)
-    view = forecast_files(objects, str(tmp_path / "forecast"), "stl")
-    made = export_files(objects, str(tmp_path))
-    assert view.files == len(made.files) == 30
-    assert view.bytes == pytest.approx(sum(file.bytes for file in made.files), rel=0.3)
+@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
+def test_a_dry_run_returns_what_the_run_does_and_writes_nothing(tmp_path: Path, workers: int) -> None:
+    objects, out = named(SHAPES), tmp_path / "out"
+    view = export_files(objects, str(out), dry_run=True, workers=workers)
+    assert list(tmp_path.iterdir()) == []
+    made = export_files(objects[:1], str(out))
+    again = export_files(objects, str(out), dry_run=True, workers=workers)
+    assert [file.state for file in again.files] == ["kept", "planned", "planned"]
+    assert len(list(out.iterdir())) == 1
+    assert [replace(file, state="written") for file in again.files[:1]] == list(made.files)
+    made = export_files(objects, str(out), overwrite=True)
+    assert [replace(file, state="planned") for file in made.files] == list(view.files)
+    away = Mesh(box(0.05, 0.05, 0.05).vertices_m + np.array([5_000.0, 0.0, 0.0]), box(1, 1).faces)
+    (failure,) = export_files(named([away]), str(tmp_path / "none"), dry_run=True).failed
+    assert "it does not bound a solid" in failure.detail, "as it would read back"
 
 
 @pytest.mark.parametrize("scale", [0, -1, float("nan"), float("inf")])
