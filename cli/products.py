@@ -140,9 +140,7 @@ def gallery_of_meshes(
 
     Examples: gallery DIR --out site --split test;  gallery DIR --per-class 1
     """
-    from tactile_toolkit.catalog.choose import Choice
-
-    _make_page(sink, kind.plan_gallery(Choice(name, **chosen.given())), out, job)
+    _make_page(sink, kind.plan_gallery(name, chosen), out, job)
 
 
 def gallery_of_touches(
@@ -161,10 +159,9 @@ def gallery_of_touches(
 
     Example: realtouch gallery real-single-64x64 --out site --split test
     """
-    from realtouch.gallery import RoundChoice, plan_gallery
+    from realtouch.gallery import plan_gallery
 
-    choice = RoundChoice(name, **chosen.given(), touches=touches, revision=revision)
-    _make_page(sink, plan_gallery(choice), out, job)
+    _make_page(sink, plan_gallery(name, chosen, touches=touches, revision=revision), out, job)
 
 
 _ROWS_SHOWN = 20

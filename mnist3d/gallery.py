@@ -9,7 +9,7 @@ from mnist3d.columns import REPORT_FILE
 from mnist3d.kind import KIND
 from mnist3d.loader import MeshDataset, MeshRecord
 from mnist3d.sources import NO_WRITER
-from tactile_toolkit.catalog.choose import Choice
+from tactile_toolkit.catalog.spec import ALL_ROWS, Chosen
 from tactile_toolkit.gallery.items import (
     NONE,
     Facet,
@@ -50,11 +50,11 @@ _MEASURES = (
 )
 
 
-def plan_gallery(choice: Choice) -> Gallery:
+def plan_gallery(name: str, chosen: Chosen = ALL_ROWS) -> Gallery:
     """State what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
     # What the data set's own report says of each digit that is shown; nothing where it has none.
-    is_folder = expanded(choice.name).is_dir()
-    has_report = is_folder and DataFolder(choice.name).exists(REPORT_FILE)
+    is_folder = expanded(name).is_dir()
+    has_report = is_folder and DataFolder(name).exists(REPORT_FILE)
 
     def known(rows: MeshDataset, split: str) -> list[Mapping[str, Any] | None]:
         import pyarrow as pa
@@ -62,12 +62,12 @@ def plan_gallery(choice: Choice) -> Gallery:
 
         if not has_report:
             return [None] * len(rows)
-        report = read_report(DataFolder(choice.name), REPORT_FILE)
+        report = read_report(DataFolder(name), REPORT_FILE)
         chosen = pc.and_(pc.equal(report["split"], split), pc.is_in(report["id"], pa.array(rows.ids)))
         found = {row["id"]: row for row in report.filter(chosen).to_pylist()}
         return [found.get(number) for number in rows.ids.tolist()]
 
-    return gallery_of_rows(KIND, choice, "3D digits", _FACETS, _MEASURES, _item, _ROWS_PER_TASK, known)
+    return gallery_of_rows(KIND, name, chosen, "3D digits", _FACETS, _MEASURES, _item, _ROWS_PER_TASK, known)
 
 
 def _item(record: MeshRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None) -> Item:

@@ -68,7 +68,7 @@ _VIEW_PX = 520
 def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     """Decide which pictures of a data set, a mesh file or an image of a digit to draw; draws none.
 
-    Kinds are sheet, object and steps. InputError as
+    Kinds are sheet and steps. InputError as
     :class:`~tactile_toolkit.pictures.previews.MeshPreviews`, and where a file cannot be read; IntegrityError
     where the data set is damaged or unfinished.
     """
@@ -108,13 +108,10 @@ def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixel
 
 def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
     opened: MeshPreviews[MeshDataset] = MeshPreviews(KIND, name, spec)
-    names = next(iter(opened.datasets.values())).label_names
+    names = opened.chosen[0][1].label_names
 
     def sheet_of(rows: MeshDataset, title: str) -> Pixels:
         return draw_sheet(list(rows), spec.per_class, title, names)
-
-    def heading(record: MeshRecord, where: str) -> str:
-        return f"Digit {class_name(names, record.label)}, id {record.id} {where}"
 
     def plan_steps() -> list[PlannedPicture]:
         if "source" not in opened.made_by:
@@ -125,17 +122,25 @@ def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
             places = {option: None if path is None else str(path) for option, path in files.items()}
             source = source_again(opened.made_by["source"], **places)
             solid = SolidSpec.from_dict(opened.made_by["solid"])
-        return opened.plan_each(
-            "steps",
-            "step by step",
-            lambda record, where: draw_steps(source.image(record.id).pixels, solid, heading(record, where)),
-        )
 
-    plans = {
-        "sheet": lambda: opened.plan_sheets(sheet_of),
-        "steps": plan_steps,
-    }
-    return plan_kinds(spec.kinds, plans, ("sheet",))
+        def draw(number: int, title: str) -> Pixels:
+            return draw_steps(source.image(number).pixels, solid, title)
+
+        # Digits whose ids were asked for, or else the first.
+        found = [(split, rows[row]) for split, rows, places in opened.chosen for row in places.tolist()]
+        planned = []
+        for split, record in found if spec.ids else found[:1]:
+            title = f"Digit {class_name(names, record.label)}, id {record.id} ({opened.stem}, {split})"
+            planned.append(
+                PlannedPicture(
+                    f"{opened.stem}-{split}-{record.id}-steps.png",
+                    f"digit {record.id}, step by step",
+                    partial(draw, record.id, title),
+                )
+            )
+        return planned
+
+    return plan_kinds(spec.kinds, {"sheet": lambda: opened.plan_sheets(sheet_of), "steps": plan_steps})
 
 
 def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> Pixels:

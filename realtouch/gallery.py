@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,8 +14,9 @@ from realtouch.kind import KIND
 from realtouch.media import TouchClip, evenly_spaced
 from realtouch.opening import load
 from realtouch.rounds import Touch, TouchRound, TouchSeqRound
-from tactile_toolkit.catalog.choose import Choice, open_splits
+from tactile_toolkit.catalog.choose import open_splits
 from tactile_toolkit.catalog.locate import place_of
+from tactile_toolkit.catalog.spec import ALL_ROWS, Chosen
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows, thumbnail
 from tactile_toolkit.mesh.mesh import MM_PER_M
@@ -52,24 +52,18 @@ _MEASURES = (
 )
 
 
-@dataclass(frozen=True, slots=True)
-class RoundChoice(Choice):
-    """Which rounds of a data set to show, and which of their touches."""
-
-    touches: int = DEFAULT_TOUCHES  # at most so many of each round, evenly spaced
-    revision: str | None = None  # branch, tag or commit of a Hub repository
-
-    def __post_init__(self) -> None:
-        if self.touches < 1:
-            raise InputError(f"--touches is {self.touches}; expected 1 or more")
-
-
-def plan_gallery(choice: RoundChoice) -> Gallery:
+def plan_gallery(
+    name: str, chosen: Chosen = ALL_ROWS, *, touches: int = DEFAULT_TOUCHES, revision: str | None = None
+) -> Gallery:
     """State what a gallery of rounds shows; reads labels and poses, no image and no clip.
+
+    At most ``touches`` of each round, evenly spaced; ``revision`` of a Hub repository.
 
     InputError: no such data set or split, or one that does not hold touches. IntegrityError: it is damaged or
     unfinished. HubError: the repository cannot be reached or does not exist.
     """
+    if touches < 1:
+        raise InputError(f"--touches is {touches}; expected 1 or more")
 
     def known(rows: TouchDataset[Any], _split: str) -> list[_Known]:
         if not len(rows):
@@ -77,19 +71,19 @@ def plan_gallery(choice: RoundChoice) -> Gallery:
         try:
             heights_m = rows.touches().heights_m()
         except InputError:  # without poses
-            return [(choice.touches, None, math.nan)] * len(rows)
+            return [(touches, None, math.nan)] * len(rows)
         by_round = np.split(heights_m, np.cumsum(rows.touch_counts)[:-1])
         least_m = [rule.min_height_m for rule in rows.contact_rules()]
-        return [(choice.touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
+        return [(touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
     opened = open_splits(
-        place_of(choice.name),
-        choice.split,
-        lambda place, split: load(place, split, revision=choice.revision),
+        place_of(name),
+        chosen.given()["split"],
+        lambda place, split: load(place, split, revision=revision),
         KIND.nouns,
-        choice.revision,
+        revision,
     )
-    return gallery_of_rows(KIND, choice, "Real touches", _FACETS, _MEASURES, _item, 1, known, opened)
+    return gallery_of_rows(KIND, name, chosen, "Real touches", _FACETS, _MEASURES, _item, 1, known, opened)
 
 
 def _item(

@@ -213,7 +213,7 @@ def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
         "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
         "overlay": lambda: planned("overlay", on_map, lambda: draw_overlay(record)),
     }
-    return plan_kinds(spec.kinds, plans, ("grid",))
+    return plan_kinds(spec.kinds, plans)
 
 
 def draw_grid(record: TouchRound, most: int) -> Pixels:

@@ -9,7 +9,7 @@ from starstruck_gen.loader import SceneRecord
 from starstruck_gen.placement import prism
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.catalog.choose import Choice
+from tactile_toolkit.catalog.spec import ALL_ROWS, Chosen
 from tactile_toolkit.gallery.items import (
     THUMBNAIL_PX,
     Facet,
@@ -45,9 +45,9 @@ _MEASURES = (
 )
 
 
-def plan_gallery(choice: Choice) -> Gallery:
+def plan_gallery(name: str, chosen: Chosen = ALL_ROWS) -> Gallery:
     """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
-    return gallery_of_rows(KIND, choice, "Starstruck scenes", _FACETS, _MEASURES, _item, _ROWS_PER_TASK)
+    return gallery_of_rows(KIND, name, chosen, "Starstruck scenes", _FACETS, _MEASURES, _item, _ROWS_PER_TASK)
 
 
 def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None) -> Item:

@@ -33,7 +33,7 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     def sheet_of(rows: SceneMeshDataset, title: str) -> Pixels:
         return draw_sheet(list(rows), made_by, spec.per_class, title)
 
-    return plan_kinds(spec.kinds, {"sheet": lambda: opened.plan_sheets(sheet_of)}, ("sheet",))
+    return plan_kinds(spec.kinds, {"sheet": lambda: opened.plan_sheets(sheet_of)})
 
 
 def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> Pixels:

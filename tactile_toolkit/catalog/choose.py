@@ -47,18 +47,6 @@ def open_splits(
     return filled
 
 
-@dataclass(frozen=True, slots=True)
-class Choice:
-    """Which rows of a data set to show: one split or all, and of each split as :func:`choose_rows` says."""
-
-    name: str
-    split: str | None = None
-    limit: int | None = None
-    per_class: int | None = None
-    ids: IdChoice | None = None
-    labels: Sequence[str] | None = None
-
-
 def choose_rows(
     datasets: Iterable[tuple[str, D]],
     *,

@@ -55,8 +55,11 @@ class Chosen:
 
     def given(self) -> dict[str, Any]:
         """Return what was asked for, by name; a split only where it is not ``all``."""
-        named = {each.name: getattr(self, each.name) for each in fields(self)}
+        named = {each.name: getattr(self, each.name) for each in fields(Chosen)}
         return {**named, "split": None if self.split == "all" else self.split}
+
+
+ALL_ROWS = Chosen()
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,8 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.catalog.choose import Choice, choose_rows, open_splits, short_name
+from tactile_toolkit.catalog.choose import choose_rows, open_splits, short_name
 from tactile_toolkit.catalog.locate import require_kind
+from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
@@ -132,7 +133,8 @@ class Gallery:
 
 def gallery_of_rows(
     kind: DatasetKind,
-    choice: Choice,
+    name: str,
+    chosen: Chosen,
     title: str,
     facets: tuple[Facet, ...],
     measures: tuple[Measure, ...],
@@ -144,25 +146,26 @@ def gallery_of_rows(
     """Plan a gallery of the rows that are chosen of some splits; see :class:`RowsTask` for ``item``.
 
     ``known`` takes the chosen rows and their split, and says what is known of each beforehand. ``opened`` are
-    the splits, by default those of the choice as data of the kind.
+    the splits, by default those that are chosen, as data of the kind.
 
     InputError: no such data set or split, or one of another kind. IntegrityError: it is damaged or
     unfinished. HubError: the repository cannot be reached or does not exist.
     """
+    among = chosen.given()
+    only = among.pop("split")
     if opened is None:
-        opened = open_splits(choice.name, choice.split, kind.load, kind.nouns)
-        require_kind(kind, "gallery", choice.name, opened.values())
+        opened = open_splits(name, only, kind.load, kind.nouns)
+        require_kind(kind, "gallery", name, opened.values())
     tasks: list[RowsTask] = []
     shown: dict[str, int] = {}
-    asked = {name: getattr(choice, name) for name in ("ids", "labels", "per_class", "limit")}
-    for split, dataset, positions in choose_rows(opened.items(), **asked):
+    for split, dataset, positions in choose_rows(opened.items(), **among):
         rows = dataset[positions]
         shown[split] = len(rows)
         given = known(rows, split)
         for start in range(0, len(rows), rows_per_task):
             part = slice(start, start + rows_per_task)
             tasks.append(RowsTask(rows[part], split, item, tuple(given[part])))
-    heading = f"{title} · {short_name(choice.name)}"
+    heading = f"{title} · {short_name(name)}"
     return Gallery(kind.name, heading, (kind.noun, kind.nouns), facets, measures, tuple(tasks), shown)
 
 

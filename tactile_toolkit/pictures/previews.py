@@ -11,7 +11,6 @@ import numpy as np
 from tactile_toolkit.catalog.choose import choose_rows, open_splits
 from tactile_toolkit.catalog.locate import folder_named, require_kind
 from tactile_toolkit.catalog.spec import PreviewSpec
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.pictures.sheets import (
     Pixels,
@@ -39,26 +38,12 @@ class MeshPreviews(Generic[D]):
     def __init__(self, kind: DatasetKind, name: str, spec: PreviewSpec) -> None:
         self.name, self.spec, self.thing, self.things = name, spec, kind.noun, kind.nouns
         self.stem = file_stem(name)
-        self.datasets: dict[str, D] = open_splits(name, spec.given()["split"], kind.load, kind.nouns)
-        if spec.labels:
-            some = {split: rows.filter_labels(spec.labels) for split, rows in self.datasets.items()}
-            self.datasets = {split: rows for split, rows in some.items() if len(rows)}
-        if not self.datasets:
-            raise InputError(
-                f"{name!r} has no {kind.nouns} of class {', '.join(spec.labels or ())}", next="name others"
-            )
-        require_kind(kind, "preview", name, self.datasets.values())
-        per_class = None if spec.ids else spec.per_class
-        # The splits with the rows of the ids asked for, or else the first of each class.
-        self.chosen = choose_rows(self.datasets.items(), ids=spec.ids, per_class=per_class, limit=spec.limit)
-
-    @cached_property
-    def records(self) -> list[tuple[str, Any]]:
-        """The rows that are drawn alone, with their splits: those asked for, or else the first of all."""
-        if not self.spec.ids:
-            split, dataset = next(iter(self.datasets.items()))
-            return [(split, dataset[0])]
-        return [(split, rows[row]) for split, rows, found in self.chosen for row in found.tolist()]
+        among = spec.given()
+        datasets: dict[str, D] = open_splits(name, among.pop("split"), kind.load, kind.nouns)
+        require_kind(kind, "preview", name, datasets.values())
+        if spec.ids:
+            among["per_class"] = None
+        self.chosen = choose_rows(datasets.items(), **among)
 
     @cached_property
     def made_by(self) -> Mapping[str, Any]:
@@ -76,17 +61,6 @@ class MeshPreviews(Generic[D]):
                 drawing = partial(draw, rows, f"{self.stem}: {split}")
                 planned.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, drawing))
         return planned
-
-    def plan_each(self, kind: str, what: str, draw: Callable[[Any, str], Pixels]) -> list[PlannedPicture]:
-        """Plan a picture of each row that is drawn alone; ``draw`` takes the row and where it is from."""
-        return [
-            PlannedPicture(
-                f"{self.stem}-{split}-{record.id}-{kind}.png",
-                f"{self.thing} {record.id}, {what}",
-                partial(draw, record, f"({self.stem}, {split})"),
-            )
-            for split, record in self.records
-        ]
 
 
 def draw_by_class(

@@ -247,9 +247,9 @@ class WrittenPicture:
 
 
 def plan_kinds(
-    asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]], usual: Sequence[str]
+    asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]]
 ) -> PicturePlan:
-    """Plan the pictures of each kind that was asked for, or of the usual ones.
+    """Plan the pictures of each kind that was asked for, or of the first one.
 
     ``"all"`` among those asked for stands for all. What cannot be drawn and was not named one by one is left
     out, with the reason; an InputError of a kind that was named or is unknown, or of all where nothing can be
@@ -259,7 +259,7 @@ def plan_kinds(
     if unknown:
         raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(plans)} or all")
     named = bool(asked) and "all" not in asked
-    wanted = plans if "all" in asked else asked or usual
+    wanted = plans if "all" in asked else asked or next(iter(plans))
     pictures: list[PlannedPicture] = []
     reasons: list[InputError] = []
     for kind in filter(wanted.__contains__, plans):

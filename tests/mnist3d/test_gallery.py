@@ -12,7 +12,7 @@ from mnist3d.gallery import plan_gallery
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
-from tactile_toolkit.catalog.choose import Choice
+from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.gallery.site import build_site
 from tactile_toolkit.store.folder import DataFolder
@@ -39,7 +39,7 @@ def measure(index: dict, title: str) -> list[float | None]:
 
 
 def test_the_page_shows_every_digit_with_what_the_report_says(folder, tmp_path):
-    site = build_site(plan_gallery(Choice(str(folder))), str(tmp_path / "site"))
+    site = build_site(plan_gallery(str(folder)), str(tmp_path / "site"))
     assert (site.items, site.splits) == (30, {"train": 20, "test": 10})
     index = index_of(tmp_path / "site")
     assert index["title"] == "3D digits · digits"
@@ -62,8 +62,8 @@ def test_the_page_shows_every_digit_with_what_the_report_says(folder, tmp_path):
 def test_a_set_without_a_report_is_inspected(folder, tmp_path):
     bare = tmp_path / "bare"
     shutil.copytree(folder / "data", bare / "data")
-    build_site(plan_gallery(Choice(str(folder), "test")), str(tmp_path / "a"))
-    build_site(plan_gallery(Choice(str(bare), "test")), str(tmp_path / "b"))
+    build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "a"))
+    build_site(plan_gallery(str(bare), Chosen("test")), str(tmp_path / "b"))
     of_report, inspected = index_of(tmp_path / "a"), index_of(tmp_path / "b")
     assert inspected["facets"] == of_report["facets"]
     for told, seen in zip(of_report["measures"], inspected["measures"], strict=True):
@@ -71,9 +71,9 @@ def test_a_set_without_a_report_is_inspected(folder, tmp_path):
 
 
 def test_workers_do_not_show_and_a_choice_is_kept(folder, tmp_path):
-    choice = Choice(str(folder), limit=5, per_class=1)
-    one = build_site(plan_gallery(choice), str(tmp_path / "a"), 1)
-    build_site(plan_gallery(choice), str(tmp_path / "b"), 2)
+    chosen = Chosen(limit=5, per_class=1)
+    one = build_site(plan_gallery(str(folder), chosen), str(tmp_path / "a"), 1)
+    build_site(plan_gallery(str(folder), chosen), str(tmp_path / "b"), 2)
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
     assert one.splits == {"train": 5, "test": 5}
     labels = column(index_of(tmp_path / "a"), "Class")
@@ -82,20 +82,20 @@ def test_workers_do_not_show_and_a_choice_is_kept(folder, tmp_path):
 
 def test_what_cannot_be_shown_is_named(folder, tmp_path):
     with pytest.raises(InputError, match="no split 'holdout'"):
-        plan_gallery(Choice(str(folder), "holdout"))
+        plan_gallery(str(folder), Chosen("holdout"))
     with pytest.raises(InputError, match="does not exist; expected a folder"):
-        plan_gallery(Choice(str(tmp_path / "absent")))
+        plan_gallery(str(tmp_path / "absent"))
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "data" / "test-00000-of-00001.parquet").unlink()
     with pytest.raises(IntegrityError):
-        build_site(plan_gallery(Choice(str(copy), "test")), str(tmp_path / "site"))
+        build_site(plan_gallery(str(copy), Chosen("test")), str(tmp_path / "site"))
     assert not (tmp_path / "site").exists()
 
 
 @pytest.mark.browser
 def test_a_digit_in_the_browser_is_that_digit(folder, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(Choice(str(folder), "test")), str(tmp_path / "site"))
+        build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "site"))
         records = mnist3d.load(str(folder), "test")
         place = int(np.flatnonzero(records.labels == 1)[0])
         with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:

@@ -10,7 +10,8 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.gallery import RoundChoice, plan_gallery
+from realtouch.gallery import plan_gallery
+from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.gallery.site import build_site
 from tests.gallery_browser import browser, opened
@@ -33,7 +34,7 @@ def tile(site: Path, name: str, size: list[int], columns: int, place: int) -> np
 @pytest.mark.parametrize("kind", ["seq", "single"])
 def test_rounds_are_filtered_by_class_gel_and_contact(kind, truth, tmp_path, request):
     folder = request.getfixturevalue(f"{kind}_folder")
-    site = build_site(plan_gallery(RoundChoice(str(folder))), str(tmp_path / "site"))
+    site = build_site(plan_gallery(str(folder)), str(tmp_path / "site"))
     assert site.splits == {"test": 1, "train": 3}
     index = index_of(tmp_path / "site")
     split = column(index, "Split")
@@ -51,7 +52,7 @@ def test_rounds_are_filtered_by_class_gel_and_contact(kind, truth, tmp_path, req
 
 
 def test_stills_are_the_touches(single_folder, tmp_path):
-    build_site(plan_gallery(RoundChoice(str(single_folder), "train")), str(tmp_path / "site"))
+    build_site(plan_gallery(str(single_folder), Chosen("train")), str(tmp_path / "site"))
     for number, record in enumerate(realtouch.load(str(single_folder), "train")):
         shown = touches_of(tmp_path / "site", number)
         assert shown["tile"] == [96, 72]
@@ -62,7 +63,7 @@ def test_stills_are_the_touches(single_folder, tmp_path):
 
 
 def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
-    build_site(plan_gallery(RoundChoice(str(seq_folder), "train")), str(tmp_path / "site"))
+    build_site(plan_gallery(str(seq_folder), Chosen("train")), str(tmp_path / "site"))
     for number, record in enumerate(realtouch.load(str(seq_folder), "train")):
         for touch, entry in enumerate(touches_of(tmp_path / "site", number)["list"]):
             clip, film = record.sensor_video[touch], entry["film"]
@@ -80,9 +81,9 @@ def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
 
 
 def test_touches_are_chosen_evenly_and_tasks_travel(seq_folder, tmp_path):
-    choice = RoundChoice(str(seq_folder), limit=2, touches=3)
-    site = build_site(plan_gallery(choice), str(tmp_path / "a"))
-    for task in plan_gallery(choice).tasks:
+    plan = plan_gallery(str(seq_folder), Chosen(limit=2), touches=3)
+    site = build_site(plan, str(tmp_path / "a"))
+    for task in plan.tasks:
         assert pickle.loads(pickle.dumps(task)).make() == task.make()
     assert site.items == 3
     assert [entry["number"] for entry in touches_of(tmp_path / "a", 0)["list"]] == [0, 2, 4]
@@ -91,7 +92,7 @@ def test_touches_are_chosen_evenly_and_tasks_travel(seq_folder, tmp_path):
 def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
     layout = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
     factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", layout)
-    build_site(plan_gallery(RoundChoice(str(tmp_path / "bare"))), str(tmp_path / "site"))
+    build_site(plan_gallery(str(tmp_path / "bare")), str(tmp_path / "site"))
     assert column(index_of(tmp_path / "site"), "Touches with contact") == [["unknown"]] * 3
     assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
 
@@ -100,7 +101,7 @@ def test_a_set_without_metadata_is_shown_too(single_rows, tmp_path):
     names = [name for name in single_rows[0] if name.startswith("info.")]
     assert names
     factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", Layout(leave_out=tuple(names)))
-    build_site(plan_gallery(RoundChoice(str(tmp_path / "bare"))), str(tmp_path / "site"))
+    build_site(plan_gallery(str(tmp_path / "bare")), str(tmp_path / "site"))
     assert column(index_of(tmp_path / "site"), "Gel") == [["unknown"]] * 3
 
 
@@ -118,7 +119,7 @@ def test_the_revision_asked_for_is_opened(seq_folder, monkeypatch):
 
     monkeypatch.setattr("tactile_toolkit.catalog.choose.splits_of", splits)
     monkeypatch.setattr("realtouch.gallery.load", load)
-    assert plan_gallery(RoundChoice("someone/touches", revision="v2")).size == len(opened_set)
+    assert plan_gallery("someone/touches", revision="v2").size == len(opened_set)
     assert asked == ["v2", "v2"]
 
 
@@ -128,19 +129,19 @@ def test_a_damaged_picture_is_named_and_nothing_is_left(single_rows, tmp_path):
 
     factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
     with pytest.raises(IntegrityError, match="touch 0"):
-        build_site(plan_gallery(RoundChoice(str(tmp_path / "cut"))), str(tmp_path / "site"))
+        build_site(plan_gallery(str(tmp_path / "cut")), str(tmp_path / "site"))
     assert [entry.name for entry in tmp_path.iterdir()] == ["cut"]
 
 
 def test_no_touches_are_refused(seq_folder):
     with pytest.raises(InputError, match="--touches is 0; expected 1 or more"):
-        RoundChoice(str(seq_folder), touches=0)
+        plan_gallery(str(seq_folder), touches=0)
 
 
 @pytest.mark.browser
 def test_a_round_in_the_browser(seq_folder, truth, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(RoundChoice(str(seq_folder), "train")), str(tmp_path / "site"))
+        build_site(plan_gallery(str(seq_folder), Chosen("train")), str(tmp_path / "site"))
         with opened(chromium, tmp_path / "site", width=900, height=700, link="#item-1") as found:
             page = found.page
             touches = page.locator(".touch")

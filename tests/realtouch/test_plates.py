@@ -12,7 +12,7 @@ from datasets import Value, load_dataset
 
 import realtouch
 from realtouch.contact import contact_heights_m
-from realtouch.gallery import RoundChoice, plan_gallery
+from realtouch.gallery import plan_gallery
 from realtouch.previews import CONTACT, draw_grid
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -43,7 +43,7 @@ def test_a_selection_of_contacts_has_contact(source: Path, truth: list[RoundTrut
     card = (tmp_path / "some" / "README.md").read_text()
     assert "`plate_z_m`" in card
     assert "do not count" not in card
-    items = [item for task in plan_gallery(RoundChoice(str(tmp_path / "some"))).tasks for item in task.make()]
+    items = [item for task in plan_gallery(str(tmp_path / "some")).tasks for item in task.make()]
     assert [(item.measures["in_contact"], item.facets["contact"]) for item in items] == [
         (4, ("all touches",))
     ] * 4

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import io
 import pickle
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from PIL import Image
 
 import starstruck_gen
 from starstruck_gen.gallery import plan_gallery
-from tactile_toolkit.catalog.choose import Choice
+from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.site import build_site
 from tests.gallery_browser import browser, opened
@@ -27,7 +26,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def test_scenes_are_filtered_by_what_stands_in_them(folder, tmp_path):
-    site = build_site(plan_gallery(Choice(str(folder))), str(tmp_path / "site"))
+    site = build_site(plan_gallery(str(folder)), str(tmp_path / "site"))
     assert (site.items, site.splits) == (18, {"train": 12, "test": 6})
     index = index_of(tmp_path / "site")
     expected = [record for split in ("train", "test") for record in starstruck_gen.load(str(folder), split)]
@@ -43,7 +42,7 @@ def test_scenes_are_filtered_by_what_stands_in_them(folder, tmp_path):
 
 
 def test_thumbnails_show_stars_on_clear_paper(folder, tmp_path):
-    build_site(plan_gallery(Choice(str(folder), "test")), str(tmp_path / "site"))
+    build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "site"))
     for number, record in enumerate(starstruck_gen.load(str(folder), "test")):
         content = (files_of(tmp_path / "site") / "thumbs" / f"{number:06d}.png").read_bytes()
         pixels = np.asarray(Image.open(io.BytesIO(content))).astype(int)
@@ -68,7 +67,7 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
     pq.write_table(
         table.select(["id", "label", "mesh.vertices", "mesh.faces"]), tmp_path / "bare" / "test.parquet"
     )
-    site = build_site(plan_gallery(Choice(str(tmp_path / "bare"))), str(tmp_path / "site"))
+    site = build_site(plan_gallery(str(tmp_path / "bare")), str(tmp_path / "site"))
     assert site.splits == {"test": 6}
     index = index_of(tmp_path / "site")
     assert column(index, "Distractors") == [["unknown"]] * 6
@@ -80,20 +79,20 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
 
 
 def test_tasks_travel(folder, tmp_path):
-    choice = Choice(str(folder), per_class=2)
-    for task in plan_gallery(choice).tasks:
+    chosen = Chosen(per_class=2)
+    for task in plan_gallery(str(folder), chosen).tasks:
         assert pickle.loads(pickle.dumps(task)).make() == task.make()
 
 
 def test_a_split_that_is_not_there_is_named(folder):
     with pytest.raises(InputError, match="no split 'holdout'"):
-        plan_gallery(replace(Choice(str(folder)), split="holdout"))
+        plan_gallery(str(folder), Chosen("holdout"))
 
 
 @pytest.mark.browser
 def test_stars_and_others_have_their_own_paint(folder, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(Choice(str(folder), "test")), str(tmp_path / "site"))
+        build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "site"))
         scenes = list(starstruck_gen.load(str(folder), "test"))
         place = max(range(6), key=lambda number: scenes[number].distractor_count)
         with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:

@@ -12,7 +12,6 @@ from starstruck_gen import SceneSpec, sample_scene, scene_rng
 from starstruck_gen.make import GenerateSpec, generate
 from starstruck_gen.previews import plan_previews
 from starstruck_gen.scene import draw_scene
-from tactile_toolkit.catalog.choose import Choice
 from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.errors import InputError
 
@@ -71,14 +70,14 @@ def test_digits_are_no_scenes(tmp_path):
         places[names] = str(tmp_path / f"train-{len(names)}.parquet")
         pq.write_table(table, places[names])
     digits, scenes = places.values()
-    assert plan_gallery(Choice(scenes)).size == 1
+    assert plan_gallery(scenes).size == 1
     assert (
         plan_previews(scenes, PreviewSpec(kinds=("sheet",))).pictures[0].what == "1 scene of train from above"
     )
     with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d preview "):
         plan_previews(digits, PreviewSpec())
     with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d gallery "):
-        plan_gallery(Choice(digits))
+        plan_gallery(digits)
 
 
 def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):

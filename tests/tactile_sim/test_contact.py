@@ -11,7 +11,7 @@ import pytest
 import realtouch
 import starstruck_gen
 import tactile_sim
-from realtouch.gallery import RoundChoice, plan_gallery
+from realtouch.gallery import plan_gallery
 from realtouch.previews import CONTACT, draw_grid
 from tactile_sim.pairs import PairsSpec, make_pairs
 from tactile_toolkit.errors import InputError
@@ -120,7 +120,7 @@ def test_pictures_and_galleries_frame_them(touches):
     for record, of_round in zip(realtouch.load(touches, "train"), met, strict=True):
         framed = (draw_grid(record, 12) == CONTACT).all(axis=2).any()
         assert framed == of_round.any()
-    items = [item for task in plan_gallery(RoundChoice(str(touches))).tasks for item in task.make()]
+    items = [item for task in plan_gallery(str(touches)).tasks for item in task.make()]
     assert [item.measures["in_contact"] for item in items] == met.sum(axis=1).tolist()
     for item, of_round in zip(items, met, strict=True):
         listed = item.content["touches"]["list"]
