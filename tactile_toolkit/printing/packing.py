@@ -55,17 +55,12 @@ class Outline:
         left, front, right, back = self.section.bounds()
         return right - left, back - front
 
-    @property
-    def parts(self) -> int:
-        """How many separate parts are seen from above."""
-        return len(self.section.decompose())
-
     def footprint(self) -> Outline:
         """Return what no other object may enter: of one part, the outline; of several, their convex hull.
 
         Parts that stand alone could not be distinguished from those of another object that stands among them.
         """
-        return self if self.parts <= 1 else replace(self, section=self.section.hull())
+        return self if len(self.section.decompose()) <= 1 else replace(self, section=self.section.hull())
 
     def grown(self, by_mm: float) -> Any:
         """Return everything within a distance of the outline, a manifold3d.CrossSection."""
@@ -242,17 +237,9 @@ class Spot(NamedTuple):
     column: int
 
 
-class Weights(NamedTuple):
-    """What the search prefers. Found by trial on the digits of ``printed_test``."""
-
-    front: float
-    """Dislike of positions far from the front edge."""
-    large: float
-    """Bonus of the largest shape."""
-
-
-# One of the two needs a plate less for one set in four or so.
-_TRIED_WEIGHTS = (Weights(0.1, 0.3), Weights(0.05, 0.6))
+# Dislike of positions far from the front edge, and the bonus of the largest shape, found by trial on the
+# digits of ``printed_test``. Of some sets the second needs a plate less.
+_TRIED_WEIGHTS = ((0.1, 0.3), (0.05, 0.6))
 # How far around a shape neighbours count as touching. A wide rim also fills bays.
 _RIM_CELLS = 12
 # The time of a search grows with the square of the number of shapes: many are searched once, and only so many
@@ -277,12 +264,12 @@ def pack(
     areas = [int(shape.sum()) for shape in shapes]
     largest_first = sorted(range(len(shapes)), key=lambda number: (-areas[number], number))
     found: list[list[list[Spot]]] = []
-    for weights in attempts:
-        bonuses = [weights.large * area / areas[largest_first[0]] for area in areas]
+    for front, large in attempts:
+        bonuses = [large * area / areas[largest_first[0]] for area in areas]
         left, plates = largest_first, list[list[Spot]]()
         while left:
             plates.append([])
-            for spot in _fill(plate, shapes, left, weights.front, bonuses):
+            for spot in _fill(plate, shapes, left, front, bonuses):
                 plates[-1].append(spot)
                 done += 1
                 on_progress(done, total)

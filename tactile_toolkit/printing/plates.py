@@ -128,22 +128,19 @@ def _made(layout: Layout, number: int) -> Made[PlateFile]:
         BuildItem(each.item.name, place_on_plate(each.item.load(), layout.scale), each.offset_mm)
         for each in plate
     ]
-    content = _packed(items, layout)
+    if layout.physics is None:
+        content = write_build(items)
+    else:
+        # A scene: where things lie on the plate, they lie on the ground.
+        places_m = [(each.offset_mm[0] / MM_PER_M, each.offset_mm[1] / MM_PER_M) for each in items]
+        bodies = [body_of(each.name, each.mesh, layout.physics) for each in items]
+        content = pack_mjcf(list(zip(bodies, places_m, strict=True)), "plate", floor=True)
     share = round(layout.shares[number - 1], 4)
     return Made(
         {picture: draw_map(layout, number), solid: content},
         partial(PlateFile, solid, picture, len(plate), share, len(content)),
         partial(_check_plate, content, items, layout),
     )
-
-
-def _packed(items: Sequence[BuildItem], layout: Layout) -> bytes:
-    """Write a plate as 3MF, or as a scene: where things lie on the plate, they lie on the ground."""
-    if layout.physics is None:
-        return write_build(items)
-    bodies = [body_of(item.name, item.mesh, layout.physics) for item in items]
-    places_m = [(item.offset_mm[0] / MM_PER_M, item.offset_mm[1] / MM_PER_M) for item in items]
-    return pack_mjcf(list(zip(bodies, places_m, strict=True)), "plate", floor=True)
 
 
 def _check_plate(content: bytes, items: Sequence[BuildItem], layout: Layout) -> None:
