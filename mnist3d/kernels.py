@@ -162,34 +162,26 @@ def smoothed(vertices: Any, faces: Any, flat: Any, shares: Any) -> Any:
     for face in range(len(faces)):
         a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
         for corner, other in ((a, b), (a, c), (b, c), (b, a), (c, a), (c, b)):
-            first, last = ends[corner], filled[corner]
-            place = last
+            first, place = ends[corner], filled[corner]
             while place > first and beside[place - 1] < other:
                 place -= 1
             if place > first and beside[place - 1] == other:
                 weights[place - 1] += 1
                 continue
-            for later in range(last, place, -1):
+            for later in range(filled[corner], place, -1):
                 beside[later], weights[later] = beside[later - 1], weights[later - 1]
             beside[place], weights[place] = other, 1
             filled[corner] += 1
-    for vertex in range(len(vertices)):
-        first, last = ends[vertex], filled[vertex]
-        share = np.float32(1) / np.float32(ends[vertex + 1] - first)
-        for place in range(first, last):
-            weights[place] *= share
     for share in shares:
-        moved = np.empty_like(vertices)
+        moved = vertices.copy()
         for vertex in range(len(vertices)):
+            part = np.float32(1) / np.float32(ends[vertex + 1] - ends[vertex])
             x, y, z = np.float32(0), np.float32(0), np.float32(0)
             for place in range(ends[vertex], filled[vertex]):
-                weight, other = weights[place], beside[place]
-                x += weight * vertices[other, 0]
-                y += weight * vertices[other, 1]
-                z += weight * vertices[other, 2]
-            here_x, here_y, here_z = vertices[vertex]
-            moved[vertex, 0] = here_x + share * (x - here_x)
-            moved[vertex, 1] = here_y + share * (y - here_y)
-            moved[vertex, 2] = here_z if flat[vertex] else here_z + share * (z - here_z)
+                weight, other = weights[place] * part, vertices[beside[place]]
+                x, y, z = x + weight * other[0], y + weight * other[1], z + weight * other[2]
+            for axis, middle in enumerate((x, y, z)):
+                if axis < 2 or not flat[vertex]:
+                    moved[vertex, axis] += share * (middle - vertices[vertex, axis])
         vertices = moved
     return vertices

@@ -95,8 +95,7 @@ def smooth(surface: Surface, iterations: int, factor: float) -> Surface:
     from mnist3d import kernels
 
     rim = surface.rim
-    flat = np.zeros(len(surface.vertices_px), dtype=bool)
-    flat[rim] = True
+    flat = np.bincount(rim, minlength=len(surface.vertices_px))
     shares = np.array([factor, factor * TAUBIN_RATIO] * iterations, np.float32)
     vertices = kernels.smoothed(surface.vertices_px.copy(), surface.faces, flat, shares)
     # Volume and topology come before smoothness there: a wall that folds is not a solid.
