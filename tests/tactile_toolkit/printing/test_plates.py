@@ -152,7 +152,7 @@ def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) 
     spec = PlateSpec.parse(plate, margin_mm=0)
     picture = np.asarray(Image.open(io.BytesIO(draw_map(Layout(spec, 1.0, (), (), ((),)), 1))).convert("L"))
     assert picture.shape[0] == shape[0]
-    title_px = text_size(f"plate 1 of 1: 0 objects, {spec.text}", 20)[0]
+    title_px = text_size(f"plate 1 of 1: 0 objects, {spec.text}", 40)[0] / 2
     assert picture.shape[1] == pytest.approx(max(shape[1], title_px + 120), abs=2)
     # The plate is paper with lines on it, not lines alone.
     middle = picture[60 : shape[0] - 60, 60 : shape[1] - 60]
