@@ -117,8 +117,8 @@ def scale(surface: Surface, shape: tuple[int, int], spec: SolidSpec) -> Mesh:
         off_plane = np.delete(np.arange(len(vertices)), surface.rim)
         image = np.arange(len(vertices), dtype=np.int32)
         image[off_plane] = len(vertices) + np.arange(len(off_plane), dtype=np.int32)
-        vertices = np.concatenate([vertices, vertices[off_plane] * np.array([1, 1, -1], dtype=np.float32)])
-        faces = np.concatenate([faces, image[faces][:, [0, 2, 1]]])
+        vertices = np.concatenate([vertices, vertices.take(off_plane, 0) * np.array([1, 1, -1], np.float32)])
+        faces = np.concatenate([faces, image.take(faces[:, [0, 2, 1]])])
     row, column, height = (vertices + np.array(surface.corner_px, dtype=np.float32)).astype(np.float64).T
     centred = np.stack([column - (shape[1] - 1) / 2, (shape[0] - 1) / 2 - row, height], axis=1)
     vertices_mm = centred * spec.pixel_pitch_mm

@@ -74,7 +74,8 @@ def near_pairs(corners_mm: Numbers, reach_mm: float) -> Indices:
     """
     if not len(corners_mm):
         return np.zeros((2, 0), np.int64)
-    low, high = corners_mm.min(axis=1) - reach_mm / 2, corners_mm.max(axis=1) + reach_mm / 2
+    corners_mm = np.ascontiguousarray(corners_mm.swapaxes(0, 1))  # numpy is slow along short rows
+    low, high = corners_mm.min(axis=0) - reach_mm / 2, corners_mm.max(axis=0) + reach_mm / 2
     order = _along_a_curve((low + high) / 2) & 0xFFFFFFFF
     return np.ascontiguousarray(_meeting(order, low, high).T)
 
