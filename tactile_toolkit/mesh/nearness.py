@@ -76,8 +76,7 @@ def near_pairs(corners_mm: Numbers, reach_mm: float) -> Indices:
         return np.zeros((2, 0), np.int64)
     corners_mm = np.ascontiguousarray(corners_mm.swapaxes(0, 1))  # numpy is slow along short rows
     low, high = corners_mm.min(axis=0) - reach_mm / 2, corners_mm.max(axis=0) + reach_mm / 2
-    order = _along_a_curve((low + high) / 2) & 0xFFFFFFFF
-    return np.ascontiguousarray(_meeting(order, low, high).T)
+    return np.ascontiguousarray(_meeting(_along_a_curve((low + high) / 2), low, high).T)
 
 
 def thinnest_wall_mm(vertices_mm: Numbers, faces: Indices, reach_mm: float) -> float:
@@ -119,85 +118,15 @@ def _numbered(points: Numbers, low: Numbers, scale: float) -> Indices:
 
 
 @compiled
-def _tree(order: Indices, low: Numbers, high: Numbers) -> Numbers:
-    """Return the boxes of a binary tree, shape (2 N, 2, columns), low and high ends.
+def _tree(numbered: Indices, low: Numbers, high: Numbers) -> tuple[Numbers, Indices]:
+    """Return the boxes of a binary tree, shape (2 N, 2, columns), low and high ends; and which two each has.
 
-    Node n holds nodes 2 n and 2 n + 1, the root is 1; the last N nodes are the boxes themselves, in order.
-    """
-    count = len(order)
-    boxes = np.empty((2 * count, 2, low.shape[1]))
-    for leaf in range(count):
-        for axis in range(low.shape[1]):
-            boxes[count + leaf, 0, axis] = low[order[leaf], axis]
-            boxes[count + leaf, 1, axis] = high[order[leaf], axis]
-    for node in range(count - 1, 0, -1):
-        for axis in range(low.shape[1]):
-            boxes[node, 0, axis] = min(boxes[2 * node, 0, axis], boxes[2 * node + 1, 0, axis])
-            boxes[node, 1, axis] = max(boxes[2 * node, 1, axis], boxes[2 * node + 1, 1, axis])
-    return boxes
-
-
-@compiled
-def _within(node: int, count: int) -> Any:
-    """Return the nodes to look at in place of one: the two that it holds, or a leaf itself."""
-    return range(node, node + 1) if node >= count else range(2 * node, 2 * node + 2)
-
-
-@compiled
-def _meeting(order: Indices, low: Numbers, high: Numbers) -> Indices:
-    """Return the pairs of boxes that meet, each pair once."""
-    boxes, count = _tree(order, low, high), len(order)
-    found, pairs, stack, top = np.empty((1024, 2), np.int64), 0, np.ones((_DEEPEST, 2), np.int64), 1
-    while top:
-        top -= 1
-        one, other = stack[top, 0], stack[top, 1]
-        if min(one, other) >= count:
-            if one != other:
-                if pairs == len(found):
-                    found = np.concatenate((found, np.empty_like(found)))
-                found[pairs, 0], found[pairs, 1] = order[one - count], order[other - count]
-                pairs += 1
-            continue
-        for left in _within(one, count):
-            for right in _within(other, count):
-                meet = left <= right or one != other
-                for axis in range(low.shape[1]):
-                    meet &= boxes[left, 0, axis] <= boxes[right, 1, axis]
-                    meet &= boxes[right, 0, axis] <= boxes[left, 1, axis]
-                if meet:
-                    stack[top, 0], stack[top, 1] = left, right
-                    top += 1
-    return found[:pairs]
-
-
-@compiled
-def connected(ends: Indices, others: Indices, count: int) -> Indices:
-    """Return a number for each thing, shape (count,), that is the same for those that pairs connect."""
-    least = np.arange(count)
-    for pair in range(len(ends)):
-        one, other = ends[pair], others[pair]
-        while least[one] < one:
-            least[one] = least[least[one]]
-            one = least[one]
-        while least[other] < other:
-            least[other] = least[least[other]]
-            other = least[other]
-        least[max(one, other)] = min(one, other)
-    for thing in range(count):
-        least[thing] = least[least[thing]]
-    return least
-
-
-@compiled
-def _tree_of_cells(numbered: Indices, low: Numbers, high: Numbers) -> tuple[Numbers, Indices]:
-    """Return the boxes of a tree as of :func:`_tree`, and the two nodes that each holds; leaves their own.
-
-    Each node holds a cell of Morton's curve. The curve jumps between cells, and boxes over jumps are wide: of
-    the pairs of nodes that are looked at for the wall of a digit this leaves a seventh.
+    The root is node 1. The last N are the boxes themselves, in order, and hold themselves. Each node is a
+    cell of Morton's curve: the curve jumps between cells, and boxes over jumps are wide.
     """
     count, columns = len(numbered), low.shape[1]
     boxes, held = np.empty((2 * count, 2, columns)), np.empty((2 * count, 2), np.int64)
-    # Nodes whose cells may go on, and the bits in which the next thing lies apart from each.
+    # Nodes whose cells may hold more, and the bits in which the next thing lies apart from each.
     waiting, apart, top, last = np.empty(64, np.int64), np.empty(64, np.int64), 0, count
     for leaf in range(count):
         thing, node = numbered[leaf] & 0xFFFFFFFF, count + leaf
@@ -216,6 +145,51 @@ def _tree_of_cells(numbered: Indices, low: Numbers, high: Numbers) -> tuple[Numb
         waiting[top], apart[top] = node, bits
         top += 1
     return boxes, held
+
+
+@compiled
+def _meeting(numbered: Indices, low: Numbers, high: Numbers) -> Indices:
+    """Return the pairs of boxes that meet, each pair once."""
+    (boxes, held), count = _tree(numbered, low, high), len(numbered)
+    found, pairs, stack, top = np.empty((1024, 2), np.int64), 0, np.ones((_DEEPEST, 2), np.int64), 1
+    while top:
+        top -= 1
+        one, other = stack[top, 0], stack[top, 1]
+        if min(one, other) >= count:
+            if one != other:
+                if pairs == len(found):
+                    found = np.concatenate((found, np.empty_like(found)))
+                found[pairs, 0], found[pairs, 1] = numbered[one - count], numbered[other - count]
+                pairs += 1
+            continue
+        for first in range(2 if one < count else 1):
+            for second in range(first if one == other else 0, 2 if other < count else 1):
+                left, right, meet = held[one, first], held[other, second], True
+                for axis in range(low.shape[1]):
+                    meet &= boxes[left, 0, axis] <= boxes[right, 1, axis]
+                    meet &= boxes[right, 0, axis] <= boxes[left, 1, axis]
+                if meet:
+                    stack[top, 0], stack[top, 1] = left, right
+                    top += 1
+    return found[:pairs] & 0xFFFFFFFF
+
+
+@compiled
+def connected(ends: Indices, others: Indices, count: int) -> Indices:
+    """Return a number for each thing, shape (count,), that is the same for those that pairs connect."""
+    least = np.arange(count)
+    for pair in range(len(ends)):
+        one, other = ends[pair], others[pair]
+        while least[one] < one:
+            least[one] = least[least[one]]
+            one = least[one]
+        while least[other] < other:
+            least[other] = least[least[other]]
+            other = least[other]
+        least[max(one, other)] = min(one, other)
+    for thing in range(count):
+        least[thing] = least[least[thing]]
+    return least
 
 
 # --- vectors -----------------------------------------------------------------------------------------
@@ -376,7 +350,7 @@ def _thinnest_wall(points: Numbers, faces: Indices, numbered: Indices, reach: fl
     """
     solid = _surface(points, faces)
     low, high = _boxes(solid, reach)
-    boxes, held = _tree_of_cells(numbered, low, high)
+    boxes, held = _tree(numbered, low, high)
     count, best = len(numbered), reach
     stack, top = np.ones((_DEEPEST, 2), np.int64), 1
     while top:

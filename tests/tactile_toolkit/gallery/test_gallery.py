@@ -340,7 +340,8 @@ def test_nothing_and_too_much_are_refused(tmp_path, monkeypatch):
         build(tmp_path / "site", toy_gallery(0))
     with pytest.raises(InputError, match=r"would show 20,001 toys; the most is 20,000; nothing was written"):
         build(tmp_path / "site", toy_gallery(MOST_ITEMS + 1, portion=MOST_ITEMS + 1))
-    monkeypatch.setattr(site_module, "MOST_BYTES", 3_000_000)
+    viewer_bytes = len(site_module.viewer_library()[0])  # each release of trimesh carries another one
+    monkeypatch.setattr(site_module, "MOST_BYTES", viewer_bytes + 3_100_000)
     made: list[int] = []
     with pytest.raises(
         InputError,
