@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import json
-from importlib import import_module
 
 import pytest
 import trimesh
-import typer
-from typer.testing import CliRunner
 
 import realtouch
 from tests.command_line import call
 from tests.realtouch import factories
-
-COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
 
 
 @pytest.fixture
@@ -107,24 +102,6 @@ def test_strokes_of_a_folder_by_their_former_name(tmp_path, capsys):
     said = capsys.readouterr().err
     assert "warning: --ink is deprecated; next: write --foreground\n" in said
     assert "absent" in said
-
-
-def test_no_help_names_a_former_spelling_or_a_type_of_python():
-    for line in COMMAND_LINES:
-        app = import_module(f"cli.{line}").app
-        for name in typer.main.get_command(app).commands:
-            text = CliRunner().invoke(app, [name, "--help"], env={"TERMINAL_WIDTH": "100"}).output
-            for word in (
-                "<bool>",
-                "<int range>",
-                "<float>",
-                "<float range>",
-                " --layout",
-                " --gap ",
-                " --bed",
-            ):
-                assert word not in text, (line, name, word)
-            assert "Example" in text or name in ("upload", "download"), (line, name)
 
 
 def test_plates_and_tables_by_former_names(tmp_path, capsys):

@@ -16,6 +16,7 @@ from mnist3d.splits import SplitSpec
 from mnist3d.validate import validate_paths
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.making import forecast
+from tactile_toolkit.run.processes import Check, Finish, Part
 
 
 def _spec(**values) -> GenerateSpec:
@@ -46,6 +47,11 @@ def test_forecast_with_overwrite_tells_what_would_be_replaced(folder):
     view = forecast(DigitMaking(other), folder, ("train", "test"), 1, overwrite=True)
     assert view.replaced == {"train": 3, "test": 3}
     assert (view.rows_to_make, [entry.finished for entry in view.splits]) == (4, [0, 0])
+    for part in (Part(0, 2), Check(Part(0, 2)), Finish(), Check(Finish())):
+        with pytest.raises(InputError, match="--overwrite was given with --part or --finish"):
+            forecast(DigitMaking(other), folder, ("train", "test"), part, overwrite=True)
+    checked = forecast(DigitMaking(other), folder, ("train", "test"), Check(1), overwrite=True)
+    assert (checked.replaced, checked.splits) == (view.replaced, view.splits)
     assert (folder / "manifest.json").read_bytes() == before
 
 

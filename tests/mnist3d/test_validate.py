@@ -39,6 +39,10 @@ def test_a_row_without_a_value_is_named_and_the_others_are_checked(rows, tmp_pat
     ids[2] = "row 2" if column == "id" else ids[2]
     assert [item.name for item in checked.items] == [f"test {name}" for name in ids]
     assert [item.report.is_solid for item in checked.items] == [True, True, False, True]
+    broken = checked.items[2]
+    assert broken.report.detail
+    assert broken.table_row()[:2] == (broken.name, "NO")
+    assert broken.table_row()[-1] == broken.report.detail
     (unreadable,) = checked.unreadable
     assert unreadable == (f"split 'test', row 2 of {SHARD.name}: field {column!r} is null; expected a value")
     assert validate_paths([str(tmp_path)], limit=2)[0].failed == 0

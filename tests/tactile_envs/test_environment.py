@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import pickle
 import resource
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -103,12 +104,17 @@ def test_observations_stay_in_their_spaces(walked, task, seed, ways):
 def test_one_seed_gives_one_course_however_many_threads(assets):
     courses = []
     for threads in (1, 3):
+        before = set(threading.enumerate())
         env = make_vector(DEPTH, num_envs=5, assets=assets, threads=threads)
         observation, _ = env.reset(seed=1)
         env.action_space.seed(1)
         course = [observation]
         course += [env.step(env.action_space.sample())[0] for _ in range(20)]
+        started = set(threading.enumerate()) - before
+        helpers = [thread for thread in started if thread.name.startswith("ThreadPoolExecutor")]
         env.close()
+        assert env.closed
+        assert not any(thread.is_alive() for thread in helpers)
         courses.append(course)
     for one, other in zip(*courses, strict=True):
         assert all((one[name] == other[name]).all() for name in one)

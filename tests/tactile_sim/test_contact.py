@@ -102,6 +102,10 @@ def test_cards_speak_of_touches_that_meet_nothing_where_there_are_some(on_object
             lines = [line for line in card.read_text().splitlines() if "select --contact" in line]
             assert len(lines) == (0 if folder == on_objects else 1)
             assert folder == on_objects or f"{(~_met(folder)).sum()} of 36 touches met no object" in lines[0]
+        own = " ".join((folder / "README.md").read_text().split())
+        assert f"| {100 * _met(folder).mean():.1f} % |" in own.partition("on the object")[2]
+        assert "| surface | as modelled |" in own
+        assert "lack the wear of gels and the texture of prints and the noise of a camera." in own
 
 
 def test_selected_touches_are_those_in_contact(touches, tmp_path):

@@ -67,6 +67,7 @@ def test_up_to_the_hub_and_back(made, tmp_path, monkeypatch):
     card = (tmp_path / "copy" / "README.md").read_text()
     assert "printed, in layers of 0.2 mm" in card
     assert "| noise | none |" in card
+    assert "lack the wear of gels and the noise of a camera." in " ".join(card.split())
 
 
 def test_a_gallery_and_a_preview_show_every_round(made, tmp_path):

@@ -107,11 +107,19 @@ def _functions(name: str, public: Any) -> Iterator[tuple[str, Any]]:
             yield f"{name}.{method}", function
 
 
-def helps(command_line: str) -> str:
-    """Return the help of a command line and of all its commands, as a terminal of 100 columns shows it."""
+def helps(texts: dict[str, str]) -> str:
+    """Join the help of a command line and of all its commands."""
+    return "\n".join(line.rstrip() for text in texts.values() for line in text.splitlines()) + "\n"
+
+
+def help_of_commands(command_line: str) -> dict[str, str]:
+    """Return the help of a command line, by an empty name, and of each of its commands.
+
+    As a terminal of 100 columns shows it.
+    """
     app = import_module(f"cli.{command_line}").app
-    texts = [_help(app, name) for name in ([], *([name] for name in typer.main.get_command(app).commands))]
-    return "\n".join(line.rstrip() for text in texts for line in text.splitlines()) + "\n"
+    names = ["", *typer.main.get_command(app).commands]
+    return {name: _help(app, [name] if name else []) for name in names}
 
 
 def _help(app: typer.Typer, arguments: list[str]) -> str:
@@ -199,7 +207,8 @@ def main() -> None:
     }
     (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     for command_line in COMMAND_LINES:
-        (FOLDER / f"{command_line}.txt").write_text(helps(command_line), encoding="utf-8")
+        text = helps(help_of_commands(command_line))
+        (FOLDER / f"{command_line}.txt").write_text(text, encoding="utf-8")
     record_notebooks()
 
 

@@ -14,6 +14,7 @@ from tests.unchanged.record import (
     begin_as_first_version,
     data_sets,
     defaults_and_limits,
+    help_of_commands,
     helps,
     library_versions,
     pictures,
@@ -49,10 +50,15 @@ def test_every_package_is_recorded():
 
 
 @pytest.mark.parametrize("command_line", COMMAND_LINES)
-def test_help_is_unchanged(command_line):
+def test_help_is_unchanged_and_names_no_former_spelling_or_type_of_python(command_line):
+    found = help_of_commands(command_line)
+    for name, text in found.items():
+        for word in ("<bool>", "<int range>", "<float>", "<float range>", " --layout", " --gap ", " --bed"):
+            assert not name or word not in text, (name, word)
+        assert "Example" in text or name in ("", "upload", "download"), name
     if library_versions(HELP_LIBRARIES) != RECORD["help_libraries"]:
         pytest.skip(f"help is laid out by libraries; recorded with {RECORD['help_libraries']}")
-    assert helps(command_line) == (FOLDER / f"{command_line}.txt").read_text(encoding="utf-8")
+    assert helps(found) == (FOLDER / f"{command_line}.txt").read_text(encoding="utf-8")
 
 
 def test_bytes_of_data_sets_and_their_pictures_are_unchanged(tmp_path):

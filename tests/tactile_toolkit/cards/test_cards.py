@@ -34,7 +34,7 @@ from tactile_toolkit.cards.card import (
     render_card,
     with_repo_name,
 )
-from tactile_toolkit.cards.facts import folder_facts, size_category, yaml_features
+from tactile_toolkit.cards.facts import folder_facts, size_category, with_head, yaml_features
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
@@ -375,3 +375,12 @@ def test_the_same_rows_give_the_same_picture_and_card(made, tmp_path):
     generate(spec, str(again), ("test",))
     for path in ("README.md", "previews/digits.png"):
         assert (again / path).read_bytes() == (made / path).read_bytes()
+
+
+@pytest.mark.parametrize(
+    "card", ["x\n---\na: 1\n---\nbody", "---\n[1]\n---\nbody", "---\na: [\n---\nbody", "body"]
+)
+def test_a_head_is_changed_only_where_there_is_one(card):
+    assert with_head("---\na: 1\n---\nbody", lambda head: head.update(b=2)) == "---\na: 1\nb: 2\n---\nbody"
+    with pytest.raises(ValueError, match=r"."):
+        with_head(card, lambda head: head.update(b=2))

@@ -127,7 +127,8 @@ def test_a_relief_fills_its_tile_whatever_its_size(sides_m):
     up, across = np.ptp(seen, axis=0) + 1
     assert THUMBNAIL_PX - 12 <= max(up, across) <= THUMBNAIL_PX
     assert up / across == pytest.approx(sides_m[1] / sides_m[0], rel=0.05)
-    assert relief_thumbnail(3 * box.vertices, box.faces) == content
+    assert relief_thumbnail(4 * box.vertices, box.faces) == content
+    assert relief_thumbnail(np.add(box.vertices, (0.5, -0.25, 1.0)), box.faces) == content
 
 
 def test_smoothed_edges_keep_the_colour_of_the_ink():

@@ -215,6 +215,15 @@ def test_scrubbing(text):
     assert "***" in redact(text)
 
 
+def test_of_long_words_the_beginning_of_the_first_line_is_told():
+    letters = "".join(map(chr, range(0x4E00, 0x4E00 + 400)))
+    failure = failure_of(OSError(f"  {letters}\nmore"), "someone/set")
+    assert failure is not None
+    said = str(failure.error)
+    assert [letter for letter in said if ord(letter) >= 0x4E00] == list(letters[:300])
+    assert "more" not in said
+
+
 @pytest.mark.parametrize("words", ["Authorization: Bearer AbCdEf123456", "https://host/a?sig=AbCdEf123456"])
 def test_what_is_hidden_ends_where_the_next_step_begins(words):
     failure = failure_of(OSError(words), "someone/set")

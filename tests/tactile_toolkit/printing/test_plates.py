@@ -195,6 +195,19 @@ def test_words_on_a_map_name_the_split_where_ids_are_shared(monkeypatch: pytest.
     assert not {"train", "test"} & set(maps[1])
 
 
+def test_objects_move_from_where_they_are_stored_to_their_place() -> None:
+    stored = [box(40, 20), ell(30, 6), box(10, 50)]
+    moved = [
+        Mesh(mesh.vertices_m + np.array((0.07, -0.02, 0), np.float32) * number, mesh.faces)
+        for number, mesh in enumerate(stored)
+    ]
+    ((*plate,),) = lay_out(named(moved), SMALL).plates
+    assert len(plate) == 3
+    for placed in plate:
+        now_mm = 1000 * moved[placed.item.id].vertices_m + placed.offset_mm
+        np.testing.assert_allclose(now_mm.min(axis=0), (placed.x_mm, placed.y_mm, 0), atol=1e-3)
+
+
 def test_outlines_pack_tighter_than_boxes() -> None:
     """Four angles, two by two in one another's arms, and a box in each ring."""
     objects = named([ell(50, 8)] * 4 + [ring(22, 17), box(18, 18)])

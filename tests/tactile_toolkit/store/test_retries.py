@@ -120,6 +120,17 @@ def test_a_failure_is_told_and_tried_again_as_what_it_is(slept, error, words, is
     assert bool(slept) == is_transient
 
 
+def test_of_a_long_answer_the_beginning_of_its_first_line_is_told(slept):
+    def raises():
+        raise OSError("".join(map(chr, range(0x4E00, 0x4E00 + 400))) + "\nmore")
+
+    with pytest.raises(RemoteError) as told:
+        ask_store(raises, "reading", "s3://b/a")
+    shown = [character for character in str(told.value) if ord(character) >= 0x4E00]
+    assert shown == list(map(chr, range(0x4E00, 0x4E00 + 300)))
+    assert "more" not in str(told.value)
+
+
 @pytest.mark.parametrize("error", [FileNotFoundError("a"), FileExistsError("a"), RuntimeError("a fault")])
 def test_what_is_no_failure_of_the_store_stays_what_it_is(slept, error):
     def raises():
