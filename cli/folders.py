@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from cli.application import EXIT_FAILED
 from cli.making import PrintMade, print_set
-from cli.options import ANY_SET, FOLDER, WORKERS, argument, local_place, process_count
+from cli.options import ANY_SET, FOLDER, FOLDERS, WORKERS, argument, local_place, process_count
 from cli.output import Sink, bytes_text, flat_lines
 from tactile_toolkit.catalog.spec import LIMIT, SPLIT
 from tactile_toolkit.checked_fields import choice, integer, real, switch
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_copy
 from tactile_toolkit.wording import counted
 
@@ -115,15 +116,6 @@ def verify(
 
     Exit code 3 when something is damaged; each damaged file is named.
     """
-    document = _verified(sink, kind, folder, workers)
-    if objects.geometry and checks is not None:
-        check_objects(sink, checks, [folder], objects.split, objects.limit, workers, document)
-    else:
-        sink.document(document)
-
-
-def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[str, Any]:
-    """Verify the files of a folder, and return the JSON document; IntegrityError where one is damaged."""
     from tactile_toolkit.cards.card import check_card
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.manifest import read_manifest
@@ -141,7 +133,11 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
     if result.ok:
         counts = f"{counted(result.files, 'files')}, {counted(result.rows, 'rows')}"
         sink.line(f"{folder}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
-        return document
+        if objects.geometry and checks is not None:
+            check_objects(sink, checks, [folder], objects.split, objects.limit, workers, document)
+        else:
+            sink.document(document)
+        return
     sink.document(document)
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
@@ -153,6 +149,27 @@ def _verified(sink: Sink, kind: DatasetKind, folder: str, workers: int) -> dict[
     if all("; next: " in finding.problem for finding in result.findings):
         again = "follow the next step of each"
     raise IntegrityError(f"{counted(len(findings), 'problems')} in {folder!r}", next=again)
+
+
+def validate(
+    *,
+    checks: Geometry,
+    paths: list[str] = FOLDERS,
+    split: str | None = SPLIT,
+    limit: int | None = LIMIT,
+    workers: int = WORKERS,
+    sink: Sink,
+) -> None:
+    """Check each object of data sets, or mesh files, as it is read back from disk.
+
+    A digit has to be a solid; what speaks against printing it is listed. The objects of a scene have to be
+    solids that do not overlap, as many stars among them as the label states.
+
+    Example: validate FOLDER
+
+    Exit code 1 when one is not valid. For a folder, `verify --geometry` checks its files as well.
+    """
+    check_objects(sink, checks, paths, split, limit, workers)
 
 
 def check_objects(
@@ -276,16 +293,45 @@ def list_sets(
 
     Examples: list;  list .
     """
-    from tactile_toolkit.catalog.locate import local_sets
-
     if folder is None:
         print_sets(sink, kind)
         return
-    found = local_sets(local_place(folder))
+    found = _sets_in(local_place(folder))
     sink.document(found)
     rows = [list({**each, "bytes": bytes_text(each["bytes"])}.values()) for each in found]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
     sink.line(f"{counted(len(found), 'data sets')} in {folder}")
+
+
+def _sets_in(folder: Path) -> list[dict[str, Any]]:
+    """Return the data sets in a folder, and itself where it is one, by name, as JSON values.
+
+    Their ``state`` is finished, unfinished, or what is wrong. Reads manifests only. Raises InputError where
+    the folder does not exist.
+    """
+    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.job import manifest_so_far
+
+    if not folder.is_dir():
+        raise InputError(
+            DataFolder(str(folder)).missing_message("data sets"),
+            next="give a folder with data set folders",
+        )
+    found = []
+    for name in [".", *sorted(each.name for each in folder.iterdir() if each.is_dir())]:
+        kind, table, state = "", dict[str, dict[str, int]](), ""
+        try:
+            manifest = manifest_so_far(DataFolder(str(folder / name)))
+        except ToolkitError as error:
+            state = str(error)
+        else:
+            if manifest is None:
+                continue
+            kind, table = manifest.kind, manifest.split_table()
+            state = "finished" if manifest.complete else "unfinished"
+        sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
+        found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
+    return found
 
 
 def cache(

@@ -6,15 +6,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Annotated, Any
 
 from cli.application import OptionsOf, command, new_app, run
-from cli.folders import Geometry, check_objects
+from cli.folders import Geometry
 from cli.making import generate_set, least_to_most, print_set
-from cli.options import FOLDERS, WORKERS, Making, argument, out_folder
+from cli.options import Making, argument, out_folder
 from cli.output import Sink, bytes_text
 from cli.products import Pictures
 from cli.shared import add_shared
 from mnist3d.kind import KIND
 from mnist3d.spec import SOURCES, SPLITS, DigitPreviewSpec, SolidSpec, SourceOptions, SplitSpec
-from tactile_toolkit.catalog.spec import LIMIT, PER_CLASS, SPLIT
+from tactile_toolkit.catalog.spec import LIMIT, PER_CLASS
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
 
@@ -108,7 +108,7 @@ def _preview(
     pictures: Pictures,
     sink: Sink,
 ) -> None:
-    """Write pictures of digits as PNG, without a screen: sheets, single objects, steps.
+    """Write pictures of digits as PNG, without a screen: a sheet of each split, or steps from ink to mesh.
 
     Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
     """
@@ -117,23 +117,6 @@ def _preview(
     pictures.write(sink, plan_previews(path, spec))
 
 
-def _validate(
-    *,
-    paths: list[str] = FOLDERS,
-    split: str | None = SPLIT,
-    limit: int | None = LIMIT,
-    workers: int = WORKERS,
-    sink: Sink,
-) -> None:
-    """Check meshes as read back from disk: whether each is a solid, and whether it will print.
-
-    Example: mnist3d validate digits part.stl
-
-    Exit code 1 when a mesh is not a valid solid. For a folder, `verify --geometry` checks its files as well.
-    """
-    check_objects(sink, _CHECKS, paths, split, limit, workers)
-
-
-add_shared(app, KIND, {"preview": _preview, "validate": _validate}, print_made=_print_made, checks=_CHECKS)
+add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run, app)

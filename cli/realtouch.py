@@ -419,6 +419,6 @@ _add("select", Select, lazy("realtouch.convert.api:select"))
 _add("export", Export, lazy("realtouch.exchange.api:export"), nouns="rows")
 command(app, "import")(import_touches)
 _own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
-add_shared(app, KIND, {**_own, "info": None, "verify": None, "export": None})
+add_shared(app, KIND, {**_own, "info": None, "verify": None, "validate": None, "export": None})
 
 main = partial(run, app)

@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from cli.application import command
-from cli.folders import cache, card, info, list_sets, show, verify
+from cli.folders import cache, card, info, list_sets, show, validate, verify
 from cli.hub import download, upload
 from cli.making import merge, split
 from cli.products import export, gallery_of_meshes
@@ -17,7 +17,7 @@ from tactile_toolkit.kind import DatasetKind
 _COMMANDS: dict[str, Any] = {
     "info": info,
     "verify": verify,
-    "validate": None,
+    "validate": validate,
     "show": show,
     "preview": None,
     "card": card,

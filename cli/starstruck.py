@@ -7,15 +7,15 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from cli.application import command, new_app, run
-from cli.folders import Geometry, check_objects
+from cli.folders import Geometry
 from cli.making import generate_set, least_to_most, print_set
-from cli.options import FOLDERS, WORKERS, Making, argument, out_folder
+from cli.options import Making, argument, out_folder
 from cli.output import Sink, bytes_text
 from cli.products import Pictures
 from cli.shared import add_shared
 from starstruck_gen.kind import KIND
 from starstruck_gen.options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit.catalog.spec import LIMIT, SPLIT
+from tactile_toolkit.catalog.spec import LIMIT
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
 
@@ -105,34 +105,15 @@ def _preview(
     pictures: Pictures,
     sink: Sink,
 ) -> None:
-    """Write pictures of scenes as PNG, without a screen: sheets and single scenes.
+    """Write pictures of scenes as PNG, without a screen: a sheet of each split.
 
     Examples: starstruck preview scenes;  starstruck preview scenes --ids 17 --out scene.png
-
-    A single scene shows the positions that were rejected while it was made, and an oblique view.
     """
     from starstruck_gen.previews import plan_previews
 
     pictures.write(sink, plan_previews(path, spec))
 
 
-def _validate(
-    *,
-    paths: list[str] = FOLDERS,
-    split: str | None = SPLIT,
-    limit: int | None = LIMIT,
-    workers: int = WORKERS,
-    sink: Sink,
-) -> None:
-    """Check scenes as read back from disk: solids that do not overlap, and as many stars as the label states.
-
-    Example: starstruck validate scenes
-
-    Exit code 1 when a scene is invalid. For a folder, `verify --geometry` checks its files as well.
-    """
-    check_objects(sink, _CHECKS, paths, split, limit, workers)
-
-
-add_shared(app, KIND, {"preview": _preview, "validate": _validate}, print_made=_print_made, checks=_CHECKS)
+add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run, app)

@@ -265,7 +265,7 @@ def evaluate(
     sink.line(f"table and pictures are in {out}")
 
 
-_own = {"preview": preview_touches, "gallery": gallery_of_touches, "export": None}
+_own = {"preview": preview_touches, "gallery": gallery_of_touches, "validate": None, "export": None}
 add_shared(app, KIND, _own, print_made=_print_made, checks=None, objects=Objects())
 
 main = partial(run, app)

@@ -32,7 +32,7 @@ API = (
     "tactile_toolkit.run",
     "tactile_toolkit.errors",
 )
-"""Modules whose ``__all__`` users may rely on."""
+"""Modules on whose public names users may rely."""
 
 SHARED = (
     "env_assets.wrench.spec.WIDTHS_ACROSS_FLATS_MM",
@@ -106,13 +106,21 @@ def _assigned(name: Name) -> tuple[str, str]:
     raise ValueError(message)
 
 
+def _names_of(module: Any) -> list[str]:
+    """Return what a module lists, or else the public names that it defines."""
+    defined = [
+        name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
+    ]
+    return getattr(module, "__all__", None) or [name for name in defined if not name.startswith("_")]
+
+
 @cache
 def public_names() -> tuple[Name, ...]:
     """Return every public name once; what two modules offer stands under the first."""
     found: dict[Any, Name] = {}
     for module in API:
         loaded = import_module(module)
-        for name in loaded.__all__:
+        for name in _names_of(loaded):
             item = Name(module, name, getattr(loaded, name))
             found.setdefault(item.home, item)
     for path in SHARED:
@@ -193,7 +201,7 @@ def _api_pages() -> dict[str, str]:
 def _module_page(module: str) -> str:
     loaded = import_module(module)
     names = [name for name in public_names() if name.module == module and name.path not in SHARED]
-    elsewhere = sorted(set(loaded.__all__) - {name.name for name in names})
+    elsewhere = sorted(set(_names_of(loaded)) - {name.name for name in names})
     lines = [*_title(module), f".. py:module:: {module}", "", inspect.cleandoc(loaded.__doc__ or ""), ""]
     also = [name for name in public_names() for other in elsewhere if getattr(loaded, other) is name.value]
     if also:

@@ -32,7 +32,7 @@ from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import read_report, report_columns
+from tactile_toolkit.store.parquet import open_parquet, read_report
 from tactile_toolkit.wording import printable
 
 
@@ -123,6 +123,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         return
     summaries = summarise(folder, manifest)
     profile, solid = spec["print_profile"], spec["solid"]
+    columns = open_parquet(folder, REPORT_FILE).schema_arrow.names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     Card(
         template=KIND.card_template,
@@ -145,7 +146,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
                 f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
             ),
             "print_table": _print_table(summaries),
-            "report_columns": ", ".join(f"`{name}`" for name in report_columns(folder, REPORT_FILE)),
+            "report_columns": ", ".join(f"`{name}`" for name in columns),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
             **_terms(words),
         },

@@ -176,11 +176,9 @@ class TouchRow(Row):
     def touch_total(self) -> int:
         """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
         # Once for a block of rows: this is asked for each touch.
-        starts = self.group.once("starts of touches", lambda: self.column_of(self._counted()).levels[0])
+        name = next(filter(self.has, _COUNTED), _COUNTED[0])
+        starts = self.group.once("starts of touches", lambda: self.column_of(name).levels[0])
         return starts if isinstance(starts, int) else int(starts[self.index + 1] - starts[self.index])
-
-    def _counted(self) -> str:
-        return next(filter(self.has, _COUNTED), _COUNTED[0])
 
     def entries_of(self, name: str, touch: int | None = None) -> tuple[NestedColumn, int, int]:
         """Return a column and the range of its entries that are the round's, or one touch's.

@@ -18,7 +18,7 @@ from tactile_sim.columns import DRAWN, TouchRow, touch_schema
 from tactile_sim.kind import KIND
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
-from tactile_sim.plan import generator, on_object, open_split, plan_round
+from tactile_sim.plan import content_fingerprint, generator, on_object, open_split, plan_round
 from tactile_sim.pressing import (
     Matrix,
     Pressable,
@@ -32,7 +32,7 @@ from tactile_sim.pressing import (
 from tactile_sim.spec import WINDOWS, PictureOptions, TouchPlan, current_window, window_option
 from tactile_toolkit import making
 from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.catalog.locate import content_fingerprint, place_of, refuse_source, splits_of
+from tactile_toolkit.catalog.locate import place_of, refuse_source, splits_of
 from tactile_toolkit.catalog.spec import IdChoice
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.deprecation import former_attributes

@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
-from tactile_sim.plan import key_of, open_split, plan_round
+from tactile_sim.plan import content_fingerprint, key_of, open_split, plan_round
 from tactile_sim.pressing import Pressable, Sensor, center_view, full_view, render_touch
 from tactile_sim.spec import WINDOWS, PairsSpec, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import (
-    content_fingerprint,
     file_fingerprint,
     find_shards,
     place_of,

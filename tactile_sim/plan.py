@@ -16,7 +16,9 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
 from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.store.folder import split_uri
+from tactile_toolkit.store.parquet import file_sha256
 from tactile_toolkit.touch.schema import CLASS_NAMES
 
 REACH_M = (0.0385, 0.0405)
@@ -157,3 +159,9 @@ def on_object(
     local = np.tile(np.eye(4), (touches, 1, 1))
     local[:, :2, 3] = point
     return product(poses[:touches], local)[:, :2, 3]
+
+
+def content_fingerprint(shard: Shard) -> dict[str, Any]:
+    """Return JSON values that identify a file by all of its bytes, for sources of moderate size."""
+    folder, name = split_uri(shard.path)
+    return {"file": name, "rows": len(shard), "sha256": file_sha256(folder, name)}

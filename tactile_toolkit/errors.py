@@ -23,20 +23,6 @@ from contextlib import contextmanager
 
 from tactile_toolkit.wording import printable
 
-__all__ = [
-    "ToolkitError",
-    "InputError",
-    "SpecMismatchError",
-    "MissingExtraError",
-    "StorageError",
-    "ItemError",
-    "IntegrityError",
-    "RemoteError",
-    "HubError",
-    "install_line",
-    "needs_extra",
-]
-
 
 class ToolkitError(Exception):
     """Root of all errors that the toolkit raises on purpose; what they quote of data is shown, not obeyed.

@@ -14,6 +14,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 _MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside of a word marks nothing
+_NUMBERS = re.compile("([0-9]+)")
 # Digits of a count: more may not fit into 64 bits, and ``int`` itself fails from 4,301 digits on.
 _LONGEST_COUNT = 18
 
@@ -31,6 +32,15 @@ def counted(count: int, things: str) -> str:
 def class_name(names: Sequence[str], label: int) -> str:
     """Return the name of a class; its number where no name is stated for it."""
     return names[label] if 0 <= label < len(names) else str(label)
+
+
+def natural_key(text: str) -> tuple[list[Any], str]:
+    """Return what sorts texts as people count, 99999 before 100000: text and numbers by turns."""
+    parts: list[Any] = _NUMBERS.split(text)
+    # The length of a number and its digits: texts may be any user's, and Python reads 4,300 digits at most.
+    numbers = (part.lstrip("0") for part in parts[1::2])
+    parts[1::2] = [(len(digits), digits) for digits in numbers]
+    return parts, text
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:

@@ -165,7 +165,10 @@ def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: fl
     vertices_mm = np.concatenate(
         [np.insert(np.concatenate(lines), 2, z_mm, axis=1) for lines, z_mm in levels]
     )
-    faces = [*_caps(inner, len(levels)), *_sides(outline, len(levels))]
+    # Bottom and top, and what lies between.
+    top = np.asarray(triangulate(list(inner)), np.int64)
+    above = (len(levels) - 1) * sum(len(line) for line in inner)
+    faces = [top[:, ::-1], top + above, *_sides(outline, len(levels))]
     mesh = Mesh((vertices_mm / MM_PER_M).astype(np.float32), np.concatenate(faces).astype(np.int32))
     verdict = check_manifold(mesh)
     if verdict.problem is not None:
@@ -186,13 +189,6 @@ def _moved_in(line: Line, by_mm: float) -> Line:
     if ((sides * along).sum(axis=1) <= 0).any():
         raise _too_large(by_mm, "a side of the outline vanishes")
     return np.asarray(moved)
-
-
-def _caps(lines: Sequence[Line], levels: int) -> list[NDArray[np.int64]]:
-    """Return the triangles of bottom and top."""
-    top = np.asarray(triangulate(list(lines)), np.int64)
-    per_level = sum(len(line) for line in lines)
-    return [top[:, ::-1], top + (levels - 1) * per_level]
 
 
 def _sides(lines: Sequence[Line], levels: int) -> list[NDArray[np.int64]]:

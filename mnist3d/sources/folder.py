@@ -20,6 +20,7 @@ from mnist3d.sources.canvas import as_grey, fit
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch.jpeg import require_bounded_jpeg
+from tactile_toolkit.wording import natural_key
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -157,12 +158,7 @@ def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
             f"{root}: found no picture, expected {root}/<digit>/*.png (or jpg, tif, ...), digits 0 to 9",
             next="check the path and sort the pictures into such folders",
         )
-    return tuple(sorted(found, key=lambda picture: (picture.label, _natural(picture.name))))
-
-
-def _natural(name: str) -> tuple[list[str | int], str]:
-    pieces = re.split(r"([0-9]+)", name.casefold())
-    return [int(piece) if piece.isdecimal() and piece.isascii() else piece for piece in pieces], name
+    return tuple(sorted(found, key=lambda each: (each.label, natural_key(each.name.casefold()), each.name)))
 
 
 def read_picture(path: Path, ink: str = "auto") -> NDArray[np.uint8]:

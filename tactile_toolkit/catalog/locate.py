@@ -21,11 +21,10 @@ from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import resume_promotion
 from tactile_toolkit.store.files import expanded, path_exists, readable
 from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, without_collecting
 from tactile_toolkit.store.names import damaged, is_remote, normalize_uri, scheme_of
 from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.parquet import file_sha256, small_files
+from tactile_toolkit.store.parquet import small_files
 from tactile_toolkit.store.shards import (
     DATA_FOLDER,
     ShardFile,
@@ -341,34 +340,6 @@ def specification_read(where: str) -> Iterator[None]:
         raise damaged(where, problem) from error
 
 
-def local_sets(folder: Path) -> list[dict[str, Any]]:
-    """Return the data sets in a folder, and itself where it is one, by name, as JSON values.
-
-    Their ``state`` is finished, unfinished, or what is wrong. Reads manifests only. Raises InputError where
-    the folder does not exist.
-    """
-    if not folder.is_dir():
-        raise InputError(
-            DataFolder(str(folder)).missing_message("data sets"),
-            next="give a folder with data set folders",
-        )
-    found = []
-    for name in [".", *sorted(each.name for each in folder.iterdir() if each.is_dir())]:
-        kind, table, state = "", dict[str, dict[str, int]](), ""
-        try:
-            manifest = manifest_so_far(DataFolder(str(folder / name)))
-        except ToolkitError as error:
-            state = str(error)
-        else:
-            if manifest is None:
-                continue
-            kind, table = manifest.kind, manifest.split_table()
-            state = "finished" if manifest.complete else "unfinished"
-        sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
-        found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
-    return found
-
-
 def published_set(name: str) -> PublishedSet | None:
     """Return a published set by its short name or its repository; None for any other name."""
     entries = (entry for kind in kinds() for entry in kind.published)
@@ -421,12 +392,6 @@ def file_fingerprint(shard: Shard) -> dict[str, Any]:
         "bytes": size,
         "footer_sha256": hashlib.sha256(footer).hexdigest(),
     }
-
-
-def content_fingerprint(shard: Shard) -> dict[str, Any]:
-    """Return JSON values that identify a file by all of its bytes, for sources of moderate size."""
-    folder, name = split_uri(shard.path)
-    return {"file": name, "rows": len(shard), "sha256": file_sha256(folder, name)}
 
 
 def manifest_beside(shard: Shard) -> Manifest | None:

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import base64
 import io
-import re
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -167,16 +166,6 @@ def gallery_of_rows(
             tasks.append(RowsTask(rows[part], split, item, tuple(given[part])))
     heading = f"{title} · {short_name(name)}"
     return Gallery(kind.name, heading, (kind.noun, kind.nouns), facets, measures, tuple(tasks), shown)
-
-
-def natural_order(values: Iterable[str]) -> list[str]:
-    """Sort texts so that numbers in them count as numbers: ``["2", "10", "a"]``; each once."""
-
-    def key(text: str) -> tuple[list[tuple[int, float, str]], str]:
-        parts = re.findall(r"\d+|\D+", text)
-        return [(0, float(part), "") if part.isdecimal() else (1, 0.0, part) for part in parts], text
-
-    return sorted(set(values), key=key)
 
 
 def packed_mesh(

@@ -27,10 +27,11 @@ from typing import Any, cast
 
 from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask, natural_order
+from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask
 from tactile_toolkit.run.processes import Runner, runner_for
 from tactile_toolkit.store.files import LOCK_FILE, locked, named_failures
 from tactile_toolkit.store.folder import local_folder
+from tactile_toolkit.wording import natural_key
 
 PAGE_FILE = "index.html"
 
@@ -264,7 +265,7 @@ def index_of(gallery: Gallery, items: Sequence[Item]) -> dict[str, Any]:
         known = [
             value for value in (gallery.splits if facet.name == SPLIT else facet.values) if value in found
         ]
-        values = known + natural_order(found.difference(known))
+        values = known + sorted(found.difference(known), key=natural_key)
         numbers = {value: number for number, value in enumerate(values)}
         chosen = [[numbers[value] for value in row] for row in rows]
         facets.append({"title": facet.title, "values": values, "rows": chosen})

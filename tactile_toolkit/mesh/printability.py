@@ -164,7 +164,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     InputError
         The mesh has no triangles.
     """
-    from tactile_toolkit.mesh.nearness import thinnest_wall_mm
+    from tactile_toolkit.mesh.nearness import leaning_out, thinnest_wall_mm
 
     mesh = as_mesh(mesh)
     profile = PrintProfile() if profile is None else profile
@@ -178,8 +178,10 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
     # Vertices that lie in the mid-plane would make the cut run along edges: it is taken just above them.
     outlines = check.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
-    overhang_mm2 = _overhang_mm2(vertices_mm, faces, profile)
-    contact_mm2 = float(check.manifold.slice(low[2] + profile.layer_height_mm).area())
+    # What lies within the first layer rests on the bed, whatever way it faces.
+    bed_mm, sine = low[2] + profile.layer_height_mm, math.sin(math.radians(profile.overhang_deg))
+    overhang_mm2 = float(leaning_out(vertices_mm, faces, bed_mm, sine).sum() / 2)
+    contact_mm2 = float(check.manifold.slice(bed_mm).area())
     wall_mm = max(min(thinnest_width_mm(outlines), size_mm[2]), min(WALL_REACH_MM, *size_mm))
     wall_mm = min(wall_mm, thinnest_wall_mm(vertices_mm, faces, WALL_REACH_MM))
     overhang_share = overhang_mm2 / max(section_area_mm2(outlines), 1e-9)
@@ -215,15 +217,6 @@ def unreadable(detail: str) -> PrintReport:
 
 # Share of the height by which the middle section avoids the vertices that lie in the mid-plane.
 _OFF_VERTICES = 1e-7
-
-
-def _overhang_mm2(vertices_mm: NDArray[np.float64], faces: NDArray[np.int64], profile: PrintProfile) -> float:
-    from tactile_toolkit.mesh.nearness import leaning_out
-
-    # What lies within the first layer rests on the bed, whatever way it faces.
-    bed_mm = vertices_mm[:, 2].min() + profile.layer_height_mm
-    sine = math.sin(math.radians(profile.overhang_deg))
-    return float(leaning_out(vertices_mm, faces, bed_mm, sine).sum() / 2)
 
 
 # --- the thinnest wall of a section, from its medial axis ----------------------------------------------

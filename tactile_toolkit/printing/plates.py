@@ -99,20 +99,17 @@ def write_plates(
     unknown = _unknown_files(layout, local_folder(out))
     # The table first: it says most clearly whether these are the plates of another export.
     export([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
-    made = export(_products(layout), out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
+    plates = [
+        Product(solid, (solid, picture), partial(_made, layout, number))
+        for number, (solid, picture) in enumerate(_names(layout), 1)
+    ]
+    made = export(plates, out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
     written = {plate.file for plate in made.files}
     rows = tuple(row for row in _rows(layout) if row["file"] in written)
     if not dry_run:
         # Last: what it lists is there and was checked.
         export([_table_product(rows, unknown)], out, overwrite=True)
     return PlateExport(made.files, layout.least_plates, rows, (*layout.failures, *made.failed), unknown)
-
-
-def _products(layout: Layout) -> list[Product[PlateFile]]:
-    return [
-        Product(solid, (solid, picture), partial(_made, layout, number))
-        for number, (solid, picture) in enumerate(_names(layout), 1)
-    ]
 
 
 def _names(layout: Layout) -> list[tuple[str, str]]:

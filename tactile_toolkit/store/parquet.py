@@ -244,11 +244,6 @@ _SHARDS_TOGETHER = 1024
 _READERS = 16
 
 
-def report_columns(folder: DataFolder, path: str) -> list[str]:
-    """Return the names of the columns of a report; IntegrityError where it is missing or damaged."""
-    return list(open_parquet(folder, path).schema_arrow.names)
-
-
 def report_pieces(folder: DataFolder, path: str, columns: Sequence[str] | None = None) -> Iterator[Any]:
     """Yield a report, or some of its columns, as Arrow tables, one for each row group.
 

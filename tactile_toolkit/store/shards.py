@@ -15,7 +15,7 @@ import msgspec
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.folder import PENDING_FOLDER
 from tactile_toolkit.store.names import LARGEST, Count, Sha256
-from tactile_toolkit.wording import did_you_mean, printable
+from tactile_toolkit.wording import did_you_mean, natural_key, printable
 
 DAMAGED = "damaged"
 """Reason to leave an item out whose stored data is damaged."""
@@ -31,7 +31,6 @@ _MANY_SHARDS = 8192
 # Numbers have five digits, and more where five are too few: one shard, one name.
 _NUMBER = "([0-9]{5}|[1-9][0-9]{5,11})"
 _SHARD_PATTERN = re.compile(rf"(\w+)-{_NUMBER}-of-{_NUMBER}\.parquet")
-_NUMBERS = re.compile("([0-9]+)")
 
 
 class ShardName(msgspec.Struct, frozen=True, order=True):
@@ -214,16 +213,7 @@ def shard_files(paths: Iterable[str]) -> list[ShardFile]:
             if split.isdigit() and file.parent.name not in ("", DATA_FOLDER):
                 split = file.parent.name
         files.append(ShardFile(split, path))
-    return sorted(files, key=lambda file: (file.split, _by_number(file.path), file.path))
-
-
-def _by_number(path: str) -> list[Any]:
-    """Return what orders names as people count, 99999 before 100000: text and numbers by turns."""
-    parts: list[Any] = _NUMBERS.split(path)
-    # The length of a number and its digits: names may be any user's, and Python reads 4,300 digits at most.
-    numbers = (part.lstrip("0") for part in parts[1::2])
-    parts[1::2] = [(len(digits), digits) for digits in numbers]
-    return parts
+    return sorted(files, key=lambda file: (file.split, natural_key(file.path)))
 
 
 def files_of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]:

@@ -22,13 +22,13 @@ from tactile_toolkit.gallery.items import (
     Facet,
     Gallery,
     Item,
-    natural_order,
     packed_mesh,
     relief_thumbnail,
     require_mesh,
     thumbnail,
 )
 from tactile_toolkit.gallery.site import index_of, script_json
+from tactile_toolkit.wording import natural_key
 from tests.gallery_toy import CORNERS_M, FACES
 
 
@@ -160,7 +160,8 @@ def test_rows_are_chosen_per_class_then_limited():
 
 
 def test_values_are_in_the_order_people_count_in():
-    assert natural_order(["10", "9", "a10", "a9", "9", "-1"]) == ["9", "10", "-1", "a9", "a10"]
+    counted = ["9", "10", "-1", "a01", "a1", "a10"]
+    assert sorted(set(counted), key=natural_key) == counted
 
 
 def test_a_site_does_not_tell_where_the_data_set_lay(tmp_path):
