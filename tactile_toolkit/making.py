@@ -14,7 +14,13 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.run.processes import Check, Runner
-from tactile_toolkit.store.build import RunOptions, build, refuse_overwriting_parts, require_replaceable
+from tactile_toolkit.store.build import (
+    RunOptions,
+    build,
+    refuse_overwriting_parts,
+    require_replaceable,
+    require_rows,
+)
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, Job, ShardContent, inspect_job, manifest_so_far
 from tactile_toolkit.store.manifest import Manifest, without_collecting
@@ -277,7 +283,10 @@ def _sample(making: Making, plan: BuildPlan) -> tuple[int, float, float]:
     replace(first, items=first.items[:1]).make()  # pays for imports and for what is kept in memory
     few = replace(first, items=first.items[: making.layout().sampled])
     start_s = time.perf_counter()
-    table = few.make().table
+    content = few.make()
+    table = content.table
+    if few.size == sum(task.size for task in plan.tasks):
+        require_rows([(len(table), content.skipped)])
     size_bytes = len(encode_parquet(table, plan.style)) if len(table) else 0
     return len(table), size_bytes / few.size, (time.perf_counter() - start_s) / few.size
 

@@ -51,7 +51,7 @@ from tactile_toolkit.store.parquet import (
     sha256_hex,
     write_small_columns,
 )
-from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardName, ShardRecord
+from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardName, ShardRecord, Skipped
 
 _CAUSES_SHOWN = 3
 # How long a run waits for the lock of others; one that was stopped (Ctrl-Z) never releases it.
@@ -218,7 +218,7 @@ def _finish(job: Job, records: Sequence[ShardRecord], write_card: WriteCard | No
     folder, plan = job.folder, job.plan
     current = require_same_job(folder, job.manifest.identity)
     _require_records(job, records)
-    _require_rows(records)
+    require_rows([(record.rows, record.skipped) for record in records])
     # Other splits may have been finished since the run began.
     manifest = replace(job.manifest, shards=current.shards, files=current.files).with_shards(records)
     files = dict(manifest.files)
@@ -279,10 +279,13 @@ def _require_records(job: Job, records: Sequence[ShardRecord]) -> None:
     require_parts(job, [record for record in records if record.is_size_of(sizes)])
 
 
-def _require_rows(records: Sequence[ShardRecord]) -> None:
-    """Refuse a run that left every item out: its source, not its items, is what is wrong."""
-    skipped = [item for record in records for item in record.skipped]
-    if skipped and not any(record.rows for record in records):
+def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
+    """Refuse a run that left every item out: its source, not its items, is what is wrong.
+
+    Takes the rows of each shard, and what was left out.
+    """
+    skipped = [item for _, left_out in shards for item in left_out]
+    if skipped and not any(rows for rows, _ in shards):
         first = {item.reason: item.message for item in reversed(skipped)}
         causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
         raise (IntegrityError if set(first) == {DAMAGED} else InputError)(

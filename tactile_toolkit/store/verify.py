@@ -105,7 +105,8 @@ def verify(
     findings += [finding for found in checked.values() for finding in found.findings]
     # Ids of other people's data sets are their own, and may be the same in several splits.
     findings += _repeated_ids({path: checked[path].ids for path in shards})
-    if check_card is not None and not findings:  # what is damaged is named, and cannot be compared with
+    # What is damaged is named, and cannot be compared with; cards of others are theirs.
+    if check_card is not None and manifest is not None and not findings:
         findings += check_card(folder)
     rows = sum(each.rows for path, each in checked.items() if path in (shards or files))
     size = sum(file.size_bytes for file in files.values())

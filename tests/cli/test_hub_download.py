@@ -142,9 +142,9 @@ def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path)
     damaged = call(server, tmp_path, "mnist3d", "verify", out)
     assert damaged.code == 3
     lines = damaged.err.splitlines()
-    assert lines[0] == "damaged: data/holdout-00000-of-00001.parquet: is missing"
-    assert lines[1].startswith("damaged: data/test-00000-of-00001.parquet: sha256 ")
-    assert lines[2] == "damaged: data/mine.parquet: is not listed in .download.json; next: remove it"
+    assert lines[0] == "damaged: data/mine.parquet: is not listed in .download.json; next: remove it"
+    assert lines[1] == "damaged: data/holdout-00000-of-00001.parquet: is missing"
+    assert lines[2].startswith("damaged: data/test-00000-of-00001.parquet: sha256 ")
     assert f"next: download {BARE} there again, only what is damaged is fetched" in lines[3]
     assert call(server, tmp_path, "mnist3d", "download", BARE, "--out", out).code == 0
     stray = call(server, tmp_path, "mnist3d", "verify", out)

@@ -287,7 +287,7 @@ def test_generate_in_which_nothing_can_be_made_is_refused(tmp_path, capsys):
     assert "made" not in printed.out
     assert not (tmp_path / "set").exists()
     assert call("generate", *source, *sizes, "--dry-run") == 2
-    assert "none of 2 digits that were tried could be made" in capsys.readouterr().err
+    assert "no row is left: all 2 were left out" in capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")

@@ -46,7 +46,7 @@ def test_forecast_with_overwrite_tells_what_would_be_replaced(folder):
     before = (folder / "manifest.json").read_bytes()
     view = forecast(DigitMaking(other), folder, ("train", "test"), 1, overwrite=True)
     assert view.replaced == {"train": 3, "test": 3}
-    assert (view.rows_to_make, [entry.finished for entry in view.splits]) == (4, [0, 0])
+    assert (view.rows_to_make, [entry["finished"] for entry in view.splits]) == (4, [0, 0])
     for part in (Part(0, 2), Check(Part(0, 2)), Finish(), Check(Finish())):
         with pytest.raises(InputError, match="--overwrite was given with --part or --finish"):
             forecast(DigitMaking(other), folder, ("train", "test"), part, overwrite=True)
