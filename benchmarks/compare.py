@@ -284,8 +284,7 @@ def _longer(row: dict[str, Any], touches: int) -> dict[str, Any]:
 @contextmanager
 def served(data: Path) -> Iterator[dict[str, str]]:
     """Give the settings of a client of a Hub as far away as a real one: each answer takes its time."""
-    from tests.hub_server import hub
-    from tests.hub_server import server as module
+    from tests.hub_server import hub, server as module
 
     at_once = module.answer
 

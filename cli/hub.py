@@ -86,8 +86,7 @@ def download(
     After an interruption, the same command continues. `list` names the published data sets.
     """
     from tactile_toolkit.catalog.locate import published_set
-    from tactile_toolkit.exchange.download import download as carry_out
-    from tactile_toolkit.exchange.download import plan_download
+    from tactile_toolkit.exchange.download import download as carry_out, plan_download
 
     _quiet_client(is_all=True)
     # The repository of a published set holds no manifest.

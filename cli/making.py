@@ -17,8 +17,7 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import counted, listed
 
 if TYPE_CHECKING:
-    from tactile_toolkit.making import Forecast
-    from tactile_toolkit.making import Making as RowMaking
+    from tactile_toolkit.making import Forecast, Making as RowMaking
     from tactile_toolkit.store.build import Progress
     from tactile_toolkit.store.manifest import Manifest
 

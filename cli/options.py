@@ -45,8 +45,7 @@ def _runner_name(text: str) -> str:
 def parse_address(text: str | Path) -> str:
     """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
     from tactile_toolkit.store.files import expanded
-    from tactile_toolkit.store.names import is_remote
-    from tactile_toolkit.store.names import normalize_uri as read
+    from tactile_toolkit.store.names import is_remote, normalize_uri as read
 
     place = read(str(text))
     return place if is_remote(place) else str(expanded(place))

@@ -252,8 +252,7 @@ def evaluate(
     Example: tactile-sim evaluate weights --pairs pairs-test --out evaluation
     """
     import tactile_sim.learned  # noqa: F401  (reports what is missing)
-    from tactile_sim.learned.evaluation import BASELINES
-    from tactile_sim.learned.evaluation import evaluate as measure
+    from tactile_sim.learned.evaluation import BASELINES, evaluate as measure
     from tactile_sim.noise import SensorNoise
 
     baselines = tuple(name for name in BASELINES if taxim or name != "taxim")

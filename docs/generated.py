@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import ast
 import inspect
 import json
 import re
@@ -107,11 +108,16 @@ def _assigned(name: Name) -> tuple[str, str]:
 
 
 def _names_of(module: Any) -> list[str]:
-    """Return what a module lists, or else the public names that it defines."""
-    defined = [
-        name for name, value in vars(module).items() if getattr(value, "__module__", "") == module.__name__
-    ]
-    return getattr(module, "__all__", None) or [name for name in defined if not name.startswith("_")]
+    """Return the public names that a module lists, or else defines or imports under their own name."""
+    found: list[str] = list(getattr(module, "__all__", ()))
+    for node in () if found else ast.parse(inspect.getsource(module)).body:
+        if isinstance(node, ast.ImportFrom):
+            found += [each.name for each in node.names if each.asname == each.name]
+        elif isinstance(node, (ast.ClassDef, ast.FunctionDef)):
+            found.append(node.name)
+        elif isinstance(node, ast.Assign):
+            found += [target.id for target in node.targets if isinstance(target, ast.Name)]
+    return [name for name in found if not name.startswith("_")]
 
 
 @cache

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from mnist3d.ink import Mask, Places, refuse
 from mnist3d.lattice import Lattice, Mirrored
 from mnist3d.spec import SolidSpec
-from tactile_toolkit.mesh.crossings import self_crossing
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.solid_check import self_crossing
 
 Vertices: TypeAlias = NDArray[np.float32]
 Faces: TypeAlias = NDArray[np.int32]

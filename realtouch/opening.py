@@ -11,8 +11,7 @@ from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, 
 from realtouch.integrity import agreeing_files, find_damage, modal_touch_count
 from realtouch.kind import KIND
 from realtouch.schema import kind_of
-from tactile_toolkit.catalog.locate import find_files, find_shards
-from tactile_toolkit.catalog.locate import place_of as place_of_name
+from tactile_toolkit.catalog.locate import find_files, find_shards, place_of as place_of_name
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.files import expanded

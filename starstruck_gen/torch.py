@@ -3,25 +3,14 @@
 from __future__ import annotations
 
 from tactile_toolkit.mesh.torch import (
-    REPRESENTATIONS,
-    TARGETS,
-    MeshBatch,
-    MeshItem,
+    REPRESENTATIONS as REPRESENTATIONS,
+    TARGETS as TARGETS,
+    MeshBatch as MeshBatch,
+    MeshItem as MeshItem,
     SolidTensors,
-    collate_meshes,
+    collate_meshes as collate_meshes,
 )
-from tactile_toolkit.read.torch import TrainingBatches
-
-__all__ = [
-    "FORMS",
-    "REPRESENTATIONS",
-    "TARGETS",
-    "MeshBatch",
-    "MeshItem",
-    "SceneTensors",
-    "TrainingBatches",
-    "collate_meshes",
-]
+from tactile_toolkit.read.torch import TrainingBatches as TrainingBatches
 
 FORMS = REPRESENTATIONS
 """Former name."""

@@ -13,8 +13,7 @@ from itertools import groupby
 import pyarrow as pa
 
 from realtouch.convert.plan import Made, with_files, write_changed
-from realtouch.exchange.flat import IMAGE
-from realtouch.exchange.flat import plan as plan_rows
+from realtouch.exchange.flat import IMAGE, plan as plan_rows
 from realtouch.exchange.items import HERE, Item, as_jpeg, background_of, size_below
 from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError

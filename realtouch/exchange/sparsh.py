@@ -18,8 +18,7 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from realtouch.convert.plan import Made, checksums, with_files, write_changed
-from realtouch.exchange.flat import IMAGE
-from realtouch.exchange.flat import plan as plan_rows
+from realtouch.exchange.flat import IMAGE, plan as plan_rows
 from realtouch.exchange.items import Item, background_of, read_table
 from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError

@@ -15,8 +15,7 @@ from typing import Any
 import pyarrow as pa
 
 from realtouch.convert.plan import Made, with_files
-from realtouch.exchange.flat import IMAGE
-from realtouch.exchange.flat import plan as plan_rows
+from realtouch.exchange.flat import IMAGE, plan as plan_rows
 from realtouch.exchange.items import HERE, IMAGE_ENDINGS, Item, require_columns
 from realtouch.spec import ImportColumns
 from realtouch.tars import files_of_tar

@@ -8,11 +8,9 @@ from __future__ import annotations
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from importlib.abc import MetaPathFinder
-from types import ModuleType
-from typing import TypeVar
+from typing import Any, TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -96,15 +94,9 @@ def skip_pandas() -> None:
     import pyarrow as pa
 
     # pyarrow looks once, and has no setting for it: here it finds none.
-    finder = _NoPandas()
-    sys.meta_path.insert(0, finder)
+    modules: dict[str, Any] = sys.modules
+    modules["pandas"] = None  # as Python marks what must not be imported
     try:
         pa.array([0])
     finally:
-        sys.meta_path.remove(finder)
-
-
-class _NoPandas(MetaPathFinder):
-    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
-        if name == "pandas":
-            raise ModuleNotFoundError("pandas is left out of this process", name=name)
+        del modules["pandas"]

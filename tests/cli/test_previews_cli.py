@@ -15,13 +15,11 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mnist3d.make import GenerateSpec as DigitSpec
-from mnist3d.make import generate as generate_digits
+from mnist3d.make import GenerateSpec as DigitSpec, generate as generate_digits
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
-from starstruck_gen.make import GenerateSpec as SceneSetSpec
-from starstruck_gen.make import generate as generate_scenes
+from starstruck_gen.make import GenerateSpec as SceneSetSpec, generate as generate_scenes
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh

@@ -8,8 +8,7 @@ from typing import Any
 import manifold3d
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh

@@ -5,8 +5,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from starstruck_gen.loader import SceneDataset
 from starstruck_gen.placement import build_meshes, prism

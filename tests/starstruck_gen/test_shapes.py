@@ -8,8 +8,7 @@ from dataclasses import FrozenInstanceError
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from starstruck_gen.columns import scene_schema
 from starstruck_gen.make import make_rows

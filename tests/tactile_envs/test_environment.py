@@ -16,8 +16,10 @@ ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not in
 import gymnasium as gym  # noqa: E402
 import trimesh  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
-from hypothesis import given  # noqa: E402
-from hypothesis import strategies as st  # noqa: E402
+from hypothesis import (  # noqa: E402
+    given,
+    strategies as st,
+)
 
 import tactile_envs  # noqa: E402
 from tactile_envs.making import make_vector  # noqa: E402

@@ -8,8 +8,7 @@ import re
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 import tactile_sim
 from tactile_toolkit.errors import InputError

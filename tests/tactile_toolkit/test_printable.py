@@ -8,8 +8,7 @@ from io import StringIO
 import pyarrow as pa
 import pytest
 import yaml
-from hypothesis import example, given
-from hypothesis import strategies as st
+from hypothesis import example, given, strategies as st
 
 from cli.output import Sink
 from tactile_toolkit.cards.card import column_type_text, markdown_table

@@ -19,8 +19,7 @@ from datasets.exceptions import (
     NonMatchingSplitsSizesError,
 )
 from huggingface_hub import DatasetCard, DatasetCardData
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from mnist3d.card import write_card
 from mnist3d.make import GenerateSpec, generate

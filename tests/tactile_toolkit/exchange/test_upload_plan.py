@@ -7,8 +7,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from starstruck_gen.make import GenerateSpec, generate
 from tactile_toolkit.cards.facts import configs, folder_facts

@@ -11,8 +11,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from tactile_toolkit.catalog.choose import choose_rows, short_name
 from tactile_toolkit.errors import IntegrityError

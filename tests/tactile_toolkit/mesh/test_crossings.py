@@ -11,18 +11,17 @@ import manifold3d
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from mnist3d.solid import SolidSpec, solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from starstruck_gen.placement import build_meshes
 from starstruck_gen.sampling import sample_scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.mesh import crossings
-from tactile_toolkit.mesh.crossings import self_crossing
+from tactile_toolkit.mesh import solid_check
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import inspect
+from tactile_toolkit.mesh.solid_check import self_crossing
 
 Surface = tuple[np.ndarray, np.ndarray]
 
@@ -170,9 +169,9 @@ def test_digits_cross_nowhere_by_proof_and_by_trial(spec: SolidSpec) -> None:
         mesh = solidify(source.image(number * 101).pixels, spec)
         vertices, faces = mesh.vertices_m.astype(float) * 1000, mesh.faces.astype(np.int64)
         if spec.profile == "round":  # the others may be decimated, which leaves no halves to compare
-            assert len(crossings.faces_not_proven_free(vertices, faces)) < 500
+            assert len(solid_check.faces_not_proven_free(vertices, faces)) < 500
         assert self_crossing(vertices, faces) is None
-        assert crossings._crossing_among(vertices, faces, np.arange(len(faces))) is None
+        assert solid_check._crossing_among(vertices, faces, np.arange(len(faces))) is None
 
 
 @settings(max_examples=settings.default.max_examples // 5)
@@ -188,7 +187,7 @@ def test_digits_that_are_tampered_with_are_found_through_the_proof(seed: int) ->
     if rng.random() < 0.5:  # else there are still two halves, and the proof is tried
         vertices[chosen, 2] += rng.normal(size=3)
     found = self_crossing(vertices, faces) is not None
-    assert found == (crossings._crossing_among(vertices, faces, np.arange(len(faces))) is not None)
+    assert found == (solid_check._crossing_among(vertices, faces, np.arange(len(faces))) is not None)
 
 
 @pytest.mark.thorough

@@ -5,8 +5,7 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.records import require_mesh_columns

@@ -8,8 +8,7 @@ from typing import Any
 import manifold3d
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tactile_toolkit.mesh.nearness import FACING, near_pairs, thinnest_wall_mm
 

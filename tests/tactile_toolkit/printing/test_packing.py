@@ -7,8 +7,7 @@ import math
 import manifold3d
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from tactile_toolkit.printing.packing import Spot, cells_of, cells_touched, outline_of, pack
 from tactile_toolkit.printing.spec import PlateSpec

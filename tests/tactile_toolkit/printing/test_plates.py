@@ -15,8 +15,7 @@ import manifold3d
 import numpy as np
 import pytest
 import shapely
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from PIL import Image
 
 from tactile_toolkit.errors import InputError

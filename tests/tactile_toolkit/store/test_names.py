@@ -9,8 +9,7 @@ from dataclasses import replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.catalog.locate import find_shards
