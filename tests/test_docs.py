@@ -76,10 +76,10 @@ def test_every_public_package_is_in_the_reference():
 
 
 @pytest.mark.parametrize("name", modules_of_the_reference())
-def test_every_module_of_the_reference_lists_its_public_names(name):
+def test_every_module_of_the_reference_has_the_names_that_it_lists(name):
     """The suite finds it before Sphinx does, which runs at the very end of CI."""
     try:
         module = import_module(name)
     except (ImportError, InputError) as error:
         pytest.skip(f"needs an extra: {error}")
-    assert set(module.__all__) <= set(dir(module))
+    assert set(getattr(module, "__all__", ())) <= set(dir(module))

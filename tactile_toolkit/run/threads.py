@@ -8,9 +8,11 @@ from __future__ import annotations
 import os
 import sys
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any, TypeVar
+from importlib.abc import MetaPathFinder
+from types import ModuleType
+from typing import TypeVar
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -94,9 +96,15 @@ def skip_pandas() -> None:
     import pyarrow as pa
 
     # pyarrow looks once, and has no setting for it: here it finds none.
-    modules: dict[str, Any] = sys.modules
-    modules["pandas"] = None  # as Python marks what must not be imported
+    finder = _NoPandas()
+    sys.meta_path.insert(0, finder)
     try:
         pa.array([0])
     finally:
-        del modules["pandas"]
+        sys.meta_path.remove(finder)
+
+
+class _NoPandas(MetaPathFinder):
+    def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
+        if name == "pandas":
+            raise ModuleNotFoundError("pandas is left out of this process", name=name)
