@@ -54,10 +54,15 @@ class Pictures:
 
     def write(self, sink: Sink, plan: PicturePlan, usual: str = "previews") -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""
-        from tactile_toolkit.pictures.sheets import renamed, write_pictures
+        from tactile_toolkit.pictures.sheets import write_pictures
         from tactile_toolkit.store.folder import DataFolder
 
-        folder, pictures = renamed(plan.pictures, self.out or Path(usual))
+        folder, pictures = self.out or Path(usual), plan.pictures
+        if folder.suffix.lower() == ".png":
+            if len(pictures) != 1:
+                what = f"--out is the file {str(folder)!r} for {len(pictures)} pictures"
+                raise InputError(what, next="give a folder")
+            folder, pictures = folder.parent, (replace(pictures[0], name=folder.name),)
         for reason in plan.left_out:
             sink.info(f"left out: {reason}")
         left_out = {"left_out": list(plan.left_out)}
@@ -289,13 +294,16 @@ def _export_files(
 def _export_flat(
     sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], out: str, job: Job
 ) -> None:
-    from tactile_toolkit.exchange.copies import forecast_tables, plan_tables
+    from tactile_toolkit.exchange.copies import plan_tables
     from tactile_toolkit.store.build import build
     from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.job import inspect_job
 
     plan = plan_tables(kind, name, choices, some, out)
     if job.dry_run:
-        rows = forecast_tables(plan, out, overwrite=job.overwrite)
+        if not job.overwrite:
+            inspect_job(DataFolder(out), plan)
+        rows = sum(task.size for task in plan.tasks)
         sink.document({"folder": out, "rows": rows})
         sink.line(f"would write {counted(rows, kind.nouns)} to {out}; nothing was written")
         return
@@ -334,11 +342,11 @@ def _export_plates(
     if made.removed:
         sink.info(f"{removed} plates of the export that was there before: {', '.join(made.removed)}")
     rows = [
-        (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.plates
+        (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.files
     ]
     sink.table(("plate", "objects", "needed of the plate", "size"), rows)
-    kept = _kept(sum(plate.state == "kept" for plate in made.plates))
-    placed, plates = counted(len(made.objects), "objects"), counted(len(made.plates), "plates")
+    kept = _kept(sum(plate.state == "kept" for plate in made.files))
+    placed, plates = counted(len(made.objects), "objects"), counted(len(made.files), "plates")
     sink.line(
         f"{wrote} {placed} on {plates} of {spec.text} to {out} (no packing needs fewer than "
         f"{made.least_plates}){kept}; {ending}"

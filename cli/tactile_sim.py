@@ -170,15 +170,7 @@ def pairs(
     prepare_batch_process()
     pairs = PairsMaking.of(objects, real, split, spec)
     require = partial(pairs.refuse_sources, objects, out)
-    generate_set(sink, "pressing and scaling", pairs, out, None, making, _print_pairs, require)
-
-
-def _print_pairs(
-    sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, elapsed_s: float | None
-) -> None:
-    print_set(sink, kind, manifest, out, elapsed_s)
-    if manifest.complete and elapsed_s is not None:
-        sink.line(f"next: tactile-sim train {out} --out weights")
+    generate_set(sink, "pressing and scaling", pairs, out, None, making, print_set, require)
 
 
 @command(app)

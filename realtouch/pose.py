@@ -56,7 +56,8 @@ class Pose(RigidTransform):
     @property
     def angle(self) -> NDArray[np.float64]:
         """Angle of the rotation, radians, 0 to pi."""
-        return angle_of(self.quaternion)
+        sine = np.linalg.norm(self.quaternion[..., :3], axis=-1)
+        return np.asarray(2.0 * np.arctan2(sine, np.abs(self.quaternion[..., 3])))
 
     @property
     def inv(self) -> InversePose:
@@ -98,9 +99,3 @@ class InversePose(Pose):
     def __call__(self) -> Pose:
         """Return the inverse as a plain pose."""
         return Pose(self.as_matrix(), normalize=False)
-
-
-def angle_of(quaternion: NDArray[Any]) -> NDArray[np.float64]:
-    """Return the angle of rotations given as x, y, z, w, shape (..., 4): radians, shape (...,), 0 to pi."""
-    sine, cosine = np.linalg.norm(quaternion[..., :3], axis=-1), np.abs(quaternion[..., 3])
-    return np.asarray(2.0 * np.arctan2(sine, cosine))

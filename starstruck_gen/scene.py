@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
@@ -207,21 +206,17 @@ def _paint_object(picture: Image, placement: Placement, px_per_m: float) -> None
     """Paint an object where it stands, with its edge; ``px_per_m`` is the scale of the larger picture."""
     from PIL import Image, ImageDraw
 
-    rings = [_corners_px(ring, placement, picture.size, px_per_m) for ring in outline(placement.shape)]
+    c, s = cosine_sine(placement.angle_rad)
+    rings = []
+    for ring in outline(placement.shape):
+        turned = moved(ring, np.array([[c, s], [-s, c]]))
+        standing_m = placement.radius_m * turned + (placement.x_m, placement.y_m)
+        corners_px = standing_m * px_per_m * (1.0, -1.0) + np.array(picture.size) / 2
+        rings.append([(x, y) for x, y in corners_px.tolist()])
     # A mask keeps holes open: what stands inside one must stay visible.
     mask = Image.new("L", picture.size)
-    for number, ring in enumerate(rings):
-        ImageDraw.Draw(mask).polygon(ring, fill=0 if number else 255)
+    for number, edge_px in enumerate(rings):
+        ImageDraw.Draw(mask).polygon(edge_px, fill=0 if number else 255)
     picture.paste(STAR if placement.is_star else DISTRACTOR, mask=mask)
-    for ring in rings:
-        ImageDraw.Draw(picture).polygon(ring, outline=_EDGE, width=_SUPERSAMPLING)
-
-
-def _corners_px(
-    ring: NDArray[np.float64], placement: Placement, size_px: tuple[int, int], px_per_m: float
-) -> list[tuple[float, float]]:
-    """Return where the corners of an outline, (n, 2) in radii, lie in a picture."""
-    c, s = cosine_sine(placement.angle_rad)
-    turned = moved(ring, np.array([[c, s], [-s, c]]))
-    standing_m = placement.radius_m * turned + (placement.x_m, placement.y_m)
-    return [(x, y) for x, y in (standing_m * px_per_m * (1.0, -1.0) + np.array(size_px) / 2).tolist()]
+    for edge_px in rings:
+        ImageDraw.Draw(picture).polygon(edge_px, outline=_EDGE, width=_SUPERSAMPLING)

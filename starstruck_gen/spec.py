@@ -125,16 +125,11 @@ class SceneSpec:
 
         Objects in any rotation then stay inside the padded cell.
         """
-        widest_m = 2 * self.largest_radius_m
+        widest_m = 2 * max(shape.radius_m for shape in (self.star, *self.distractor_shapes))
         return (
             (self.cell_m[0] - self.padding_m[0] - widest_m) / 2,
             (self.cell_m[1] - self.padding_m[1] - widest_m) / 2,
         )
-
-    @property
-    def largest_radius_m(self) -> float:
-        """Circumscribed radius of the largest shape, metres."""
-        return max(shape.radius_m for shape in (self.star, *self.distractor_shapes))
 
     @property
     def class_names(self) -> tuple[str, ...]:

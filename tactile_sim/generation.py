@@ -444,7 +444,10 @@ def look(mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, t
     solid = Pressable.of(mesh, layer_m=spec.layer_m)
     stands = pose(z_m=-solid.foot_m, turn_rad=turn_rad)
     if at_m is None:
-        stands[:2, 3] = -_middle_m(solid, stands)
+        # A ring has no point in its middle.
+        points_m = on_object(_POINTS, solid, np.tile(stands, (_POINTS, 1, 1)), generator("look"))
+        away_m = points_m - _bounds_m(solid, stands).mean(axis=0)
+        stands[:2, 3] = -points_m[np.argmin((away_m**2).sum(axis=1))]
     pressed = render_touch(solid, stands, pose(*(at_m or (0.0, 0.0))), sensor)
     # Noise is drawn as for round 0 of an object 0, so that a look is the same each time.
     pictures = optics.render(pressed.depth_m[None], sensor, spec.size_px)
@@ -452,14 +455,6 @@ def look(mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, t
     is_object = pressed.sensor_z_m - pressed.depth_m >= RENDERED_CONTACT_M
     touched = float((is_object & (pressed.depth_m < sensor.gel_m)).mean())
     return Look(picture, pressed.sensor_z_m, touched, _bounds_m(solid, stands))
-
-
-def _middle_m(solid: Pressable, stands: Matrix) -> NDArray[np.float64]:
-    """Return a point of the solid as near to its middle as may be, shape (2,): a ring has none there."""
-    points_m = on_object(_POINTS, solid, np.tile(stands, (_POINTS, 1, 1)), generator("look"))
-    away_m = points_m - _bounds_m(solid, stands).mean(axis=0)
-    nearest: NDArray[np.float64] = points_m[np.argmin((away_m**2).sum(axis=1))]
-    return nearest
 
 
 def _bounds_m(solid: Pressable, stands: Matrix) -> NDArray[np.float64]:

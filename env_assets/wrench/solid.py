@@ -90,8 +90,11 @@ def _require_whole(spec: WrenchSpec, body: Any, tidy: Any) -> None:
             )
     lost = body - tidy
     for place_mm, opening_mm, turned_deg in _jaws(spec):
-        flats = _flats(spec, opening_mm).rotate(turned_deg).translate((place_mm, 0.0))
-        if (lost ^ flats).area() > _NOTHING_MM2:
+        # Where the jaw bears on the outer half of two opposite sides of the nut.
+        width_mm, deep_mm = opening_mm + spec.clearance_mm, 0.1
+        size_mm = (width_mm / (2 * math.sqrt(3)), width_mm + 2 * deep_mm)
+        flats = CrossSection.square(size_mm).translate((0.0, -size_mm[1] / 2))
+        if (lost ^ flats.rotate(turned_deg).translate((place_mm, 0.0))).area() > _NOTHING_MM2:
             raise InputError(
                 f"a chamfer of {spec.chamfer_mm:g} mm leaves no whole jaw for {opening_mm:g} mm",
                 next="choose a smaller chamfer_mm, or a larger head_mm or second_head_mm",
@@ -132,13 +135,6 @@ def _jaw(spec: WrenchSpec, opening_mm: float) -> Any:
     way_out = CrossSection.square((spec.length_mm, width_mm)).translate((0.0, -width_mm / 2))
     # A round root breaks less easily than a sharp one, and a printer rounds it anyway.
     return _opened(CrossSection([corners]) + way_out, 0.1 * opening_mm)
-
-
-def _flats(spec: WrenchSpec, opening_mm: float) -> Any:
-    """Return where the jaw bears on the outer half of two opposite sides of the nut."""
-    width_mm, deep_mm = opening_mm + spec.clearance_mm, 0.1
-    size_mm = (width_mm / (2 * math.sqrt(3)), width_mm + 2 * deep_mm)
-    return CrossSection.square(size_mm).translate((0.0, -size_mm[1] / 2))
 
 
 def _opened(shape: Any, radius_mm: float) -> Any:

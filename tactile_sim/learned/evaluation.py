@@ -192,7 +192,10 @@ def evaluate(
         network = generator_of(touch)
         if name == "untrained":
             initialise(network, seed)
-        return _by_network(network, bench.depth.images)
+        network.eval()
+        with torch.inference_mode():
+            made = torch.cat([network(depth_channels(each[None])) for each in bench.depth.images])
+        return pictures_of(made, bench.depth.images.shape[:0:-1])
 
     made = {name: made_by(name) for name in ("trained", *baselines)}
     measured = (bench.measure_real(), *(bench.measure(name, pictures) for name, pictures in made.items()))
@@ -386,10 +389,3 @@ def _inputs(pictures: Pictures) -> Any:
     if max(channels.shape[-2:]) > _INPUT_PX:
         channels = nn.functional.interpolate(channels, size=(_INPUT_PX, _INPUT_PX), mode="area")
     return channels
-
-
-def _by_network(network: Generator, depth: Depths) -> Pictures:
-    network.eval()
-    with torch.inference_mode():
-        made = torch.cat([network(depth_channels(each[None])) for each in depth])
-    return pictures_of(made, depth.shape[:0:-1])

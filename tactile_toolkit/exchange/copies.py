@@ -28,7 +28,7 @@ from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.job import BuildPlan, ShardContent, inspect_job
+from tactile_toolkit.store.job import BuildPlan, ShardContent
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import (
     ParquetStyle,
@@ -302,13 +302,6 @@ def plan_tables(
     made = manifest_beside(every[0])
     source_spec = None if made is None else made.spec
     return _copy_plan(kind, EXPORT, options, shards, source_spec, tasks, _STYLE, "trimesh")
-
-
-def forecast_tables(plan: BuildPlan, out: str, *, overwrite: bool = False) -> int:
-    """Return how many rows the planned tables have; raises what writing them would."""
-    if not overwrite:
-        inspect_job(DataFolder(out), plan)
-    return sum(task.size for task in plan.tasks)
 
 
 def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property, partial
+from functools import partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
@@ -36,20 +36,16 @@ class MeshPreviews(Generic[D]):
     """
 
     def __init__(self, kind: DatasetKind, name: str, spec: PreviewSpec) -> None:
-        self.name, self.spec, self.thing, self.things = name, spec, kind.noun, kind.nouns
-        self.stem = file_stem(name)
+        self.things, self.stem = kind.nouns, file_stem(name)
         among = spec.given()
         datasets: dict[str, D] = open_splits(name, among.pop("split"), kind.load, kind.nouns)
         require_kind(kind, "preview", name, datasets.values())
         if spec.ids:
             among["per_class"] = None
         self.chosen = choose_rows(datasets.items(), **among)
-
-    @cached_property
-    def made_by(self) -> Mapping[str, Any]:
-        """The specification in the manifest; empty where there is none."""
-        manifest = None if (folder := folder_named(self.name)) is None else read_manifest(folder)
-        return {} if manifest is None else manifest.spec
+        manifest = None if (folder := folder_named(name)) is None else read_manifest(folder)
+        # The specification in the manifest; empty where there is none.
+        self.made_by: Mapping[str, Any] = {} if manifest is None else manifest.spec
 
     def plan_sheets(self, draw: Callable[[D, str], Pixels]) -> list[PlannedPicture]:
         """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""

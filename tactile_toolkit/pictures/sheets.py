@@ -10,10 +10,9 @@ import html
 import io
 import unicodedata
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
@@ -293,18 +292,6 @@ def write_pictures(
         written.append(WrittenPicture(planned.name, planned.what, width, height, len(content)))
         on_progress(done, len(pictures))
     return written
-
-
-def renamed(pictures: Sequence[PlannedPicture], out: Path) -> tuple[Path, tuple[PlannedPicture, ...]]:
-    """Return folder and pictures; an ``out`` that ends in ``.png`` is the name of the only picture.
-
-    InputError: several pictures for one file.
-    """
-    if out.suffix.lower() != ".png":
-        return out, tuple(pictures)
-    if len(pictures) != 1:
-        raise InputError(f"--out is the file {str(out)!r} for {len(pictures)} pictures", next="give a folder")
-    return out.parent, (replace(pictures[0], name=out.name),)
 
 
 def png_bytes(pixels: Pixels) -> bytes:

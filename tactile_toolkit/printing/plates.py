@@ -26,7 +26,7 @@ from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.pictures.sheets import PAPER, bar_length_mm, draw_text, png_bytes, text_size
 from tactile_toolkit.printing.objects import (
     CHANGED,
-    Failure,
+    FileExport,
     Made,
     Product,
     Progress,
@@ -63,17 +63,15 @@ class PlateFile:
 
 
 @dataclass(frozen=True, slots=True)
-class PlateExport:
-    """What lies on which plate: the plates, the least number of them for these, and the rows of the table.
+class PlateExport(FileExport[PlateFile]):
+    """What lies on which plate: the plates, the least number of them for these, the rows of the table.
 
     ``failed`` are objects that were left out and plates that could not be written; ``removed``, files of the
     export that was here before, which this one has not.
     """
 
-    plates: tuple[PlateFile, ...]
     least_plates: int
     objects: tuple[dict[str, Any], ...]
-    failed: tuple[Failure, ...]
     removed: tuple[str, ...] = ()
 
 
@@ -109,7 +107,7 @@ def write_plates(
     if not dry_run:
         # Last: what it lists is there and was checked.
         export([_table_product(rows, unknown)], out, overwrite=True)
-    return PlateExport(made.files, layout.least_plates, rows, (*layout.failures, *made.failed), unknown)
+    return PlateExport(made.files, (*layout.failures, *made.failed), layout.least_plates, rows, unknown)
 
 
 def _names(layout: Layout) -> list[tuple[str, str]]:

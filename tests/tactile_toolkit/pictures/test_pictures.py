@@ -22,7 +22,6 @@ from tactile_toolkit.pictures.sheets import (
     in_rows,
     plan_kinds,
     png_bytes,
-    renamed,
     sheet,
     text_size,
     with_scale_bar,
@@ -138,15 +137,6 @@ def test_what_was_not_named_may_be_left_out_what_was_named_may_not():
         plan_kinds(("sheet", "plot"), plans)
     with pytest.raises(MissingExtraError):
         plan_kinds((), {"plot": plot})
-
-
-def test_one_picture_may_go_into_a_file_of_any_name():
-    one = PlannedPicture("a.png", "", lambda: np.zeros((1, 1), np.uint8))
-    assert renamed([one, one], Path("out/folder"))[0] == Path("out/folder")
-    folder, (named,) = renamed([one], Path("out/mine.PNG"))
-    assert (folder, named.name) == (Path("out"), "mine.PNG")
-    with pytest.raises(InputError, match="2 pictures"):
-        renamed([one, one], Path("out/mine.png"))
 
 
 def test_names_of_files_are_plain(tmp_path, monkeypatch):

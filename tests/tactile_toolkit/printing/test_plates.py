@@ -299,9 +299,9 @@ def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> Non
     assert sorted(int(row["id"]) for row in rows) == list(range(len(FEW)))
     assert len(made.objects) == len(rows)
     names = {path.name for path in tmp_path.iterdir()}
-    numbers = range(1, len(made.plates) + 1)
+    numbers = range(1, len(made.files) + 1)
     assert names == {"plates.csv", *(f"plate-{n:02d}.{kind}" for n in numbers for kind in ("3mf", "png"))}
-    for plate in made.plates:
+    for plate in made.files:
         mine = [row for row in rows if row["file"] == plate.file]
         items = read_build((tmp_path / plate.file).read_bytes())
         assert [item.name for item in items] == [row["name"] for row in mine]
@@ -376,8 +376,8 @@ def test_going_on_keeps_plates_and_overwriting_leaves_no_stale_ones(tmp_path: Pa
     (tmp_path / "plate-01.3mf").unlink()
     (tmp_path / "plates.csv").unlink()
     made = write_plates(many, out)
-    assert made.plates[0].state == "written"
-    assert {plate.state for plate in made.plates[1:]} <= {"kept"}
+    assert made.files[0].state == "written"
+    assert {plate.state for plate in made.files[1:]} <= {"kept"}
     assert folder_bytes(tmp_path) == whole
     with pytest.raises(InputError, match="--overwrite"):
         write_plates(few, out)
@@ -443,12 +443,12 @@ def test_a_dry_run_says_what_stands_in_the_way(tmp_path: Path) -> None:
 def test_a_dry_run_says_what_will_be_written(tmp_path: Path) -> None:
     layout = lay_out(named(FEW), SMALL)
     view = write_plates(layout, str(tmp_path / "forecast"), dry_run=True)
-    assert [plate.objects for plate in view.plates] == [len(plate) for plate in layout.plates]
-    assert {plate.state for plate in view.plates} == {"planned"}
+    assert [plate.objects for plate in view.files] == [len(plate) for plate in layout.plates]
+    assert {plate.state for plate in view.files} == {"planned"}
     assert len(view.objects) == len(FEW)
     assert list(tmp_path.iterdir()) == []
     made = write_plates(layout, str(tmp_path / "out"))
-    assert [replace(plate, state="planned") for plate in made.plates] == list(view.plates)
+    assert [replace(plate, state="planned") for plate in made.files] == list(view.files)
     assert made.objects == view.objects
 
 

@@ -62,7 +62,7 @@ def test_a_plate_is_a_scene(tmp_path: Path):
     objects = named(SHAPES)
     layout = arrange(measure(objects, PlateSpec.parse("120x120")))
     made = write_plates(replace(layout, physics=Physics()), str(tmp_path))
-    assert [plate.file for plate in made.plates] == ["plate-01.xml"]
+    assert [plate.file for plate in made.files] == ["plate-01.xml"]
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "plate-01.xml"))
     names = [model.body(number).name for number in range(1, model.nbody)]
     assert sorted(names) == sorted(item.name for item in objects)
@@ -72,7 +72,7 @@ def test_a_plate_is_a_scene(tmp_path: Path):
     assert np.abs(data.qvel).max() < 0.01
     before = folder_bytes(tmp_path)
     again = write_plates(replace(layout, physics=Physics()), str(tmp_path))
-    assert [plate.state for plate in again.plates] == ["kept"]
+    assert [plate.state for plate in again.files] == ["kept"]
     assert folder_bytes(tmp_path) == before
 
 
