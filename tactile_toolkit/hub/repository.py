@@ -262,7 +262,9 @@ class HubRepository:
             raise not_cached(self.repo_id, repr(path))
         options = {"repo_type": "dataset", "revision": self.commit, "local_dir": folder}
         options |= counting_options(count)
-        for force in (folder is None and self.folder.exists(path), True):
+        cached = Path(self.folder.address(path))
+        # What is intact came meanwhile, fetched by another process.
+        for force in (folder is None and cached.exists() and not has_digest(cached, digest), True):
             fetch = partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
             doing = f"fetching {path!r} of"
             place = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
