@@ -338,8 +338,8 @@ def _export_plates(
     doing, wrote, removed, ending = planned if job.dry_run else done
     with sink.progress(doing, "plates") as update:
         made = write_plates(layout, out, overwrite=job.overwrite, dry_run=job.dry_run, on_progress=update)
-    told = asdict(made)
-    sink.document({"out": out, "plates": told.pop("files"), **told})
+    document = asdict(made)
+    sink.document({"out": out, "plates": document.pop("files"), **document})
     if made.removed:
         sink.info(f"{removed} plates of the export that was there before: {', '.join(made.removed)}")
     rows = [
