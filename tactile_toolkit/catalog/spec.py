@@ -66,9 +66,9 @@ ALL_ROWS = Chosen()
 class PreviewSpec(Chosen):
     """Which pictures of a data set of meshes to draw.
 
-    Without kinds the usual ones, or single rows where ids are given; without a split all of them; without ids
-    the first ``per_class`` rows of each class on a sheet, and the first row where one is shown alone. With
-    ``labels`` only rows of these classes. Of all these, the first ``limit`` of each split.
+    Without kinds a sheet; without a split all of them; without ids the first ``per_class`` rows of each class
+    on a sheet, and the first row where one is shown alone. With ``labels`` only rows of these classes. Of all
+    these, the first ``limit`` of each split.
     """
 
     per_class: int = integer(10, 1, help="Objects of each class on a sheet.")

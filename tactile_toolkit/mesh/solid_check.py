@@ -272,7 +272,7 @@ def _crossing_among(vertices_mm: Numbers, faces: Indices, suspects: Indices) -> 
     normal = np.cross(b - a, c - a)
     doubled = np.sqrt((normal * normal).sum(axis=1))
     longest = np.sqrt(np.max([((v - u) ** 2).sum(axis=1) for u, v in ((a, b), (b, c), (c, a))], axis=0))
-    # Nothing passes through what is no wider than the tolerance; its edges are those of its neighbours, too.
+    # Nothing passes through a triangle narrower than the tolerance; its neighbours have its edges, too.
     wide = doubled > tolerance * longest
     triangles, normal = faces[suspects[wide]].astype(np.int64), normal[wide] / doubled[wide, None]
     pairs = near_pairs(vertices_mm[triangles], tolerance)

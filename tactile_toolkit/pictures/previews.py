@@ -1,4 +1,4 @@
-"""Previews of data sets of meshes, whatever they show: sheets class by class, and rows drawn alone."""
+"""Previews of data sets of meshes: which rows are drawn, and sheets of them class by class."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ D = TypeVar("D", bound=RecordDataset[Any])
 
 
 class MeshPreviews(Generic[D]):
-    """A data set that is to be drawn: the splits that have rows, and the rows that are drawn alone.
+    """A data set that is to be drawn: its splits with the rows that are chosen, and how it was made.
 
     InputError where the split or id does not exist, the split is empty, or the data are of another kind.
     """

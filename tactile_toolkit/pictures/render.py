@@ -19,7 +19,7 @@ _PITCH_M = 0.0002
 _TILE_PX = 96
 _MOST_PX = 4096  # of the longer side of a relief
 
-# Where the light of reliefs comes from: right, up and out of the
+# Where the light of reliefs comes from: right, up and out of the picture.
 _LIGHT = np.array([-0.45, 0.55, 0.70])
 
 _DARKEST, _RANGE = 60, 180
@@ -132,7 +132,7 @@ def draw_bodies(
 ) -> NDArray[np.uint8]:
     """Draw bodies in the middle of a picture of some width and height: the surface smooth, sharp edges sharp.
 
-    There is no perspective: lengths along the picture plane keep their scale. Shape (H, W, 3).
+    Drawn in parallel projection: lengths along the picture plane keep their scale. Shape (H, W, 3).
     """
     counts = [len(body.mesh.faces) for body in bodies]
     vertices_m, faces = joined([(body.mesh.vertices_m, body.mesh.faces) for body in bodies])

@@ -139,18 +139,18 @@ def test_a_gallery_is_replaced_only_when_asked_and_only_when_it_holds_nothing_el
 
 
 @pytest.mark.parametrize(
-    "stranger",
+    "unknown",
     [
         *("notes.txt", "media", "gallery.json", "files-0123456789abcdef/mine.js", "FILES/items/mine.js"),
         *("FILES/items/000021.js", "FILES/assets/fonts/mine.woff", "FILES/assets/mine/", "files-mine"),
     ],
 )
-def test_what_a_gallery_did_not_write_is_kept(tmp_path, stranger):
+def test_what_a_gallery_did_not_write_is_kept(tmp_path, unknown):
     out = tmp_path / "site"
     build(out)
-    place = out / stranger.replace("FILES", files_of(out).name)
+    place = out / unknown.replace("FILES", files_of(out).name)
     place.parent.mkdir(exist_ok=True)
-    if stranger.endswith("/"):
+    if unknown.endswith("/"):
         place.mkdir()
     else:
         place.write_text("mine")

@@ -41,20 +41,20 @@ def transient(error, asked_wait_s=0.0):
 
 @pytest.mark.parametrize("times", range(4))
 def test_a_transient_failure_is_tried_again_after_each_wait(slept, times):
-    told = []
-    assert with_retry(fails(times), transient, WAITS_S, on_wait=told.append) == times + 1
+    messages = []
+    assert with_retry(fails(times), transient, WAITS_S, on_wait=messages.append) == times + 1
     assert slept == list(WAITS_S[:times])
-    assert told == [
+    assert messages == [
         f"the store said attempt {number}; trying again in {wait:g} s"
         for number, wait in enumerate(WAITS_S[:times], start=1)
     ]
 
 
 def test_after_the_last_wait_the_last_failure_is_raised_without_what_the_client_said(slept):
-    with pytest.raises(RemoteError, match="the store said attempt 4") as told:
+    with pytest.raises(RemoteError, match="the store said attempt 4") as raised:
         with_retry(fails(9), transient, WAITS_S)
     assert slept == list(WAITS_S)
-    assert (told.value.__cause__, told.value.__suppress_context__) == (None, True)
+    assert (raised.value.__cause__, raised.value.__suppress_context__) == (None, True)
 
 
 def test_what_is_not_transient_or_no_failure_is_raised_at_once(slept):
@@ -111,7 +111,7 @@ def caused(error, cause):
     ],
     ids=str,
 )
-def test_a_failure_is_told_and_tried_again_as_what_it_is(slept, error, words, is_transient):
+def test_a_failure_is_named_and_tried_again_as_what_it_is(slept, error, words, is_transient):
     def raises():
         raise error
 
@@ -120,15 +120,15 @@ def test_a_failure_is_told_and_tried_again_as_what_it_is(slept, error, words, is
     assert bool(slept) == is_transient
 
 
-def test_of_a_long_answer_the_beginning_of_its_first_line_is_told(slept):
+def test_of_a_long_answer_the_beginning_of_its_first_line_is_shown(slept):
     def raises():
         raise OSError("".join(map(chr, range(0x4E00, 0x4E00 + 400))) + "\nmore")
 
-    with pytest.raises(RemoteError) as told:
+    with pytest.raises(RemoteError) as raised:
         ask_store(raises, "reading", "s3://b/a")
-    shown = [character for character in str(told.value) if ord(character) >= 0x4E00]
+    shown = [character for character in str(raised.value) if ord(character) >= 0x4E00]
     assert shown == list(map(chr, range(0x4E00, 0x4E00 + 300)))
-    assert "more" not in str(told.value)
+    assert "more" not in str(raised.value)
 
 
 @pytest.mark.parametrize("error", [FileNotFoundError("a"), FileExistsError("a"), RuntimeError("a fault")])
@@ -136,7 +136,7 @@ def test_what_is_no_failure_of_the_store_stays_what_it_is(slept, error):
     def raises():
         raise error
 
-    with pytest.raises(type(error)) as told:
+    with pytest.raises(type(error)) as raised:
         ask_store(raises, "reading", "s3://b/a")
-    assert told.value is error
+    assert raised.value is error
     assert slept == []
