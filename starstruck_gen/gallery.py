@@ -27,7 +27,7 @@ from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 
 _ROWS_PER_TASK = 32
 _OPAQUE_FROM = 150  # levels darker than the plate, as the fill of every object is
-_PUBLISHED_CELL_M = SceneSpec().cell_m
+_PUBLISHED_CELL_M = SceneSpec.cell_m
 
 _FACETS = (
     Facet("stars", "Stars"),

@@ -211,12 +211,14 @@ def _paint_object(picture: Image, placement: Placement, px_per_m: float) -> None
     for ring in outline(placement.shape):
         turned = moved(ring, np.array([[c, s], [-s, c]]))
         standing_m = placement.radius_m * turned + (placement.x_m, placement.y_m)
-        corners_px = standing_m * px_per_m * (1.0, -1.0) + np.array(picture.size) / 2
-        rings.append([(x, y) for x, y in corners_px.tolist()])
-    # A mask keeps holes open: what stands inside one must stay visible.
-    mask = Image.new("L", picture.size)
+        rings.append(standing_m * px_per_m * (1.0, -1.0) + np.array(picture.size) / 2)
+    # A mask keeps holes open: what stands inside one must stay visible. It is as large as the object.
+    low, high = (
+        np.clip((rings[0].min(axis=0), rings[0].max(axis=0) + 2), 0, picture.size).astype(int).tolist()
+    )
+    mask = Image.new("L", (high[0] - low[0], high[1] - low[1]))
     for number, edge_px in enumerate(rings):
-        ImageDraw.Draw(mask).polygon(edge_px, fill=0 if number else 255)
-    picture.paste(STAR if placement.is_star else DISTRACTOR, mask=mask)
+        ImageDraw.Draw(mask).polygon((edge_px - low).ravel().tolist(), fill=0 if number else 255)
+    picture.paste(STAR if placement.is_star else DISTRACTOR, (*low, *high), mask)
     for edge_px in rings:
-        ImageDraw.Draw(picture).polygon(edge_px, outline=_EDGE, width=_SUPERSAMPLING)
+        ImageDraw.Draw(picture).polygon(edge_px.ravel().tolist(), outline=_EDGE, width=_SUPERSAMPLING)

@@ -20,7 +20,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from itertools import islice
 from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
@@ -57,13 +57,19 @@ class InlineRunner:
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield the result of each task in order."""
-        from threadpoolctl import threadpool_limits
-
         for task in tasks:
             # As in a worker: small matrix products lose more to threads that wait than they gain.
-            with threadpool_limits(limits=1, user_api="blas"):
+            with _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas"):
                 result = function(task)
             yield result
+
+
+@lru_cache(1)
+def _thread_pools(_modules: int) -> Any:
+    """Find the libraries that start threads; again only after further modules brought further libraries."""
+    from threadpoolctl import ThreadpoolController
+
+    return ThreadpoolController()
 
 
 # Tried instead (2 cores, Linux): concurrent.futures needs shared memory, loses all workers with the one that
@@ -316,10 +322,10 @@ def run_pickled(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pi
 @cache
 def _prepare_worker() -> None:
     """Keep a worker to its one core; once, since it carries out many tasks."""
-    from threadpoolctl import threadpool_limits
-
     prepare_batch_process()
-    threadpool_limits(limits=1, user_api="blas")  # in Ray numpy is there before the variables are set
+    _thread_pools(len(sys.modules)).limit(
+        limits=1, user_api="blas"
+    )  # in Ray numpy is there before the variables are set
 
 
 def unpack_result(packed: bytes, *notes: str) -> Any:

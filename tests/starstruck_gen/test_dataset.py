@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import pickle
 import re
+from functools import cache
 
 import numpy as np
 import pyarrow as pa
@@ -16,20 +17,27 @@ from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.errors import InputError
 
-SPEC = SceneSpec(stars=(1, 2, 3, 4), collision="exact", heights_m=(0.004, 0.006))
+
+@cache
+def specified() -> SceneSpec:
+    """A function: its solids are proved, by what numba compiles on a new machine."""
+    return SceneSpec(stars=(1, 2, 3, 4), collision="exact", heights_m=(0.004, 0.006))
+
+
 SIZES = {"train": 80, "test": 12}
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> str:
     path = tmp_path_factory.mktemp("scenes")
-    generate(GenerateSpec(SPEC, tuple(SIZES.items()), seed=9), str(path))
+    generate(GenerateSpec(specified(), tuple(SIZES.items()), seed=9), str(path))
     return str(path)
 
 
 @pytest.fixture(params=["written", "on the fly"])
 def scenes(request, folder):
-    return load(folder, "train") if request.param == "written" else SceneDataset(SPEC, "train", 80, seed=9)
+    made = SceneDataset(specified(), "train", 80, seed=9)
+    return load(folder, "train") if request.param == "written" else made
 
 
 def test_data_set_knows_its_classes_without_reading_a_mesh(scenes):
@@ -67,14 +75,14 @@ def test_record_gives_typed_fields(scenes):
 
 def test_row_makes_its_scene_again(scenes):
     record = scenes[17]
-    again = sample_scene(SPEC, scene_rng(record.seed), record.star_count)
+    again = sample_scene(specified(), scene_rng(record.seed), record.star_count)
     assert again == record.scene
     assert again.mesh().vertices_m.tobytes() == record.vertices_m.tobytes()
 
 
 def test_written_rows_and_rows_on_the_fly_are_identical(folder):
     for split, size in SIZES.items():
-        written, made = load(folder, split), SceneDataset(SPEC, split, size, seed=9)
+        written, made = load(folder, split), SceneDataset(specified(), split, size, seed=9)
         assert written.label_names == made.label_names
         for a, b in zip(written, made, strict=True):
             assert a.vertices_m.tobytes() == b.vertices_m.tobytes()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,17 @@ from starstruck_gen.scene import draw_scene
 from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.errors import InputError
 
-CROWDED = SceneSpec(stars=(3,), distractors=(5, 5), attempts=12)
+
+@cache
+def crowded() -> SceneSpec:
+    """A function: its solids are proved, by what numba compiles on a new machine."""
+    return SceneSpec(stars=(3,), distractors=(5, 5), attempts=12)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("previews") / "scenes"
-    generate(GenerateSpec(CROWDED, (("train", 9), ("test", 2)), seed=4), str(out))
+    generate(GenerateSpec(crowded(), (("train", 9), ("test", 2)), seed=4), str(out))
     return out
 
 

@@ -5,6 +5,7 @@ import json
 import math
 import pickle
 from dataclasses import FrozenInstanceError
+from functools import cache
 
 import numpy as np
 import pytest
@@ -239,24 +240,27 @@ def test_numbers_of_other_types_are_the_same_shape():
     assert json.dumps(shape.to_dict()["proportions"]) == '{"points": 6, "inner_ratio": 0.5}'
 
 
-FANCY = SceneSpec(
-    star=Shape("star", 0.008, Star(points=7, inner_ratio=0.35)),
-    distractor_shapes=(
-        Shape("ring", 0.008, Ring(hole_ratio=0.8, segments=12)),
-        Shape("ring", 0.006),
-        Shape("crescent", 0.008, Crescent(bite_ratio=0.4)),
-    ),
-    distractors=(2, 4),
-)
+@cache
+def fancy() -> SceneSpec:
+    """A function: its solids are proved, by what numba compiles on a new machine."""
+    return SceneSpec(
+        star=Shape("star", 0.008, Star(points=7, inner_ratio=0.35)),
+        distractor_shapes=(
+            Shape("ring", 0.008, Ring(hole_ratio=0.8, segments=12)),
+            Shape("ring", 0.006),
+            Shape("crescent", 0.008, Crescent(bite_ratio=0.4)),
+        ),
+        distractors=(2, 4),
+    )
 
 
 @pytest.fixture(scope="module")
 def fancy_file(tmp_path_factory):
     import pyarrow.parquet as pq
 
-    rows = make_rows(FANCY, "train", 0, 0, 60)
+    rows = make_rows(fancy(), "train", 0, 0, 60)
     path = tmp_path_factory.mktemp("fancy") / "train-00000-of-00001.parquet"
-    pq.write_table(table_of(rows, scene_schema(FANCY.class_names)), path)
+    pq.write_table(table_of(rows, scene_schema(fancy().class_names)), path)
     return path
 
 
@@ -294,9 +298,9 @@ def test_stored_object_of_no_known_shape_is_a_finding(fancy_file, tmp_path):
 
 
 def test_specification_with_proportions_goes_through_json():
-    values = json.loads(json.dumps(FANCY.to_dict()))
+    values = json.loads(json.dumps(fancy().to_dict()))
     assert values["star"]["proportions"] == {"points": 7, "inner_ratio": 0.35}
-    assert SceneSpec.from_dict(values) == FANCY
+    assert SceneSpec.from_dict(values) == fancy()
 
 
 def test_specification_without_proportions_means_the_published_ones():
