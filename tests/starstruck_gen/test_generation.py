@@ -3,6 +3,7 @@ from __future__ import annotations
 import hashlib
 import json
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +28,11 @@ from tactile_toolkit.store.verify import verify
 from tests.command_line import call
 from tests.processes import start_held
 
-SMALL = GenerateSpec(scenes=(("train", 2_100), ("test", 30)))
+
+@cache
+def small() -> GenerateSpec:
+    """A function: its solids are proved, by what numba compiles on a new machine."""
+    return GenerateSpec(scenes=(("train", 2_100), ("test", 30)))
 
 
 def folder_hashes(path: Path) -> dict[str, str]:
@@ -38,7 +43,7 @@ def folder_hashes(path: Path) -> dict[str, str]:
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("whole")
-    generate(SMALL, str(folder))
+    generate(small(), str(folder))
     return folder
 
 
@@ -94,13 +99,13 @@ def test_scenes_are_small(whole):
 
 
 def test_bytes_do_not_depend_on_workers_or_order(whole, tmp_path):
-    generate(SMALL, str(tmp_path / "parts"), ("test",))
-    generate(SMALL, str(tmp_path / "parts"), ("train",), workers=ProcessRunner(2))
+    generate(small(), str(tmp_path / "parts"), ("test",))
+    generate(small(), str(tmp_path / "parts"), ("train",), workers=ProcessRunner(2))
     assert folder_hashes(tmp_path / "parts") == folder_hashes(whole)
 
 
 def test_limit_gives_the_first_rows(whole, tmp_path):
-    generate(replace(SMALL, limit=10), str(tmp_path / "few"))
+    generate(replace(small(), limit=10), str(tmp_path / "few"))
     few = pq.read_table(tmp_path / "few" / "data" / "train-00000-of-00001.parquet")
     many = pq.read_table(whole / "data" / "train-00000-of-00003.parquet").slice(0, 10)
     assert few.equals(many)
@@ -109,26 +114,26 @@ def test_limit_gives_the_first_rows(whole, tmp_path):
 def test_another_seed_or_specification_is_refused_and_named(whole):
     before = folder_hashes(whole)
     with pytest.raises(SpecMismatchError, match="seed is 0 there, 1 was asked for"):
-        generate(replace(SMALL, seed=1), str(whole))
+        generate(replace(small(), seed=1), str(whole))
     with pytest.raises(SpecMismatchError, match=r"scene.stars is \[1, 2, 3\] there"):
-        generate(replace(SMALL, scene=SceneSpec(stars=(1, 2))), str(whole))
+        generate(replace(small(), scene=SceneSpec(stars=(1, 2))), str(whole))
     six = Shape("star", 0.010, Star(points=6))
     with pytest.raises(
         SpecMismatchError, match=r": scene.star.proportions.points is 5 there, 6 was asked for;"
     ):
-        generate(replace(SMALL, scene=SceneSpec(star=six)), str(whole))
+        generate(replace(small(), scene=SceneSpec(star=six)), str(whole))
     others = (Shape("box"), Shape("disc", 0.010, Disc(segments=64)))
     found = ": scene.distractor_shapes is .*'segments': 32.* there, .*'segments': 64.* was asked for;"
     with pytest.raises(SpecMismatchError, match=found):
-        generate(replace(SMALL, scene=SceneSpec(distractor_shapes=others)), str(whole))
+        generate(replace(small(), scene=SceneSpec(distractor_shapes=others)), str(whole))
     assert folder_hashes(whole) == before
 
 
 def test_second_run_makes_nothing(whole):
-    state = inspect_job(DataFolder(str(whole)), plan_build(SceneMaking(SMALL), ("train", "test")))
+    state = inspect_job(DataFolder(str(whole)), plan_build(SceneMaking(small()), ("train", "test")))
     assert state.remaining == ()
     calls = []
-    generate(SMALL, str(whole), on_progress=calls.append)
+    generate(small(), str(whole), on_progress=calls.append)
     assert [(call.done, call.total) for call in calls] == [(0, 0)]
 
 

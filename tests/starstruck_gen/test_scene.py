@@ -112,11 +112,6 @@ def test_mesh_is_that_of_a_record_as_trimesh():
     assert mesh.volume == pytest.approx(record.mesh.volume)
 
 
-def _changed(**changes):
-    values = sample_scenes(SceneSpec(), "train", 0, 2, 1)[0].to_dict()
-    return json.dumps({**values, **changes})
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -124,16 +119,27 @@ def _changed(**changes):
         ("[" * 100_000, "must be JSON"),
         ("{}", "missing required field"),
         ("[]", "not a scene"),
-        (_changed(star_count=2), "declares star_count 2 and places 3"),
-        (_changed(attempts=[1]), "1 attempts for"),
-        (_changed(placements=[{**_object()["placements"][0], "shape": "sun"}]), "unknown shape 'sun'"),
-        (_changed(placements=[{"shape": "box"}]), "missing required field `x_m`"),
-        (_changed(restarts="many"), "not a scene"),
     ],
 )
-def test_wrong_json_is_refused(text, message):
+def test_what_is_not_a_scene_is_refused(text, message):
     with pytest.raises(InputError, match=message):
         Scene.from_json(text)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"star_count": 2}, "declares star_count 2 and places 3"),
+        ({"attempts": [1]}, "1 attempts for"),
+        ({"placements": [{**_object()["placements"][0], "shape": "sun"}]}, "unknown shape 'sun'"),
+        ({"placements": [{"shape": "box"}]}, "missing required field `x_m`"),
+        ({"restarts": "many"}, "not a scene"),
+    ],
+)
+def test_scenes_with_wrong_values_are_refused(changes, message):
+    values = sample_scenes(SceneSpec(), "train", 0, 2, 1)[0].to_dict()
+    with pytest.raises(InputError, match=message):
+        Scene.from_json(json.dumps({**values, **changes}))
 
 
 def test_picture_shows_every_object_where_it_stands():
