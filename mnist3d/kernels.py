@@ -35,10 +35,12 @@ def signed_distance_px(mask: Any, inside_px: float, outside_px: float) -> Any:
                     nearest = min(place - begin + 1, end - place, reaches[kind])
                     along[kind, row, place] = nearest * nearest
                 begin = column
-    ink = -mask.astype(np.int16)  # all bits, or none
+    ink, least = -mask.astype(np.int16), np.empty(width, np.int16)  # all bits, or none
     for row in range(height):
-        least, own = along[0, row] + along[1, row], ink[row]
-        most = least.max()
+        own, most = ink[row], np.int16(0)
+        for column in range(width):
+            least[column] = along[0, row, column] + along[1, row, column]
+            most = max(most, least[column])
         for offset in range(1, far):
             added = np.int16(offset * offset)
             if added >= most:
@@ -109,7 +111,8 @@ def blurred(values: Any, nodes: Any, sigma_per_pitch: float, bell_reach: float, 
                 weight *= weight
                 weights[bell, pixel] = weight * weight
                 total += weight * weight
-            weights[bell, first : last + 1] /= total
+            for pixel in range(first, last + 1):
+                weights[bell, pixel] /= total
         for pixel in range(first, last + 1):
             weight = np.rint((2 * weights[0, pixel] - weights[1, pixel]) / grain) * grain
             if weight != 0:
@@ -154,9 +157,11 @@ def smoothed(vertices: Any, faces: Any, flat: Any, shares: Any) -> Any:
     bit: here it is from the last to the first.
     """
     ends = np.zeros(len(vertices) + 1, np.int64)
-    for corner in faces.ravel():
-        ends[corner + 1] += 2
-    ends = np.cumsum(ends)
+    for face in range(len(faces)):
+        for corner in range(3):
+            ends[faces[face, corner] + 1] += 2
+    for vertex in range(len(vertices)):
+        ends[vertex + 1] += ends[vertex]
     beside, weights = np.empty(ends[-1], np.int32), np.empty(ends[-1], np.float32)
     filled = ends[:-1].copy()
     for face in range(len(faces)):

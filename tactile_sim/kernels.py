@@ -339,7 +339,8 @@ def _slopes(soft: Numbers, per_row: float, per_column: float, flat_slope: float)
     for table in (slope, direction):
         for row in range(1, rows - 1):
             table[row, 0], table[row, columns - 1] = table[row, 1], table[row, columns - 2]
-        table[0], table[rows - 1] = table[1], table[rows - 2]
+        for column in range(columns):
+            table[0, column], table[rows - 1, column] = table[1, column], table[rows - 2, column]
     return slope, direction
 
 

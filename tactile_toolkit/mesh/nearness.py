@@ -76,7 +76,7 @@ def near_pairs(corners_mm: Numbers, reach_mm: float) -> Indices:
         return np.zeros((2, 0), np.int64)
     corners_mm = np.ascontiguousarray(corners_mm.swapaxes(0, 1))  # numpy is slow along short rows
     low, high = corners_mm.min(axis=0) - reach_mm / 2, corners_mm.max(axis=0) + reach_mm / 2
-    return np.ascontiguousarray(_meeting(_along_a_curve((low + high) / 2), low, high).T)
+    return np.ascontiguousarray(_meeting(_along_a_curve((low + high) / 2), low, high).T & 0xFFFFFFFF)
 
 
 def thinnest_wall_mm(vertices_mm: Numbers, faces: Indices, reach_mm: float) -> float:
@@ -130,7 +130,7 @@ def _tree(numbered: Indices, low: Numbers, high: Numbers) -> tuple[Numbers, Indi
     waiting, apart, top, last = np.empty(64, np.int64), np.empty(64, np.int64), 0, count
     for leaf in range(count):
         thing, node = numbered[leaf] & 0xFFFFFFFF, count + leaf
-        held[node] = node
+        held[node, 0] = held[node, 1] = node
         for axis in range(columns):
             boxes[node, 0, axis], boxes[node, 1, axis] = low[thing, axis], high[thing, axis]
         bits = numbered[leaf] ^ numbered[leaf + 1] if leaf + 1 < count else 1 << 62
@@ -149,7 +149,7 @@ def _tree(numbered: Indices, low: Numbers, high: Numbers) -> tuple[Numbers, Indi
 
 @compiled
 def _meeting(numbered: Indices, low: Numbers, high: Numbers) -> Indices:
-    """Return the pairs of boxes that meet, each pair once."""
+    """Return the pairs of boxes that meet, each pair once; each box as ``numbered`` has it."""
     (boxes, held), count = _tree(numbered, low, high), len(numbered)
     found, pairs, stack, top = np.empty((1024, 2), np.int64), 0, np.ones((_DEEPEST, 2), np.int64), 1
     while top:
@@ -158,7 +158,10 @@ def _meeting(numbered: Indices, low: Numbers, high: Numbers) -> Indices:
         if min(one, other) >= count:
             if one != other:
                 if pairs == len(found):
-                    found = np.concatenate((found, np.empty_like(found)))
+                    # One by one: numba takes a second to compile how numpy joins arrays.
+                    kept, found = found, np.empty((2 * pairs, 2), np.int64)
+                    for pair in range(pairs):
+                        found[pair, 0], found[pair, 1] = kept[pair, 0], kept[pair, 1]
                 found[pairs, 0], found[pairs, 1] = numbered[one - count], numbered[other - count]
                 pairs += 1
             continue
@@ -171,7 +174,7 @@ def _meeting(numbered: Indices, low: Numbers, high: Numbers) -> Indices:
                 if meet:
                     stack[top, 0], stack[top, 1] = left, right
                     top += 1
-    return found[:pairs] & 0xFFFFFFFF
+    return found[:pairs]
 
 
 @compiled
@@ -262,7 +265,7 @@ def passages(
 
     If none does, the places are those where an edge may pass through a triangle; shape (N, 3).
     """
-    doubtful, count = np.empty((64, 3)), 0
+    doubtful, count = np.empty((6 * pairs.shape[1], 3)), 0
     for pair in range(pairs.shape[1]):
         one, other = pairs[0, pair], pairs[1, pair]
         # Within 8 degrees of opposite: by the angle alone a fold is like a thin edge; the gap differs.
@@ -275,9 +278,7 @@ def passages(
                 if opposed and _is_fold(points, triangles, target, passing, k, tolerance):
                     found = 2
                 if found:
-                    if count == len(doubtful):
-                        doubtful = np.concatenate((doubtful, np.empty_like(doubtful)))
-                    doubtful[count] = place
+                    doubtful[count, 0], doubtful[count, 1], doubtful[count, 2] = place
                     count += 1
                 if found == 2:
                     return True, doubtful[count - 1 : count]
@@ -438,9 +439,11 @@ def _boxes(solid: Solid, reach: float) -> tuple[Numbers, Numbers]:
     That is where it may face something within the reach.
     """
     points, faces, inward, at_corner, twin = solid
-    low, high = np.full((len(faces), 9), np.inf), np.full((len(faces), 9), -np.inf)
+    low, high = np.empty((len(faces), 9)), np.empty((len(faces), 9))
     for face in range(len(faces)):
         own = _row(inward, face)
+        for column in range(9):
+            low[face, column], high[face, column] = np.inf, -np.inf
         for k in range(3):
             corner, beyond = faces[face, k], _row(inward, twin[3 * face + k] // 3)
             # The two and this one hold the arc between them, where the tangents at its ends meet; but for
@@ -586,7 +589,7 @@ def largest_discs(points: Any, inward: Any) -> tuple[Any, Any]:
     middles, spans = np.empty((blocks, 2), np.float32), np.zeros(blocks, np.float32)
     for block in range(blocks):
         first, last = block * _BLOCK, min((block + 1) * _BLOCK, count)
-        middles[block] = points[(first + last) // 2]
+        middles[block, 0], middles[block, 1] = points[(first + last) // 2]
         for point in range(first, last):
             spans[block] = max(spans[block], _apart(points[point], middles[block]))
     sharpest = 0
