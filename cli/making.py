@@ -53,8 +53,8 @@ def generate_set(
         return
     table = manifest.split_table()
     # One that has rows, so that the line works when it is tried.
-    split = next((name for name in splits or table if name in table and table[name]["rows"]), None)
-    call = rows.kind.loading_lines(manifest, out, split or next(iter(splits or table)))[1]
+    split = next(name for name in splits or table if table[name]["rows"])
+    call = rows.kind.loading_lines(manifest, out, split)[1]
     sink.line(f"next: {rows.kind.command} verify {out}   or in Python: {call}")
 
 

@@ -157,11 +157,9 @@ def smoothed(vertices: Any, faces: Any, flat: Any, shares: Any) -> Any:
     bit: here it is from the last to the first.
     """
     ends = np.zeros(len(vertices) + 1, np.int64)
-    for face in range(len(faces)):
-        for corner in range(3):
-            ends[faces[face, corner] + 1] += 2
-    for vertex in range(len(vertices)):
-        ends[vertex + 1] += ends[vertex]
+    for corner in faces.ravel():
+        ends[corner + 1] += 2
+    ends = np.cumsum(ends)
     beside, weights = np.empty(ends[-1], np.int32), np.empty(ends[-1], np.float32)
     filled = ends[:-1].copy()
     for face in range(len(faces)):

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from itertools import chain
+from itertools import chain, repeat
 from typing import Any, TypeVar
 
 import numpy as np
@@ -96,11 +96,7 @@ class SceneStreams:
         """
         self._key[0] = seed
         self._bits.state = self._start
-        return chain.from_iterable(self._blocks()).__next__
-
-    def _blocks(self) -> Iterator[list[float]]:
-        while True:
-            yield self._random(_BLOCK).tolist()
+        return chain.from_iterable(self._random(size).tolist() for size in repeat(_BLOCK)).__next__
 
 
 @cache
@@ -159,7 +155,10 @@ def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | No
     >>> scene.star_count
     2
     """
-    _require_class(spec, star_count)
+    if star_count is not None and star_count not in spec.stars:
+        raise InputError(
+            f"star_count is {star_count}; expected one of stars {spec.stars} of the specification"
+        )
     return rejection_sampling(spec, rng.random, None if star_count is None else int(star_count))
 
 
@@ -222,13 +221,6 @@ def is_infeasible(reached: list[int], objects: int) -> bool:
     deviation = math.sqrt(sum((count - mean) ** 2 for count in recent) / len(recent))
     # Layouts that all held equally many have a deviation of 0.
     return objects - mean > _INFEASIBLE_DEVIATIONS * max(1.0, deviation)
-
-
-def _require_class(spec: SceneSpec, star_count: int | None) -> None:
-    if star_count is not None and star_count not in spec.stars:
-        raise InputError(
-            f"star_count is {star_count}; expected one of stars {spec.stars} of the specification"
-        )
 
 
 def rejection_sampling(

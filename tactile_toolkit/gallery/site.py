@@ -291,9 +291,7 @@ def index_of(gallery: Gallery, items: Sequence[Item]) -> dict[str, Any]:
 
 def _rounded(value: float | None, decimals: int) -> float | None:
     # NaN stands for "not measured" in reports, and JSON has no NaN.
-    if value is None or value != value:
-        return None
-    return round(float(value), decimals or None)
+    return None if value is None or value != value else round(float(value), decimals or None)
 
 
 # trimesh carries three.js in the template of its own notebook viewer, joined with that viewer's controls.

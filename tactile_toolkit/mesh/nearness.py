@@ -439,11 +439,9 @@ def _boxes(solid: Solid, reach: float) -> tuple[Numbers, Numbers]:
     That is where it may face something within the reach.
     """
     points, faces, inward, at_corner, twin = solid
-    low, high = np.empty((len(faces), 9)), np.empty((len(faces), 9))
+    low, high = np.full((len(faces), 9), np.inf), np.full((len(faces), 9), -np.inf)
     for face in range(len(faces)):
         own = _row(inward, face)
-        for column in range(9):
-            low[face, column], high[face, column] = np.inf, -np.inf
         for k in range(3):
             corner, beyond = faces[face, k], _row(inward, twin[3 * face + k] // 3)
             # The two and this one hold the arc between them, where the tangents at its ends meet; but for

@@ -389,10 +389,9 @@ def write_small_columns(folder: DataFolder, manifest: Manifest) -> dict[str, str
 
 
 def _is_current(folder: DataFolder, file: SmallFile, checksum: str) -> bool:
-    if not folder.exists(file.path) or file_sha256(folder, file.path) != checksum:
-        return False
-    metadata = open_parquet(folder, file.path).schema_arrow.metadata or {}
-    return bool(metadata.get(SOURCE_DIGEST) == file.made_of.encode())
+    is_whole = folder.exists(file.path) and file_sha256(folder, file.path) == checksum
+    metadata = open_parquet(folder, file.path).schema_arrow.metadata if is_whole else None
+    return bool((metadata or {}).get(SOURCE_DIGEST) == file.made_of.encode())
 
 
 def _small_table(folder: DataFolder, file: SmallFile) -> Any:
