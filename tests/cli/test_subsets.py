@@ -138,3 +138,11 @@ def test_an_unknown_split_and_an_empty_choice_are_named(tmp_path, capsys):
     scenes = [("train", import_module("starstruck_gen").load(str(folder), "train"))]
     with pytest.raises(InputError, match="no object is chosen"):
         choose_rows(scenes, ids=[])
+
+
+def test_sets_of_another_kind_are_not_merged(tmp_path, capsys):
+    scenes = _made("starstruck", tmp_path / "scenes")
+    capsys.readouterr()
+    assert call("mnist3d", "merge", scenes, scenes, "--out", tmp_path / "both", *ALONE) == 2
+    assert "starstruck" in capsys.readouterr().err
+    assert not (tmp_path / "both").exists()

@@ -55,6 +55,12 @@ def test_forecast_with_overwrite_tells_what_would_be_replaced(folder):
     assert (folder / "manifest.json").read_bytes() == before
 
 
+def test_what_is_finished_takes_no_time(folder):
+    done = forecast(DigitMaking(_spec(limit=3)), folder, ("train", "test"), 1)
+    assert (done.rows_to_make, done.seconds) == (0, 0)
+    assert forecast(DigitMaking(_spec(limit=3)), folder / "other", ("train", "test"), 1).seconds > 0
+
+
 def test_command_passes_overwrite_on(folder, capsys, monkeypatch):
     from cli.mnist3d import main
 

@@ -9,6 +9,7 @@ from hypothesis.extra import numpy as hnp
 from scipy import ndimage
 
 from mnist3d.ink import (
+    _pieces,
     clean,
     count_bodies_and_holes,
     ink_of_levels,
@@ -272,3 +273,14 @@ def test_ink_and_paper_as_large_as_the_limits_stay(height: int, stays: bool) -> 
     result = cleaned(mask, speck_px=20, pinhole_px=20)
     assert result[5, 5] == stays
     assert result[30, 30] == (not stays)
+
+
+@given(MASKS)
+def test_pieces_are_those_that_touch_along_an_edge(mask: np.ndarray) -> None:
+    runs, piece = _pieces(mask)
+    expected, count = ndimage.label(mask)
+    covered = np.zeros_like(expected)
+    for (row, begin, end), first in zip(runs.tolist(), piece.tolist(), strict=True):
+        covered[row, begin:end] = first + 1
+    assert ((covered > 0) == mask).all()
+    assert len(np.unique(piece)) == count == len(set(zip(covered[mask], expected[mask], strict=True)))

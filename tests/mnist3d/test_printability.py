@@ -88,7 +88,9 @@ def test_bodies_and_holes_are_counted_over_all_bodies() -> None:
     solid = manifold3d.Manifold.compose([torus, torus.translate((30, 0, 0)), cube(5, (50, 0, 0))])
     report = inspect(mesh_of(solid))
     assert (report.is_solid, report.bodies, report.genus) == (True, 3, 2)
-    assert "separate-bodies" in report.warnings
+    for apart in (solid, manifold3d.Manifold.compose([cube(5), cube(5, (9, 0, 0))])):
+        assert "separate-bodies" in inspect(mesh_of(apart)).warnings
+    assert "separate-bodies" not in inspect(mesh_of(cube(5))).warnings
 
 
 def test_a_cavity_is_no_body() -> None:

@@ -305,3 +305,17 @@ def test_a_picture_shows_where_an_object_is_thought_to_point(assets):
     assert right > max(over, left, under) + 3
     assert up > max(beside, other_side, down) + 3
     env.close()
+
+
+def test_a_picture_shows_the_object_lit_and_the_sensor_framed(assets):
+    env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=2, assets=str(assets), render_mode="rgb_array")
+    env.reset(seed=0)
+    cell_m, (width_m, height_m) = 0.12, env.unwrapped._view.window_m
+    for picture in env.render():
+        cell = picture[:, :240].astype(int)
+        grey = (cell.max(axis=2) == cell.min(axis=2)) & (cell[..., 0] < 250)
+        assert grey.sum() > 500  # of a digit of some centimetres, where a pixel is half a millimetre
+        rows, columns = np.nonzero(np.abs(cell - (204, 41, 51)).max(axis=2) <= 1)
+        assert np.ptp(columns) == pytest.approx(240 * width_m / cell_m, abs=2)
+        assert np.ptp(rows) == pytest.approx(240 * height_m / cell_m, abs=2)
+    env.close()
