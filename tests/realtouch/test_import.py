@@ -35,6 +35,8 @@ def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> Non
         realtouch.export(single_folder, there, "webdataset", split="train")
         place = there / "webdataset"
     realtouch.import_images(place, back, layout, COLUMNS)
+    assert "has the checksum of their list" in (back / "README.md").read_text()
+    assert "names and fingerprints each file" in (there / "README.md").read_text()
     for before, after in zip(
         realtouch.load(single_folder, "train"), realtouch.load(back, "train"), strict=True
     ):

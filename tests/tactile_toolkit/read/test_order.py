@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import example, given, strategies as st
 
+import starstruck_gen
 from tactile_toolkit.read.order import GlobalOrder, RankSampler, StoredParts
 
 
@@ -174,3 +175,15 @@ def test_only_windows_that_are_asked_for_are_laid_out(parts, monkeypatch):
     assert len(laid) == min(parts, 40)
     assert len(set(laid)) == len(laid)
     assert order._window.cache_info().currsize <= 2
+
+
+@pytest.mark.parametrize(
+    "chosen", [slice(None), slice(5_000, 9_000), slice(None, None, 2), slice(None, None, -1)]
+)
+def test_items_of_a_view_lie_together_as_in_its_shards(chosen):
+    scenes = starstruck_gen.SceneDataset(size=10_000)
+    shards = np.searchsorted([4_096, 8_192], scenes.ids[chosen], "right")
+    parts = scenes[chosen]._stored_parts()
+    places = [parts.positions(part) for part in range(len(parts))]
+    assert [set(shards[each]) for each in places] == [{shard} for shard in np.unique(shards)]
+    assert sorted(np.concatenate(places)) == list(range(len(shards)))
