@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import example, given, strategies as st
 
 import starstruck_gen
-from tactile_toolkit.read.order import GlobalOrder, RankSampler, StoredParts
+from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler, StoredParts
 
 
 def parts_of(sizes: list[int], order: list[int] | None = None) -> StoredParts:
@@ -187,3 +188,33 @@ def test_items_of_a_view_lie_together_as_in_its_shards(chosen):
     places = [parts.positions(part) for part in range(len(parts))]
     assert [set(shards[each]) for each in places] == [{shard} for shard in np.unique(shards)]
     assert sorted(np.concatenate(places)) == list(range(len(shards)))
+
+
+class RowGroups:
+    """A data set whose row groups hold four items each; of a shard it is its only one that has them."""
+
+    def __init__(self) -> None:
+        self.unpacked: list[int] = []
+        self.metadata = self
+
+    def _row_groups(self, chosen: np.ndarray) -> list[tuple[RowGroups, int]]:
+        return [(self, int(group)) for group in np.unique(chosen // 4)]
+
+    def row_group(self, _index: int) -> SimpleNamespace:
+        return SimpleNamespace(total_byte_size=10)
+
+    def unpack(self, index: int) -> bool:
+        self.unpacked.append(index)
+        return True
+
+
+def test_a_window_is_unpacked_once_and_then_the_next_one():
+    data, order = RowGroups(), GlobalOrder(parts_of([4] * 6), 3, 2)
+    first, second = (set((order.stored(window) // 4).tolist()) for window in range(2))
+    prefetcher = Prefetcher(data, order, turn=0.5)
+    prefetcher.enter(0)
+    assert first <= set(data.unpacked)
+    prefetcher._thread.join()
+    prefetcher.enter(0)
+    prefetcher.close()
+    assert sorted(data.unpacked) == sorted(first | second)
