@@ -20,7 +20,7 @@ from cli.application import command, new_app, run
 from cli.options import FOLDER, Making
 from cli.output import Sink
 from tactile_toolkit.checked_fields import integer, switch
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, ToolkitError
 from tests.command_line import call
 from tests.processes import printed_by
 
@@ -364,3 +364,9 @@ def test_values_that_are_refused_are_told_in_plain_words(capsys):
     said = capsys.readouterr().err
     assert "'--split-by': 'foo' is not one of 'digit'" in said
     assert "Value error" not in said
+
+
+def test_exit_codes_are_those_of_the_documentation() -> None:
+    """Scripts tell a wrong word from a damaged file by them."""
+    found = [each.exit_code for each in (ToolkitError, InputError, IntegrityError, RemoteError)]
+    assert found == [1, 2, 3, 4]

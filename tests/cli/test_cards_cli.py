@@ -8,8 +8,10 @@ import shutil
 from pathlib import Path
 
 import datasets
+import numpy as np
 import pytest
 from huggingface_hub import DatasetCard
+from PIL import Image
 
 import realtouch
 from tactile_toolkit.cards.card import check_card
@@ -166,6 +168,17 @@ def test_scenes_are_counted_in_words(tmp_path):
     assert call("starstruck", *made, "--out", tmp_path / "two") == 0
     assert "A scene holds 2 objects that are not stars" in card_of(tmp_path / "two")
     assert "in every split their\ncounts differ by one at most" in card_of(tmp_path / "two")
+
+
+def test_digits_in_several_pieces_are_counted(folders, tmp_path):
+    assert "None of the digits is in several pieces" in card_of(folders["mnist3d"])
+    pixels = np.full((500, 500), 255, np.uint8)
+    pixels[100:400, 150:185] = pixels[100:400, 300:335] = 0
+    (tmp_path / "own" / "1").mkdir(parents=True)
+    Image.fromarray(pixels).save(tmp_path / "own" / "1" / "two.png")
+    words = ("generate", "--source", "folder", "--images", tmp_path / "own", "--vertices", "2000", "--quiet")
+    assert call("mnist3d", *words, "--workers", "1", "--out", tmp_path / "set") == 0
+    assert "1 of 1 digits are in several pieces that print apart" in card_of(tmp_path / "set")
 
 
 def test_own_sizes_of_splits_are_listed(tmp_path):

@@ -65,6 +65,7 @@ def test_no_cell_is_cut_in_any_terminal(columns):
         assert word in whole.split()
     # Under one another where columns have no room.
     assert (columns < 100) == ("\n  findings" in text)
+    assert (columns < 100) == (f"\n{HEADER[0]} " in text and f"\n  {HEADER[1]}" in text)
 
 
 def test_a_table_in_a_pipe_keeps_its_columns(capsys):

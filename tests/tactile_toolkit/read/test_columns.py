@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import class_names, ragged_column
+from tactile_toolkit.read.columns import class_names, nested_column, ragged_column
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tests.mesh_columns import list_array
@@ -147,3 +147,10 @@ def test_lists_are_seen_as_numpy_without_a_copy_at_any_offset() -> None:
 )
 def test_a_shard_names_the_set_that_it_is_of(path, origin):
     assert Shard(path).origin == origin
+
+
+def test_byte_strings_that_are_missing_are_none() -> None:
+    stored = [b"a", None, b"", b"bc"]
+    for kind in (pa.binary(), pa.large_binary()):
+        found = nested_column(pa.array(stored, kind)).values
+        assert [None if each is None else bytes(each) for each in map(found.__getitem__, range(4))] == stored

@@ -275,3 +275,14 @@ def test_a_data_set_in_a_store_is_not_replaced():
     ):
         build(folder, other_plan(), InlineRunner())
     assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == finished
+
+
+def test_what_refuses_to_replace_removes_nothing(finished):
+    """Not even the manifest of a set whose shards are gone, which a run that made nothing takes along."""
+    for shard in (finished / "data").iterdir():
+        shard.unlink()
+    (finished / "notes.txt").write_text("of somebody else")
+    before = folder_bytes(finished)
+    with pytest.raises(InputError, match=r"notes\.txt"):
+        make(finished, overwrite=True)
+    assert folder_bytes(finished) == before
