@@ -60,6 +60,7 @@ def sets(tmp_path_factory) -> dict[str, str]:
     return {room: str(root / room) for room in ("mnist3d", "starstruck", "realtouch")}
 
 
+@pytest.mark.thorough
 def test_no_command_imports_what_swallows_it(sets, tmp_path: Path):
     commands = [
         [room, command, place, *(["--out", str(tmp_path / room / command)] if is_drawing else [])]

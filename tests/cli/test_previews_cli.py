@@ -120,6 +120,7 @@ def test_every_process_writes_the_same_bytes(digits, scenes, clips, tmp_path, ru
         assert content.startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_everything_is_drawn_alike_twice(digits, tmp_path, run):
     arguments = (digits, "--kind", "all", "--per-class", 1)
     for done in (

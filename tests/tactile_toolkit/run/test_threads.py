@@ -93,6 +93,7 @@ print(len(list(pathlib.Path("/proc/self/task").iterdir())))
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
+@pytest.mark.thorough
 @pytest.mark.parametrize("words", ["generate --dry-run --limit 1 --out new", "validate ball.stl"])
 def test_commands_limit_threads_before_their_first_digit(tmp_path, monkeypatch, words):
     """As many threads as where the process may use one processor only."""

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import settings
 
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.run.processes import Finish, InlineRunner, Part
@@ -250,11 +251,6 @@ def check(name: str, tmp_path: Path, drawn: int | None) -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_a_fault_at_some_points(name: str, tmp_path: Path) -> None:
-    check(name, tmp_path, SAMPLED)
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize("name", COMMANDS)
-def test_a_fault_at_every_point(name: str, tmp_path: Path) -> None:
-    check(name, tmp_path, None)
+def test_a_fault_at_any_point(name: str, tmp_path: Path) -> None:
+    """At a desk at twenty points, always the same ones; with `-m ""` at all."""
+    check(name, tmp_path, None if settings.default.max_examples > 50 else SAMPLED)

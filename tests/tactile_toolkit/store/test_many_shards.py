@@ -58,6 +58,7 @@ def test_files_are_in_order_of_their_numbers():
     ]
 
 
+@pytest.mark.thorough
 def test_more_shards_than_five_digits_count_are_planned_and_read(tmp_path):
     """Three of the files are made; all records are there, as after a run that made them all."""
     tasks = tuple(ToyTask(ShardName("train", index, COUNT), (10 * index,)) for index in range(COUNT))
