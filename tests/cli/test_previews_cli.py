@@ -99,6 +99,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
 
 
+@pytest.mark.thorough
 def test_every_process_writes_the_same_bytes(digits, scenes, clips, tmp_path, run):
     (tmp_path / "apart").mkdir()
     commands = (

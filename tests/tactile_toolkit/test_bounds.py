@@ -94,6 +94,7 @@ def model_of(vertices: int) -> bytes:
     return text.replace(b"</vertices>", b'<vertex x="0" y="0" z="0"/>' * vertices + b"</vertices>")
 
 
+@pytest.mark.thorough
 def test_a_3mf_of_many_vertices_takes_little_more_than_they_do(tmp_path: Path) -> None:
     (tmp_path / "many.3mf").write_bytes(zipped(model_of(500_000)))
     peak, said = peak_mb("print(len(read_mesh(sys.argv[1]).vertices_m))", str(tmp_path / "many.3mf"))

@@ -208,11 +208,12 @@ print(*counts.values())
     "scenario",
     [
         "replaced",
-        "both in an empty folder",
         "both replace",
         "undone",
-        "undone and put back",
-        "undone next to the same",
+        *(
+            pytest.param(each, marks=pytest.mark.thorough)
+            for each in ("both in an empty folder", "undone and put back", "undone next to the same")
+        ),
     ],
 )
 def test_at_every_moment_another_run_leaves_one_finished_set(tmp_path, scenario):
