@@ -323,9 +323,8 @@ def run_pickled(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pi
 def _prepare_worker() -> None:
     """Keep a worker to its one core; once, since it carries out many tasks."""
     prepare_batch_process()
-    _thread_pools(len(sys.modules)).limit(
-        limits=1, user_api="blas"
-    )  # in Ray numpy is there before the variables are set
+    # In Ray numpy is there before the variables are set.
+    _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas")
 
 
 def unpack_result(packed: bytes, *notes: str) -> Any:

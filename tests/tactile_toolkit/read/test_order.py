@@ -191,7 +191,7 @@ def test_items_of_a_view_lie_together_as_in_its_shards(chosen):
 
 
 class RowGroups:
-    """A data set whose row groups hold four items each; of a shard it is its only one that has them."""
+    """A data set of one shard, and that shard: row groups of four items each."""
 
     def __init__(self) -> None:
         self.unpacked: list[int] = []
