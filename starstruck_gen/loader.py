@@ -253,7 +253,7 @@ class LazyRow(RowGroup):
 
     def __init__(self, origin: SceneShard, row: int) -> None:
         # The base's fields would be set through its frozen constructor, which wants the table at once.
-        self.__dict__.update(_origin=origin, path="", first_row=row)
+        self.__dict__.update(_origin=origin, path="", first_row=row, _views={})
 
     @cached_property
     def table(self) -> Any:
@@ -266,13 +266,15 @@ class LazyRow(RowGroup):
         """Columns by dotted name."""
         return column_names(self._origin.schema)
 
-    @cached_property
+    # Not cached properties, whose locks would cost a twentieth of a scene and its mesh.
+    @property
     def _scene(self) -> Scene:
         origin = self._origin
-        return sample_scenes(origin.spec, origin.split, origin.seed, self.first_row, 1)[0]
+        return self.once(
+            "scene", lambda: sample_scenes(origin.spec, origin.split, origin.seed, self.first_row, 1)[0]
+        )
 
-    @cached_property
-    def _meshes(self) -> SceneMeshes:
+    def _built(self) -> SceneMeshes:
         meshes = build_meshes([self._scene.placements])
         for column in (meshes.vertices_m, meshes.faces):
             column.values.setflags(write=False)
@@ -280,9 +282,10 @@ class LazyRow(RowGroup):
 
     def ragged(self, name: str) -> RaggedColumn:
         """Return the vertices or the faces."""
-        if name == VERTICES:
-            return self._meshes.vertices_m
-        return self._meshes.faces if name == FACES else super().ragged(name)
+        if name not in (VERTICES, FACES):
+            return super().ragged(name)
+        meshes = self.once("meshes", self._built)
+        return meshes.vertices_m if name == VERTICES else meshes.faces
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return a plain column of one value."""

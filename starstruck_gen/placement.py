@@ -295,29 +295,36 @@ class Placement(NamedTuple):
         return self.shape.partition("(")[0] == STAR
 
 
-Clear = Callable[[Placement, Placement, float], bool]
-"""Whether two objects keep a clearance in metres."""
+Clear = Callable[[Placement, Sequence[Placement], float], bool]
+"""Whether an object keeps a clearance in metres to each of some others."""
 
 
-def circles_clear(one: Placement, other: Placement, clearance_m: float) -> bool:
+def circles_clear(one: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
     """Return whether circumscribed circles keep a clearance: the rule of package tactile-mnist 0.13.0."""
-    least_m = one.radius_m + other.radius_m + clearance_m + STORAGE_MARGIN_M
-    # Squares, no root: this is asked up to 100 times for each pair of objects.
-    return (one.x_m - other.x_m) ** 2 + (one.y_m - other.y_m) ** 2 > least_m * least_m
+    _, x_m, y_m, _, radius_m, _ = one
+    # Loop and products, no call or root: this is asked up to 100 times for each pair of objects.
+    for _, other_x_m, other_y_m, _, other_radius_m, _ in others:
+        along_m, across_m = x_m - other_x_m, y_m - other_y_m
+        least_m = radius_m + other_radius_m + clearance_m + STORAGE_MARGIN_M
+        if along_m * along_m + across_m * across_m <= least_m * least_m:
+            return False
+    return True
 
 
-def outlines_clear(one: Placement, other: Placement, clearance_m: float) -> bool:
+def outlines_clear(one: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
     """Return whether the outlines themselves keep a clearance; measured by manifold3d.
 
     An object inside another's hole is clear of it, one inside its solid is not.
     """
-    if circles_clear(one, other, clearance_m):
-        return True
-    first, second = _standing(one), _standing(other)
     least_mm = (clearance_m + STORAGE_MARGIN_M) * MM_PER_M
-    # The gap alone would not reveal an object inside another one, whose surfaces can be far apart; and of two
-    # that overlap it takes several times as long to find.
-    return bool((first ^ second).is_empty() and first.min_gap(second, 2 * least_mm) > least_mm)
+    for other in others:
+        if not circles_clear(one, [other], clearance_m):
+            first, second = _standing(one), _standing(other)
+            # The gap alone would not reveal an object inside another one, whose surfaces can be far apart;
+            # and of two that overlap it takes several times as long to find.
+            if not (first ^ second).is_empty() or first.min_gap(second, 2 * least_mm) <= least_mm:
+                return False
+    return True
 
 
 COLLISION_TESTS: dict[str, Clear] = {"circles": circles_clear, "exact": outlines_clear}
@@ -371,8 +378,13 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     -------
     SceneMeshes
     """
+    from starstruck_gen.kernels import standing_vertices
+
     outlines = [prisms(tuple([placement.shape for placement in layout])) for layout in layouts]
-    vertices = _vertices(layouts, outlines)
+    poses = np.array([placement[1:] for layout in layouts for placement in layout], np.float64)
+    corner_counts = _concat([made.corner_counts for made in outlines], None, np.int64)
+    corners = _concat([made.corners for made in outlines], 2, np.float64)
+    vertices = standing_vertices(poses.reshape(-1, 5), corners, corner_counts)
     faces = _concat([made.faces for made in outlines], 3, np.int32)
     return SceneMeshes(
         RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
@@ -388,25 +400,6 @@ def stamp(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     """
     warn_former("stamp", "build_meshes")
     return build_meshes(layouts)
-
-
-def _vertices(layouts: Sequence[Sequence[Placement]], outlines: Sequence[Prisms]) -> NDArray[np.float32]:
-    """Turn, scale and move the corners of all objects, each standing twice: on the plate and above it."""
-    poses = [
-        (x, y, cosine * radius, sine * radius, height)
-        for layout in layouts
-        for _, x, y, angle, radius, height in layout
-        for cosine, sine in (cosine_sine(angle),)
-    ]
-    counts = _concat([made.corner_counts for made in outlines], None, np.int64)
-    x, y, c, s, height = np.array(poses, dtype=np.float64).reshape(-1, 5).T.repeat(counts, axis=1)
-    corners = _concat([made.corners for made in outlines], 2, np.float64)
-    # In double precision up to here and rounded once, so that a scene's bytes do not depend on its batch.
-    vertices = np.zeros((len(corners), 2, 3), dtype=np.float32)
-    vertices[:, :, 0] = (c * corners[:, 0] - s * corners[:, 1] + x)[:, None]
-    vertices[:, :, 1] = (s * corners[:, 0] + c * corners[:, 1] + y)[:, None]
-    vertices[:, 1, 2] = height
-    return vertices.reshape(-1, 3)
 
 
 def _concat(parts: list[NDArray[Any]], width: int | None, dtype: type[np.generic]) -> NDArray[Any]:

@@ -10,7 +10,7 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from itertools import chain, repeat
+from itertools import chain
 from typing import Any, TypeVar
 
 import numpy as np
@@ -96,7 +96,7 @@ class SceneStreams:
         """
         self._key[0] = seed
         self._bits.state = self._start
-        return chain.from_iterable(self._random(size).tolist() for size in repeat(_BLOCK)).__next__
+        return chain.from_iterable(iter(lambda: self._random(_BLOCK).tolist(), None)).__next__
 
 
 @cache
@@ -258,10 +258,7 @@ def rejection_sampling(
                 y_m = (2.0 * uniform() - 1.0) * half_y_m
                 angle_rad = uniform() * spec.rotation_rad
                 candidate = Placement(shape.key, x_m, y_m, angle_rad, shape.radius_m, height_m)
-                for other in placed:
-                    if not clear(candidate, other, clearance_m):
-                        break
-                else:
+                if clear(candidate, placed, clearance_m):
                     placed.append(candidate)
                     break
             if len(placed) <= number:

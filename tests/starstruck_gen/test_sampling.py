@@ -175,20 +175,27 @@ def test_exact_rule_lets_objects_stand_closer_than_circles_do():
 )
 def test_exact_rule_on_known_pairs(one, other, clearance_m, clear):
     a, b = (Placement(name, x, 0.0, angle, 0.01, 0.005) for name, x, angle in (one, other))
-    found = outlines_clear(a, b, clearance_m)
-    assert found == outlines_clear(b, a, clearance_m)
+    found = outlines_clear(a, [b], clearance_m)
+    assert found == outlines_clear(b, [a], clearance_m)
     # Both outlines are their own mirror images in the diagonal.
-    assert found == outlines_clear(*(each._replace(x_m=0.0, y_m=each.x_m) for each in (a, b)), clearance_m)
-    assert not circles_clear(a, b, clearance_m)
+    mirrored = [each._replace(x_m=0.0, y_m=each.x_m) for each in (a, b)]
+    assert found == outlines_clear(mirrored[0], mirrored[1:], clearance_m)
+    assert not circles_clear(a, [b], clearance_m)
+    # One that is too near is enough, wherever it stands among the others.
+    far = Placement("disc", 1.0, 1.0, 0.0, 0.01, 0.005)
+    for others in ([far, b], [b, far]):
+        assert outlines_clear(a, others, clearance_m) == found
+        assert not circles_clear(a, others, clearance_m)
     if clear is not None:
         assert found is clear
 
 
 def test_object_inside_a_hole_is_clear_and_inside_a_solid_is_not():
     small = Placement("disc", 0.0, 0.0, 0.0, 0.002, 0.005)
-    assert outlines_clear(small, Placement("ring", 0.0, 0.0, 0.0, 0.01, 0.005), 0.001)
-    assert not outlines_clear(small, Placement("disc", 0.0, 0.0, 0.0, 0.01, 0.005), 0.0)
-    assert not outlines_clear(Placement("disc", 0.0, 0.0, 0.0, 0.01, 0.005), small, 0.0)
+    ring, disc = (Placement(shape, 0.0, 0.0, 0.0, 0.01, 0.005) for shape in ("ring", "disc"))
+    assert outlines_clear(small, [ring], 0.001)
+    assert not outlines_clear(small, [disc], 0.0)
+    assert not outlines_clear(disc, [small], 0.0)
 
 
 def test_impossible_specification_ends_with_what_failed_and_what_to_change():
