@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import pty
 import re
@@ -111,7 +112,9 @@ def test_the_whole_way_of_digits(tmp_path):
 
 
 def test_the_whole_way_of_scenes(server, folder, tmp_path):
+    logging.getLogger("huggingface_hub").setLevel(logging.INFO)
     assert call("starstruck", "upload", folder, NAME, "--yes", "--quiet") == 0
+    assert not logging.getLogger("huggingface_hub").isEnabledFor(logging.WARNING), "the client is quiet, too"
     card = server.repository(NAME).head.files["README.md"].content.decode()
     with_datasets, with_toolkit, _ = re.findall(r"```python\n(.*?)```", card, flags=re.DOTALL)
     lines = with_datasets + with_toolkit

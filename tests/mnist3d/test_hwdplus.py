@@ -91,6 +91,9 @@ def test_the_grey_scale_of_floats_is_the_files_not_the_images(tmp_path: Path) ->
     images[2] = 200.0
     with pytest.raises(ItemError, match="found pixels from 200 to 200, expected 0 to 1"):
         source(tmp_path, images).image(2)
+    # The images that are looked at are the first, the last and those between.
+    images[:4] = np.nan
+    np.testing.assert_array_equal(source(tmp_path, images).image(4).pixels, stack(5)[4])
 
 
 @given(st.lists(st.integers(0, 255), min_size=16, max_size=16))

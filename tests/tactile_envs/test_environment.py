@@ -48,6 +48,7 @@ def test_checkers_pass(env_id, assets):
         env = make(f"tactile_envs:{env_id}", num_envs=3, assets=str(assets), render_mode="rgb_array")
         assert isinstance(env, ap_gym.BaseActivePerceptionVectorEnv)
         assert env.metadata["autoreset_mode"] is gym.vector.AutoresetMode.NEXT_STEP
+        assert env.metadata["render_fps"] * env.unwrapped.config.transfer_timedelta_s == pytest.approx(1)
         assert env.spec.max_episode_steps
         observation, _ = env.reset(seed=0)
         assert observation in env.observation_space
@@ -318,4 +319,8 @@ def test_a_picture_shows_the_object_lit_and_the_sensor_framed(assets):
         rows, columns = np.nonzero(np.abs(cell - (204, 41, 51)).max(axis=2) <= 1)
         assert np.ptp(columns) == pytest.approx(240 * width_m / cell_m, abs=2)
         assert np.ptp(rows) == pytest.approx(240 * height_m / cell_m, abs=2)
+        # Edges are two pixels wide: two whole rows above and below, two whole columns at each side.
+        for along, length in ((rows, columns), (columns, rows)):
+            whole = np.bincount(along - along.min()) == np.ptp(length) + 1
+            assert np.flatnonzero(whole).tolist() == [0, 1, np.ptp(along) - 1, np.ptp(along)]
     env.close()

@@ -31,12 +31,14 @@ from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.pictures.sheets import png_bytes
 from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY
 from tests.tactile_sim.sets import NOISE
 
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
 from tactile_sim.card import sheet_png  # noqa: E402
+from tactile_sim.learned import evaluation  # noqa: E402
 from tactile_sim.learned.cyclegan import (  # noqa: E402
     Batch,
     CycleGan,
@@ -267,7 +269,11 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
 
 def test_a_finished_training_stays_and_others_are_refused(pairs, trained, sources, tmp_path, monkeypatch):
     before = {file: file.stat().st_mtime_ns for file in trained.iterdir() if file.suffix == ".pt"}
+    half_written = trained / PENDING_FOLDER / f"{TEMPORARY}losses"
+    half_written.parent.mkdir(exist_ok=True)
+    half_written.write_bytes(b"half")
     assert train(pairs, trained, CONFIG, device="cpu", deterministic=True).taken == 0
+    assert not half_written.parent.exists()
     assert before == {file: file.stat().st_mtime_ns for file in before}
     with pytest.raises(SpecMismatchError, match="seed is 0 there"):
         train(pairs, trained, TrainConfig(**{**CONFIG.to_dict(), "seed": 9}), device="cpu")
@@ -536,6 +542,14 @@ def test_the_classifier_separates_bright_from_dark():
     inputs = picture_channels(pictures.astype(np.uint8))
     classifier = SmallCNN(2, 0, 60).learn(inputs[:32], labels[:32])
     assert balanced_accuracy(classifier.predict(inputs[32:]), labels[32:]) == 1
+
+
+def test_a_sheet_of_an_evaluation_shows_touches_with_contact_from_first_to_last():
+    contact = np.arange(40) % 2
+    chosen = evaluation._Chosen(None, contact, contact, contact, contact == 1)
+    assert chosen.shown().tolist() == [1, 7, 13, 19, 25, 31]
+    few = evaluation._Chosen(None, contact[:6], contact[:6], contact[:6], contact[:6] == 1)
+    assert few.shown().tolist() == [1, 3, 5]
 
 
 def test_a_step_takes_the_rate_of_its_number():

@@ -246,6 +246,14 @@ def test_what_is_larger_than_the_plate_is_named(
     assert len(lay_out(objects, spec, scale=0.5).plates[0]) == 2
 
 
+def test_a_plate_has_a_millimetre_within_its_margins_at_least() -> None:
+    assert PlateSpec(1, 1, 0, 0).inner_mm == (1, 1)
+    assert PlateSpec(15, 21).inner_mm == (1, 7)
+    for sides_mm in ((14.9, 21), (21, 14.9)):
+        with pytest.raises(InputError, match="and 1 mm left of the plate"):
+            PlateSpec(*sides_mm)
+
+
 def test_what_fits_one_side_only_fits_that_side() -> None:
     for spec in (SMALL, PlateSpec(114, 94)):
         ((placed,),) = lay_out(named([box(99, 10)]), spec).plates

@@ -98,6 +98,10 @@ def a_rank_is_given_the_same_batches_whatever_its_workers(rows: Rows) -> None:
     plain = list(batches_of(rows, rank=1, world_size=2))
     expected = epoch_ids(rows, 0)
     assert flat(plain) == [*expected[1::2], expected[0]], "43 items: the second rank gets the first one again"
+    batches = batches_of(rows, rank=1, world_size=2)
+    for epoch, workers in enumerate((0, 2)):
+        given = flat(list(torch.utils.data.DataLoader(batches, batch_size=None, num_workers=workers)))
+        assert given == [*epoch_ids(rows, epoch)[1::2], epoch_ids(rows, epoch)[0]], "workers take over"
     plain_loader, stateful_loader = torch.utils.data.DataLoader, stateful.StatefulDataLoader
     for kind, workers in ((plain_loader, 0), (plain_loader, 3), (stateful_loader, 0), (stateful_loader, 1)):
         batches = batches_of(rows, rank=1, world_size=2)
