@@ -1,8 +1,8 @@
-"""Runs the code of a page as a reader would: ``python -m tests.pages PAGE EXTRA...``.
+"""Runs the code of pages as a reader would: ``python -m tests.pages PAGE... EXTRA...``.
 
-Blocks run in the order of the page, in the folder at hand. ``bash`` holds commands of this toolkit, ``shell``
+Blocks run in the order of the pages, in the folder at hand. ``bash`` holds commands of this toolkit, ``shell``
 those of other programs, which do not run here.
-``python`` blocks share their names; one that begins with ``# with the extra `NAME` `` runs where that extra
+``python`` blocks of a page share their names; one that begins with ``# with the extra `NAME` `` runs where that extra
 is given. A ``text`` block directly below one that ran is what it printed, ``...`` standing for anything.
 Calls in the text run after the blocks, with their names; those with ``...`` or a word in capitals do not.
 """
@@ -87,9 +87,14 @@ def _program(command: str) -> list[str]:
 
 
 def main() -> None:
-    """Run a page; ends with a message where a block fails or prints something else."""
-    page, *extras = sys.argv[1:]
+    """Run pages; ends with a message where a block fails or prints something else."""
     _READY.set_forkserver_preload(_IMPORTED_BEFORE)
+    pages = [name for name in sys.argv[1:] if name.endswith(".md")]
+    for page in pages:
+        _run(page, sys.argv[1 + len(pages) :])
+
+
+def _run(page: str, extras: list[str]) -> None:
     names: dict[str, Any] = {"__name__": "__main__"}
     for block in blocks(page):
         if block.language == "bash":

@@ -54,6 +54,7 @@ def hidden(folder: Path, code: str, *, functions: bool) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_every_module_is_imported(tmp_path: Path) -> None:
     code = f"""
 import importlib, json, pkgutil, sys

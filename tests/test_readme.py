@@ -62,9 +62,6 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Pat
         )
 
 
-def read(page: str, surroundings: tuple[Path, dict[str, str]], folder: str, *extras: str) -> None:
-    """Run a page in a folder, with the blocks that need these extras."""
-    run([sys.executable, "-m", "tests.pages", page, *extras], surroundings, folder)
 
 
 def run(program: list[str], surroundings: tuple[Path, dict[str, str]], folder: str) -> None:
@@ -92,7 +89,7 @@ def test_blocks_are_of_known_kinds():
 @pytest.mark.thorough
 def test_readme_runs(surroundings):
     """As a reader would type it; CI runs the installing halves of the first two lines."""
-    read("README.md", surroundings, "readme")
+    run([sys.executable, "-m", "tests.pages", "README.md"], surroundings, "readme")
 
 
 @pytest.mark.thorough
@@ -108,8 +105,7 @@ def test_pages_of_the_site_run(surroundings):
     """One reader goes through all of them in one folder; blocks whose extra is not there are left out."""
     extras = [extra for extra, package in NEEDED.items() if find_spec(package)]
     assert not os.environ.get("REQUIRE_EXTRAS") or len(extras) == len(NEEDED)
-    for page in PAGES:
-        read(page, surroundings, "site", *extras)
+    run([sys.executable, "-m", "tests.pages", *PAGES, *extras], surroundings, "site")
 
 
 def test_every_page_with_code_runs():
