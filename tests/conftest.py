@@ -49,8 +49,8 @@ os.environ["SSL_CERT_DIR"] = str(Path(__file__).parent)
 # What a power cut leaves cannot be seen here, and waiting for the disk would take a fifth of the time.
 os.fsync = lambda _handle: None
 
-# To remove a folder from a disk takes up to 2 ms, and tests remove tens of thousands: they work in memory, where
-# there is room for all that they leave (1 GB), and `tmp_path_retention_policy` keeps only what failed.
+# To remove a folder from a disk takes up to 2 ms, and tests remove tens of thousands: they work in memory,
+# where there is room for all that they leave (1 GB), and `tmp_path_retention_policy` keeps only what failed.
 _IN_MEMORY = Path("/dev/shm")
 if os.access(_IN_MEMORY, os.W_OK) and shutil.disk_usage(_IN_MEMORY).free > 4 << 30:
     os.environ.setdefault("PYTEST_DEBUG_TEMPROOT", str(_IN_MEMORY))

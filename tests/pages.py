@@ -1,9 +1,10 @@
 """Runs the code of pages as a reader would: ``python -m tests.pages PAGE... EXTRA...``.
 
-Blocks run in the order of the pages, in the folder at hand. ``bash`` holds commands of this toolkit, ``shell``
-those of other programs, which do not run here.
-``python`` blocks of a page share their names; one that begins with ``# with the extra `NAME` `` runs where that extra
-is given. A ``text`` block directly below one that ran is what it printed, ``...`` standing for anything.
+Blocks run in the order of the pages, in the folder at hand. ``bash`` holds commands of this toolkit,
+``shell`` those of other programs, which do not run here.
+``python`` blocks of a page share their names; one that begins with ``# with the extra `NAME` `` runs where
+that extra is given. A ``text`` block directly below one that ran is what it printed, ``...`` standing for
+anything.
 Calls in the text run after the blocks, with their names; those with ``...`` or a word in capitals do not.
 """
 

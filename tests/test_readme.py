@@ -62,8 +62,6 @@ def surroundings(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Pat
         )
 
 
-
-
 def run(program: list[str], surroundings: tuple[Path, dict[str, str]], folder: str) -> None:
     base, settings = surroundings
     (base / folder).mkdir(exist_ok=True)
