@@ -100,6 +100,9 @@ def test_it_pickles_small_and_works_afterwards(tmp_path: Path) -> None:
     data = pickle.dumps(made)
     assert len(data) < 500
     np.testing.assert_array_equal(pickle.loads(data).image(0).pixels, before)
+    # A manifest says what a set was made of, and it stays what it was.
+    with pytest.raises(AttributeError):
+        made.root = "elsewhere"  # type: ignore[misc]
 
 
 def test_fingerprint_knows_content_and_no_path(tmp_path: Path) -> None:

@@ -118,8 +118,11 @@ def test_sizes_of_ones_own():
         plan_splits(catalog([3] * 9), spec)
     with pytest.raises(InputError, match=r"expected each of train, .* once at most"):
         SplitSpec(sizes=(("validation", 3),))
-    with pytest.raises(InputError, match=r"'test', -1.*an integer from 0"):
+    with pytest.raises(InputError, match=r"'test', -1.*an integer from 0 to 1,000,000,000, such as"):
         SplitSpec(sizes=(("test", -1),))
+    assert SplitSpec(sizes=(("test", 10**9),)).sizes == (("test", 10**9),)
+    with pytest.raises(InputError, match=r"'test', 1000000001.*an integer from 0"):
+        SplitSpec(sizes=(("test", 10**9 + 1),))
 
 
 @pytest.mark.parametrize(

@@ -356,7 +356,10 @@ def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) 
     assert len(files) == 2
     rows = list(map(RowChoice, range(sum(map(len, files)))))
     conversion = Conversion(source, "toy", {}, KeepTouches(False), {"train": rows}, rows_per_shard=1)
-    tasks = plan_conversion(conversion).tasks
+    plan = plan_conversion(conversion)
+    # A dictionary of pictures would only take space.
+    assert plan.style.encodings == (("sensor_image.list.element.bytes", "PLAIN"),)
+    tasks = plan.tasks
     assert len(tasks) == len(rows)
     assert [len(task.paths) for task in tasks] == [1] * len(rows)
     assert [choice.row for task in tasks for choice in task.choices] == list(range(len(rows)))

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
@@ -18,6 +19,7 @@ from realtouch.exchange.api import ImportLayout
 from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
 from tests.command_line import call
 from tests.realtouch import factories
@@ -83,6 +85,19 @@ def test_a_shard_holds_no_more_touches_than_a_worker_can(
     realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
     manifest = realtouch.import_images(tmp_path / "there", tmp_path / "back", "folder", COLUMNS)
     assert [record.rows for record in manifest.shards_of("train")] == [2, 1], "rounds of five touches"
+    assert _groups(tmp_path / "back", manifest) == [[2], [1]]
+    # Readers decode a row group as a whole: of large images it has few rounds.
+    sizes = [file.stat().st_size for file in (tmp_path / "there").rglob("*.jpg")]
+    monkeypatch.setattr("realtouch.exchange.api._GROUP_BYTES", 7 * max(sizes))
+    manifest = realtouch.import_images(tmp_path / "there", tmp_path / "small", "folder", COLUMNS)
+    assert _groups(tmp_path / "small", manifest) == [[1, 1], [1]]
+
+
+def _groups(folder: Path, manifest: Manifest) -> list[list[int]]:
+    """Return the number of rounds in each row group of each shard of ``train``."""
+    files = [folder / record.shard.data_path for record in manifest.shards_of("train")]
+    each = [pq.ParquetFile(file).metadata for file in files]
+    return [[one.row_group(number).num_rows for number in range(one.num_row_groups)] for one in each]
 
 
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])

@@ -72,6 +72,14 @@ def test_shards_of_very_many_rounds_are_larger(scenes, monkeypatch):
     assert [task.size for task in plan_build(TouchMaking.of(scenes, SPEC), ("train",)).tasks] == [4, 4, 4, 2]
 
 
+def test_shards_and_row_groups_hold_as_many_rounds_as_their_bytes_allow(scenes):
+    """A later version that divided them otherwise would not continue a set, nor make the same files again."""
+    for size_px, touches, largest, rows_per_group in (((64, 64), 256, 161, 20), ((320, 240), 64, 52, 6)):
+        spec = tactile_sim.GenerateSpec(size_px, "depth", plan=tactile_sim.TouchPlan(2, touches))
+        layout = TouchMaking.of(scenes, spec).layout()
+        assert (layout.largest, layout.style.rows_per_group) == (largest, rows_per_group)
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_the_source_is_not_written_over(overwrite, scenes):
     before = _bytes(Path(scenes))
@@ -216,6 +224,18 @@ def test_places_of_touches():
     assert (pressed.sensor_z_m > 0.0029 + point.press_m).all()
     still = draw(tactile_sim.TouchPlan(1, 2, perturb=False, turn_rad=0.0), solid, "train", 0, 0)
     assert (still.object_poses[0] == still.object_poses[-1]).all()
+
+
+@pytest.mark.parametrize(("length_m", "reach_m"), [(0.04, 0.03), (0.2, 0.0)])
+def test_objects_lie_anywhere_a_centimetre_within_the_cell_or_in_its_middle(length_m, reach_m):
+    middle_m, reach = np.array([0.005, 0.0]), np.array([reach_m, 0.04])
+    moved = block((length_m, 0.02, 0.003)).apply_translation([*middle_m, 0.0])
+    solid, plan = tactile_sim.Pressable.of(moved), tactile_sim.TouchPlan(300, 1, turn_rad=0.0)
+    made = [tactile_sim.plan_round(plan, solid, "train", 0, number) for number in range(plan.rounds)]
+    middles = np.array([each.object_position_m[0, :2] for each in made]) + middle_m
+    assert (np.abs(middles) <= reach + 1e-12).all()
+    for ends, expected in ((middles.min(axis=0), -reach), (middles.max(axis=0), reach)):
+        assert ends == pytest.approx(expected, abs=1e-3)
 
 
 def test_shifts_are_as_large_as_those_of_the_environments():

@@ -52,9 +52,11 @@ from tactile_sim.learned.evaluation import (  # noqa: E402
 )
 from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
     CycleganOptics,
+    Generator,
     GeneratorWeights,
     depth_of,
     generator_of,
+    initialise,
     noisy_channels,
     picture_channels,
     read_weights,
@@ -305,6 +307,9 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
     out.mkdir()
     for file in ("training.json", "checkpoint.pt"):
         (out / file).write_bytes((trained / file).read_bytes())
+    # As a kill leaves it that comes between the last checkpoint and what follows from it.
+    assert train(pairs, out, CONFIG, device="cpu", deterministic=True).taken == 0
+    assert _weights(out) == _weights(trained)
     whole = (out / "checkpoint.pt").read_bytes()
     damaged = bytearray(whole)
     damaged[len(damaged) // 2] ^= 1
@@ -479,6 +484,13 @@ def test_the_start_learns_where_relief_belongs(pairs, tmp_path):
     assert log["touch_pretrain"][-1].as_py() < log["touch_pretrain"][0].as_py()
 
 
+def test_simulation_is_shown_in_the_first_steps_alone(trained):
+    log = pq.read_table(trained / "losses.parquet")
+    assert log["step"].to_pylist() == [1, 2, 3, 4, 5, 6]
+    for name in ("touch_pretrain", "depth_pretrain"):
+        assert [loss > 0 for loss in log[name].to_pylist()] == [True] * 3 + [False] * 3
+
+
 def test_relief_is_free_only_near_the_contact():
     depth, level = torch.ones(1, 1, 64, 64), torch.zeros(1, 3, 64, 64)
     depth[..., 30, 30] = 0.5
@@ -550,6 +562,19 @@ def test_a_sheet_of_an_evaluation_shows_touches_with_contact_from_first_to_last(
     assert chosen.shown().tolist() == [1, 7, 13, 19, 25, 31]
     few = evaluation._Chosen(None, contact[:6], contact[:6], contact[:6], contact[:6] == 1)
     assert few.shown().tolist() == [1, 3, 5]
+
+
+def test_what_doubles_the_size_begins_as_linear_interpolation():
+    """One drawn number for each pair of channels, halved beside its pixel, and once more at the corners."""
+    network = Generator(2, 1)
+    initialise(network, 3)
+    doubling = [each for each in network.modules() if isinstance(each, torch.nn.ConvTranspose2d)]
+    assert len(doubling) == 2
+    for each in doubling:
+        weight = each.weight.detach().numpy()
+        tent = np.outer([0.5, 1, 0.5], [0.5, 1, 0.5]).astype(np.float32)
+        assert (weight == weight[:, :, 1:2, 1:2] * tent).all()
+        assert (weight[:, :, 1, 1] != 0).all()
 
 
 def test_a_step_takes_the_rate_of_its_number():

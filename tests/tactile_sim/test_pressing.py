@@ -102,6 +102,14 @@ def test_a_block_is_felt_at_its_height_in_its_place():
     assert (pressed.image[~top] == 1).all()
 
 
+def test_beyond_the_plate_lies_what_is_twice_its_longer_side_away():
+    """A sensor over the edge: one half sees the plate, the other nothing."""
+    sensor, place, edge = tactile_sim.full_view(32, 24), tactile_sim.pose(), tactile_sim.pose(0.04)
+    pressed = tactile_sim.render_touch(ball(), place, edge, sensor, cell_m=(0.08, 0.05))
+    assert (pressed.depth_m[:, :16] == 0.002125).all()
+    assert pressed.depth_m[:, 16:] == pytest.approx(np.full((24, 16), 0.002125 + 2 * 0.08), abs=1e-12)
+
+
 def test_windows_of_the_presets():
     assert tactile_sim.full_view(64, 64).window_m == (0.01888, 0.01416)
     assert tactile_sim.center_view(64, 64).window_m == (0.01416, 0.01416)
