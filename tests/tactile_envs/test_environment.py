@@ -22,6 +22,7 @@ from hypothesis import (  # noqa: E402
 )
 
 import tactile_envs  # noqa: E402
+from tactile_envs.config import Config  # noqa: E402
 from tactile_envs.making import make_vector  # noqa: E402
 from tactile_toolkit.errors import InputError  # noqa: E402
 
@@ -161,14 +162,21 @@ def test_predictions_without_a_loss_are_refused(assets, task):
 
 
 def test_observations_are_kept_by_whoever_has_them(assets):
-    """A step writes no array that an earlier one gave."""
+    """A step writes no array that an earlier one gave; depth is what the picture shows, from the camera."""
     env = make_vector(DEPTH, num_envs=2, assets=assets, config={"depth_in_info": True})
+    press_m = env._view.press_m
     env.action_space.seed(0)
     observation, info = env.reset(seed=0)
     kept = {**observation, "depth": info["depth"], "place": info["sensor_pose"].translation}
-    copies = {name: value.copy() for name, value in kept.items()}
+    copies, touched = {name: value.copy() for name, value in kept.items()}, 0
     for _ in range(20):
-        env.step(env.action_space.sample())
+        observation, *_, info = env.step(env.action_space.sample())
+        pressed = observation["sensor_img"][..., 0]
+        reached = pressed < 1
+        assert info["depth"][reached] == pytest.approx(press_m * (1 + pressed[reached]), rel=1e-5)
+        assert (info["depth"][~reached] >= 2 * press_m * (1 - 1e-5)).all()
+        touched += ((pressed > 0) & reached).sum()
+    assert touched
     assert all((kept[name] == copies[name]).all() for name in kept)
 
 
@@ -227,6 +235,16 @@ def test_what_cannot_be_is_named(assets, options, words):
         env.step(action)
 
 
+def test_a_size_of_pictures_has_one_spelling_and_is_checked_with_the_settings():
+    """So equal settings are equal, whoever spelt them: a command line, numpy, or JSON."""
+    for size in ([64, 48], np.array([64, 48]), (np.int64(64), 48)):
+        config = Config(sensor_output_size=size)
+        assert config == Config(sensor_output_size=(64, 48))
+        assert [type(side) for side in config.sensor_output_size] == [int, int]
+    with pytest.raises(InputError, match="expected width and height in whole pixels"):
+        Config(sensor_output_size=(64,))
+
+
 def test_meshes_of_ones_own(assets, tmp_path):
     """A folder of mesh files, or one data set of several; and what is not there is named."""
     for number, side_mm in enumerate((20, 30)):
@@ -283,10 +301,9 @@ def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):
         inked = (picture[100:, 240:] < 250).any(axis=2)
         tops = np.flatnonzero(np.diff(inked.any(axis=1).astype(int), prepend=0) == 1)
         assert inked[tops].sum(axis=1).tolist() == [1 + round(share * 88) for share in wanted]
-        colours = picture[100 + tops, 244]
-        assert [(colours == each).all(axis=1).sum() == 1 for each in colours] == [
-            number == right for number in range(10)
-        ]
+        colours = [tuple(colour) for colour in picture[100 + tops, 244].tolist()]
+        green, blue = (33, 140, 76), (89, 115, 178)
+        assert colours == [green if number == right else blue for number in range(10)]
     env.close()
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numba
 import numpy as np
 import pytest
@@ -11,6 +13,7 @@ import mnist3d
 from tactile_envs.kernels import LANES, PADDING, raise_object, raise_pixels
 from tactile_envs.meshes import MeshPool
 from tactile_sim.pressing import Pressable, center_view, pose, render_touch
+from tests.env_assets.shapes import box
 
 
 @numba.njit(error_model="numpy")
@@ -41,6 +44,18 @@ def test_eight_pixels_at_once_are_as_one_after_the_other():
         _eight(other, at, *numbers)
     assert (one == other).all()
     assert (one != heights).any()
+
+
+@pytest.mark.parametrize("off_px", [0.0, 4e-7, -4e-7])
+def test_pixels_on_the_edge_of_a_triangle_are_raised_whichever_way_its_corners_round(off_px):
+    per_m = 1024.0  # a power of two: corners are exactly where they should be
+    block = box((2 / per_m, 1 / per_m, 0), (5 / per_m, 4 / per_m, 1 / per_m))
+    pool = MeshPool.packed([SimpleNamespace(vertices_m=block.vertices_m, faces=block.faces, label=0, id=0)])
+    heights = np.zeros((8, 8 + PADDING), np.float32)
+    raise_object(heights, pool.arrays, 0, (1.0, 0.0, off_px, off_px, per_m))
+    expected = np.zeros((8, 8))
+    expected[1:5, 2:6] = 1 / per_m
+    assert heights[:, :8].tolist() == expected.tolist()
 
 
 @pytest.mark.parametrize("name", ["mnist3d", "starstruck", "wrench"])

@@ -41,6 +41,12 @@ def test_equal_values_have_one_spelling():
     assert type(_Spec(np.float32(0.5)).height_m) is float
 
 
+def test_the_ends_of_a_span_belong_to_it():
+    for rounds, plate_mm, limit in ((1, (0, 256), 1), (4096, (256, 0), None)):
+        spec = _Spec(0.5, plate_mm, rounds=rounds, limit=limit)
+        assert (spec.rounds, spec.plate_mm, spec.limit) == (rounds, plate_mm, limit)
+
+
 def test_a_field_without_default_is_asked_for():
     with pytest.raises(TypeError, match="height_m"):
         _Spec()
@@ -59,6 +65,7 @@ def test_a_field_without_default_is_asked_for():
         ("plate_mm", 1.0, "expected 2 numbers"),
         ("level", float("inf"), "expected None or a number, finite"),
         ("rounds", 0, "rounds of the example is 0; expected an integer from 1 to 4,096"),
+        ("rounds", 4097, "rounds of the example is 4097"),
         ("rounds", 2.0, "is 2.0"),
         ("rounds", None, "is None"),
         ("limit", 2.5, "limit of the example is 2.5; expected an integer of at least 1"),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+from dataclasses import is_dataclass
+from importlib import import_module
 
 import pytest
 
@@ -43,6 +45,17 @@ def test_defaults_and_limits_are_unchanged(package):
     if package in NEEDED:
         pytest.importorskip(NEEDED[package], reason=f"needs {NEEDED[package]}, of an extra")
     assert defaults_and_limits(package) == RECORD["fields"][package]
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_what_users_hold_is_not_changed_by_whoever_else_holds_it(package):
+    if package in NEEDED:
+        pytest.importorskip(NEEDED[package], reason=f"needs {NEEDED[package]}, of an extra")
+    held = [getattr(import_module(package), name) for name in public_names(package)]
+    kinds = [kind for kind in held if isinstance(kind, type) and is_dataclass(kind)]
+    # An error is not held; Python itself writes where it came from into it.
+    changeable = [kind for kind in kinds if not kind.__dataclass_params__.frozen]
+    assert all(issubclass(kind, Exception) for kind in changeable), changeable
 
 
 def test_every_package_is_recorded():

@@ -79,6 +79,16 @@ def client_here(server, tmp_path, monkeypatch) -> Iterator[None]:
         yield
 
 
+@pytest.mark.parametrize("to_folder", [True, False])
+def test_progress_ends_with_all_bytes_that_were_missing(server, tmp_path, client_here, to_folder):
+    plan = plan_download(NAME, ["test"], out=str(tmp_path / "out") if to_folder else None)
+    told: list[tuple[int, int]] = []
+    download(plan, lambda *counts: told.append(counts))
+    assert told == sorted(told)
+    assert told[-1] == (plan.missing_bytes, plan.missing_bytes)
+    assert plan.missing_bytes == sum(file.size_bytes for file in plan.missing) > 0
+
+
 @pytest.mark.parametrize("at_work", ["train", "test"])
 def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, client_here, at_work):
     """One has planned and stands still in the middle of a file when the other, planned as early, begins."""

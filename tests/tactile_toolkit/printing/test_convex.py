@@ -11,7 +11,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.printing.simulator import convex_parts
-from tests.tactile_toolkit.printing.solids import box, ell, open_box, prism, ring
+from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, open_box, prism, ring
 
 
 def outside_mm(mesh: Mesh, parts: list[Mesh]) -> float:
@@ -65,6 +65,18 @@ def test_bays_holes_and_several_bodies():
         np.concatenate([box(4, 4).vertices_m, far.vertices_m]), np.concatenate([box(4, 4).faces, far.faces])
     )
     assert len(convex_parts(both)) == 2
+
+
+def test_cuts_lie_in_steps_of_15_degrees():
+    """A block with a notch 10 degrees wide: cuts along its middle or across its tip alone leave no bay."""
+    aside_mm = 20 * np.tan(np.radians(5))
+    notch = [(aside_mm, 30), (0, 10), (-aside_mm, 30)]
+    upright = prism([(-10, 0), (10, 0), (10, 30), *notch, (-10, 30)]).to_manifold()
+    for turned_deg in range(0, 180, 15):
+        turned = mesh_of(upright.rotate((0, 0, turned_deg)))
+        parts = convex_parts(turned, excess=1.002)
+        assert len(parts) in (2, 3), turned_deg
+        assert sum(part.volume_m3 for part in parts) == pytest.approx(turned.volume_m3, rel=1e-6)
 
 
 def test_what_no_upright_cut_divides_ends():

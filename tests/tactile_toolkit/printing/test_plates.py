@@ -273,6 +273,9 @@ def test_a_file_that_leaves_the_plate_by_either_side_is_removed(
 
 def test_beds_have_names() -> None:
     assert PlateSpec.parse("Prusa-MK4") == PlateSpec(250, 210)
+    assert PlateSpec() == PlateSpec.parse("bambu-a1"), (
+        "unless it is said, the plate of the commonest printers"
+    )
     assert PlateSpec.parse("250x210", gap_mm=1, margin_mm=0) == PlateSpec(250, 210, 1, 0)
     # As the makers give them.
     sides = {"bambu-a1-mini": 180, "bambu-a1": 256, "bambu-p1": 256, "bambu-x1": 256, "ender-3": 220}

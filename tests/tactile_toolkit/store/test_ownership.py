@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -89,6 +91,22 @@ def test_an_outdated_view_of_a_network_file_system_ends_no_run(tmp_path, fresh, 
     monkeypatch.setattr(DataFolder, "refresh", look_again)
     make(tmp_path / "set", seeded(10), on_progress=hide)
     assert folder_bytes(tmp_path / "set") == fresh[10]
+
+
+@pytest.mark.parametrize("has_links", [True, False])
+def test_the_first_of_two_that_create_a_file_wins_on_file_systems_without_links_too(
+    tmp_path, monkeypatch, has_links
+):
+    def refuse(*_, **__):
+        raise OSError(errno.EPERM, "Operation not permitted")  # as Linux says of FAT
+
+    if not has_links:
+        monkeypatch.setattr(os, "link", refuse)
+    folder = DataFolder(str(tmp_path))
+    for content in (b"first", b"second"):
+        folder.create_bytes("manifest.json", content)
+        assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
+        assert (tmp_path / "manifest.json").read_bytes() == b"first"
 
 
 def test_undoing_leaves_what_a_run_of_the_same_set_has_made(tmp_path, fresh):

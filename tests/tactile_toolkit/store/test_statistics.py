@@ -39,6 +39,16 @@ def test_manifest_adds_up_each_split_and_survives_its_text():
     assert again.to_json() == manifest.to_json()
 
 
+@pytest.mark.parametrize("second", [record("train", 0, None), record("test", 0, None)])
+def test_a_shard_that_is_listed_twice_or_of_no_split_is_damage(second):
+    """The numbers agree with the shards that are listed: these themselves are wrong."""
+    text = Manifest("toy", "1", {}, ("train",), (record("train", 0, None), second)).to_json()
+    with pytest.raises(
+        IntegrityError, match="'here' is damaged: shards: one is listed twice, or of no split"
+    ):
+        Manifest.from_json(text, "here")
+
+
 def test_manifest_without_statistics_says_nothing_of_them():
     manifest = Manifest("toy", "1", {}, ("train",), (record("train", 0, None),))
     assert "statistics" not in manifest.to_json()
