@@ -62,11 +62,11 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 _EXTRAS = ("browser", "env", "ray", "s3", "sim", "simulators", "slicer", "torch")
 
 
-_LONG = ("test_readme.py", "test_ray.py", "test_damage.py")
+_LONG = ("test_readme.py", "test_ray.py", "test_damage.py", "test_processors.py", "test_other_systems.py")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Begin with the tests of a minute or more: as the last ones they would keep one core waiting."""
+    """Begin with the longest tests: as the last ones they would keep one core waiting."""
     items.sort(key=lambda item: item.path.name not in _LONG)
 
 
