@@ -132,7 +132,9 @@ def test_touches_and_plain_pictures_go_the_same_way(server, tmp_path, capsys):
     realtouch.select(str(source), str(tmp_path / "touches"))
     realtouch.frames(str(source), str(tmp_path / "pictures"), "jpeg")
     assert call("realtouch", "upload", tmp_path / "touches", "someone/touches", "--yes") == 0
-    assert 'realtouch.load("someone/touches", split="train")' in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert 'realtouch.load("someone/touches", split="train")' in printed.out
+    assert f"checking {tmp_path / 'touches'}" in printed.err, "which may take minutes"
     assert call("realtouch", "upload", tmp_path / "pictures", "someone/pictures", "--yes") == 0
     assert 'data = datasets.load_dataset("someone/pictures", split="train")' in capsys.readouterr().out
     held = server.repository("someone/pictures").head.files
