@@ -269,10 +269,8 @@ class LazyRow(RowGroup):
     # Not cached properties, whose locks would cost a twentieth of a scene and its mesh.
     @property
     def _scene(self) -> Scene:
-        origin = self._origin
-        return self.once(
-            "scene", lambda: sample_scenes(origin.spec, origin.split, origin.seed, self.first_row, 1)[0]
-        )
+        shard, row = self._origin, self.first_row
+        return self.once("scene", lambda: sample_scenes(shard.spec, shard.split, shard.seed, row, 1)[0])
 
     def _built(self) -> SceneMeshes:
         meshes = build_meshes([self._scene.placements])
@@ -293,10 +291,9 @@ class LazyRow(RowGroup):
             return self._origin.known(name, range(self.first_row, self.first_row + 1))
         # Filled by index: numpy would spread a list over an array of its own.
         values = np.empty(1, dtype=object)
+        values[0] = getattr(self._scene, name)
         if name == "placements":
-            values[0] = [placement._asdict() for placement in self._scene.placements]
-        else:
-            values[0] = getattr(self._scene, name)
+            values[0] = [placement._asdict() for placement in values[0]]
         return values
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, is_dataclass
 from functools import lru_cache
 from itertools import accumulate, pairwise
@@ -295,10 +295,6 @@ class Placement(NamedTuple):
         return self.shape.partition("(")[0] == STAR
 
 
-Clear = Callable[[Placement, Sequence[Placement], float], bool]
-"""Whether an object keeps a clearance in metres to each of some others."""
-
-
 def circles_clear(one: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
     """Return whether circumscribed circles keep a clearance: the rule of package tactile-mnist 0.13.0."""
     _, x_m, y_m, _, radius_m, _ = one
@@ -317,18 +313,15 @@ def outlines_clear(one: Placement, others: Sequence[Placement], clearance_m: flo
     An object inside another's hole is clear of it, one inside its solid is not.
     """
     least_mm = (clearance_m + STORAGE_MARGIN_M) * MM_PER_M
-    for other in others:
-        if not circles_clear(one, [other], clearance_m):
-            first, second = _standing(one), _standing(other)
-            # The gap alone would not reveal an object inside another one, whose surfaces can be far apart;
-            # and of two that overlap it takes several times as long to find.
-            if not (first ^ second).is_empty() or first.min_gap(second, 2 * least_mm) <= least_mm:
-                return False
-    return True
+    near = (other for other in others if not circles_clear(one, [other], clearance_m))
+    pairs = ((_standing(one), _standing(other)) for other in near)
+    # The gap alone would not reveal an object inside another one, whose surfaces can be far apart; and of two
+    # that overlap it takes several times as long to find.
+    return all((a ^ b).is_empty() and a.min_gap(b, 2 * least_mm) > least_mm for a, b in pairs)
 
 
-COLLISION_TESTS: dict[str, Clear] = {"circles": circles_clear, "exact": outlines_clear}
-"""Collision rules by their name in the specification."""
+COLLISION_TESTS = {"circles": circles_clear, "exact": outlines_clear}
+"""Collision rules by name: does an object keep a clearance, in metres, to some others?"""
 
 
 def _standing(placement: Placement) -> Any:
@@ -382,10 +375,10 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
 
     outlines = [prisms(tuple([placement.shape for placement in layout])) for layout in layouts]
     poses = np.array([placement[1:] for layout in layouts for placement in layout], np.float64)
-    corner_counts = _concat([made.corner_counts for made in outlines], None, np.int64)
-    corners = _concat([made.corners for made in outlines], 2, np.float64)
+    # One of no shape first, since there may be no layout.
+    parts = [(made.corners, made.corner_counts, made.faces) for made in (prisms(()), *outlines)]
+    corners, corner_counts, faces = map(np.concatenate, zip(*parts, strict=True))
     vertices = standing_vertices(poses.reshape(-1, 5), corners, corner_counts)
-    faces = _concat([made.faces for made in outlines], 3, np.int32)
     return SceneMeshes(
         RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
         RaggedColumn(faces, _offsets([len(made.faces) for made in outlines])),
@@ -400,10 +393,6 @@ def stamp(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     """
     warn_former("stamp", "build_meshes")
     return build_meshes(layouts)
-
-
-def _concat(parts: list[NDArray[Any]], width: int | None, dtype: type[np.generic]) -> NDArray[Any]:
-    return np.concatenate(parts) if parts else np.zeros((0, width) if width else 0, dtype)
 
 
 def _offsets(counts: list[int]) -> NDArray[np.int64]:

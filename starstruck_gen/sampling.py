@@ -238,8 +238,7 @@ def rejection_sampling(
     ``uniform`` gives numbers in [0, 1): the order in which they are drawn is part of every data set's bytes.
     """
     clear = COLLISION_TESTS[spec.collision]
-    if star_count is None:
-        star_count = _choice(spec.stars, uniform)
+    star_count = _choice(spec.stars, uniform) if star_count is None else star_count
     least, most = spec.distractors
     distractor_count = least + int(uniform() * (most - least + 1))
     shapes = [spec.star] * star_count
@@ -267,10 +266,9 @@ def rejection_sampling(
             return Scene(star_count, tuple(placed), tuple(attempts), len(reached))
         reached.append(len(placed))
         on_failure(len(reached), spec.restarts + 1)
-    failed = reached[-1]
     raise SamplingExhausted(
-        shapes[failed].name,
-        failed + 1,
+        shapes[reached[-1]].name,
+        reached[-1] + 1,
         len(shapes),
         spec.attempts,
         len(reached) - 1,
