@@ -23,11 +23,10 @@ def standing_vertices(poses: Any, corners: Any, corner_counts: Any) -> Any:
     for number in range(len(poses)):
         x_m, y_m, angle_rad, radius_m, height_m = poses[number]
         cosine, sine = _cosine_sine(angle_rad)
-        cosine, sine = cosine * radius_m, sine * radius_m
         for _ in range(2 * corner_counts[number]):
             x, y = corners[vertex // 2, 0], corners[vertex // 2, 1]
-            vertices[vertex, 0] = cosine * x - sine * y + x_m
-            vertices[vertex, 1] = sine * x + cosine * y + y_m
+            vertices[vertex, 0] = cosine * radius_m * x - sine * radius_m * y + x_m
+            vertices[vertex, 1] = sine * radius_m * x + cosine * radius_m * y + y_m
             vertices[vertex, 2] = height_m * (vertex % 2)
             vertex += 1
     return vertices

@@ -15,7 +15,7 @@ from starstruck_gen.columns import scene_schema
 from starstruck_gen.kind import KIND
 from starstruck_gen.make import make_rows
 from starstruck_gen.placement import Placement, SceneMeshes, build_meshes
-from starstruck_gen.sampling import MOST_SCENES, SPLITS, sample_scenes, scene_id, scene_seed
+from starstruck_gen.sampling import MOST_SCENES, sample_scenes, scene_id, scene_seed
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.catalog.locate import find_shards, place_of
@@ -330,11 +330,10 @@ class SceneDataset(SceneMeshDataset):
     ) -> None:
         spec = spec or SceneSpec()
         size, seed = plain_number(size), plain_number(seed)
-        if split not in SPLITS:
-            raise InputError(f"unknown split {split!r}; expected one of {', '.join(SPLITS)}")
         if not (is_integer(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
             found = f"size is {size!r} and seed is {seed!r}"
             raise InputError(f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0")
+        scene_seed(seed, split, 0)  # refuses an unknown split
         super().__init__(ShardedTable((SceneShard(spec, split, size, seed),)), label_names=spec.class_names)
 
     def column(self, name: str) -> NDArray[Any]:

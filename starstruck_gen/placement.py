@@ -375,9 +375,10 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
 
     outlines = [prisms(tuple([placement.shape for placement in layout])) for layout in layouts]
     poses = np.array([placement[1:] for layout in layouts for placement in layout], np.float64)
-    # One of no shape first, since there may be no layout.
-    parts = [(made.corners, made.corner_counts, made.faces) for made in (prisms(()), *outlines)]
-    corners, corner_counts, faces = map(np.concatenate, zip(*parts, strict=True))
+    parts = outlines or [prisms(())]  # there may be no layout
+    corners = np.concatenate([made.corners for made in parts])
+    corner_counts = np.concatenate([made.corner_counts for made in parts])
+    faces = np.concatenate([made.faces for made in parts])
     vertices = standing_vertices(poses.reshape(-1, 5), corners, corner_counts)
     return SceneMeshes(
         RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
