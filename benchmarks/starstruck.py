@@ -4,8 +4,8 @@ Run ``python benchmarks/starstruck.py`` with the extra `env` installed. One run 
 several repetitions in this process:
 
 - scenes per second of the published generator (``generate_starstruck_scene`` of
-  ``tactile_mnist.starstruck_dataset``), of ours in batches (``sample_scenes`` and ``stamp``), and of ours one
-  by one (``SceneDataset[i].mesh``);
+  ``tactile_mnist.starstruck_dataset``), of ours in batches (``sample_scenes`` and ``build_meshes``), and of
+  ours one by one (``SceneDataset[i].mesh``);
 - processor seconds of a written data set of 3,300 scenes, in a fresh process from its start to its end;
 - Parquet bytes per scene.
 """

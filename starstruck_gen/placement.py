@@ -302,7 +302,7 @@ def circles_clear(one: Placement, others: Sequence[Placement], clearance_m: floa
     for _, other_x_m, other_y_m, _, other_radius_m, _ in others:
         along_m, across_m = x_m - other_x_m, y_m - other_y_m
         least_m = radius_m + other_radius_m + clearance_m + STORAGE_MARGIN_M
-        if along_m * along_m + across_m * across_m <= least_m * least_m:
+        if not along_m * along_m + across_m * across_m > least_m * least_m:  # no place that is NaN is clear
             return False
     return True
 

@@ -82,10 +82,10 @@ def client_here(server, tmp_path, monkeypatch) -> Iterator[None]:
 @pytest.mark.parametrize("to_folder", [True, False])
 def test_progress_ends_with_all_bytes_that_were_missing(server, tmp_path, client_here, to_folder):
     plan = plan_download(NAME, ["test"], out=str(tmp_path / "out") if to_folder else None)
-    told: list[tuple[int, int]] = []
-    download(plan, lambda *counts: told.append(counts))
-    assert told == sorted(told)
-    assert told[-1] == (plan.missing_bytes, plan.missing_bytes)
+    reported: list[tuple[int, int]] = []
+    download(plan, lambda *counts: reported.append(counts))
+    assert reported == sorted(reported)
+    assert reported[-1] == (plan.missing_bytes, plan.missing_bytes)
     assert plan.missing_bytes == sum(file.size_bytes for file in plan.missing) > 0
 
 
