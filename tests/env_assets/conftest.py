@@ -18,14 +18,9 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 
 @pytest.fixture(scope="session")
 def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a provider: ``mnist3d``, ``starstruck``, ``wrench``, ``real-single``."""
-    import mnist3d
-
+    """Folder of a provider."""
     root = tmp_path_factory.mktemp("assets")
-    factories.write_digits(root / "mnist3d")
-    factories.write_scenes(root / "starstruck")
-    factories.write_wrench(root / "wrench")
-    factories.write_touches(root / "real-single", mnist3d.load(str(root / "mnist3d"), "printed_train"))
+    factories.write_assets(root)
     return root
 
 

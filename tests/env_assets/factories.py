@@ -17,6 +17,16 @@ TOUCHES_PER_ROUND = 24
 DIGITS = tuple(str(digit) for digit in range(10))
 
 
+def write_assets(root: Path) -> None:
+    """A folder as a provider takes it: ``mnist3d``, ``starstruck``, ``wrench``, ``real-single``."""
+    import mnist3d
+
+    write_digits(root / "mnist3d")
+    write_scenes(root / "starstruck")
+    write_wrench(root / "wrench")
+    write_touches(root / "real-single", mnist3d.load(str(root / "mnist3d"), "printed_train"))
+
+
 def write_digits(folder: Path) -> None:
     """Ten digits for each of three splits."""
     from mnist3d.make import GenerateSpec, generate

@@ -2,11 +2,42 @@
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 from scipy.ndimage import correlate1d
 
 from tactile_sim import kernels
+from tests.tactile_sim import made_up_sensor
+from tests.unchanged.record import FOLDER
+
+
+@pytest.fixture(scope="module")
+def in_python(tmp_path_factory):
+    """A sensor of our own, and its pictures when no kernel is compiled."""
+    package = tmp_path_factory.mktemp("made-up") / "taxim"
+    made_up_sensor.write_calibration(package)
+    command = [sys.executable, "-m", made_up_sensor.__name__, str(package)]
+    made = subprocess.run(
+        command, env={**os.environ, "NUMBA_DISABLE_JIT": "1"}, capture_output=True, check=True
+    )
+    return package, np.frombuffer(made.stdout, np.float32).reshape(3, 16, 20, 3)
+
+
+def test_pictures_of_a_made_up_sensor_are_unchanged(in_python):
+    recorded = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))["made_up_sensor"]
+    expected = [float(each) for each in recorded.split()]
+    assert made_up_sensor.sums(in_python[1]) == pytest.approx(expected, abs=1e-4)
+
+
+@pytest.mark.thorough
+def test_compiled_kernels_give_the_bits_of_python(in_python):
+    package, shades = in_python
+    assert (made_up_sensor.pictures(package) == shades).all()
 
 
 @pytest.mark.parametrize(("across", "down"), [([0.5, 0.3, -0.1], [0.7, 0.2]), ([1.0], [0.4, 0.3, 0.2, 0.1])])

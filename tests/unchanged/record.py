@@ -12,6 +12,7 @@ import io
 import json
 import tempfile
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import fields, is_dataclass, replace
 from importlib import import_module
 from importlib.metadata import version
@@ -32,18 +33,30 @@ import starstruck_gen.previews
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.spec import TouchPreviewSpec
 from tactile_toolkit.catalog.spec import PreviewSpec
+from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.printing.packing import arrange, measure
 from tactile_toolkit.printing.plates import draw_map
 from tactile_toolkit.printing.spec import PlateSpec
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest, write_manifest
+from tests.env_assets.factories import write_assets
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
+from tests.tactile_sim import made_up_sensor
 from tests.tactile_sim.sets import touch_sets
 from tests.tactile_toolkit.printing.solids import box, ell, named, ring
+from tests.unchanged import environments
 
 FOLDER = Path(__file__).parent
-PACKAGES = ("mnist3d", "starstruck_gen", "realtouch", "realtouch.torch", "tactile_sim", "env_assets")
+PACKAGES = (
+    "mnist3d",
+    "starstruck_gen",
+    "realtouch",
+    "realtouch.torch",
+    "tactile_sim",
+    "env_assets",
+    "tactile_envs",
+)
 OUR_PACKAGES = {name.partition(".")[0] for name in PACKAGES} | {"tactile_toolkit"}
 COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
 """Modules of ``cli``."""
@@ -71,11 +84,19 @@ def public_names(package: str) -> list[str]:
     return sorted(import_module(package).__all__)
 
 
+def importable(package: str) -> dict[str, Any]:
+    """Return what public names stand for, but for those that need an extra which is not there."""
+    found = {}
+    for name in public_names(package):
+        with suppress(MissingExtraError):
+            found[name] = getattr(import_module(package), name)
+    return found
+
+
 def defaults_and_limits(package: str) -> dict[str, str]:
     """Return the defaults of public dataclasses, functions and methods, and which values fields take."""
     found = {}
-    for name in public_names(package):
-        kind = getattr(import_module(package), name)
+    for name, kind in importable(package).items():
         for each in fields(kind) if isinstance(kind, type) and is_dataclass(kind) else ():
             if _is_plain(each.default):
                 rule = each.metadata.get("rule")
@@ -191,11 +212,19 @@ def synthetic_touches(folder: Path) -> dict[str, Any]:
     return {"taxim": version("taxim"), **digests}
 
 
+def _line(numbers: list[float]) -> str:
+    return " ".join(map(repr, numbers))
+
+
 def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         digests = data_sets(Path(folder) / "sets")
         pixels = pictures(Path(folder) / "sets")
         touches = synthetic_touches(Path(folder) / "touches")
+        made_up_sensor.write_calibration(Path(folder) / "taxim")
+        shades = made_up_sensor.sums(made_up_sensor.pictures(Path(folder) / "taxim"))
+        write_assets(Path(folder) / "assets")
+        courses = {name: environments.course(name, Path(folder) / "assets") for name in environments.COURSES}
     found = {
         "libraries": library_versions(),
         "help_libraries": library_versions(HELP_LIBRARIES),
@@ -204,6 +233,11 @@ def main() -> None:
         "parquet": digests,
         "pictures": pixels,
         "touches": touches,
+        "environments": environments.ids(),
+        "courses": {
+            name: {key: _line(values) for key, values in course.items()} for name, course in courses.items()
+        },
+        "made_up_sensor": _line(shades),
     }
     (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     for command_line in COMMAND_LINES:

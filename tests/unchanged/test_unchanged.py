@@ -2,22 +2,29 @@
 
 from __future__ import annotations
 
+import ast
 import json
+import re
 from dataclasses import is_dataclass
 from importlib import import_module
+from pathlib import Path
 
 import pytest
 
+from tests.env_assets.conftest import assets  # noqa: F401
+from tests.unchanged import environments
 from tests.unchanged.record import (
     COMMAND_LINES,
     FOLDER,
     HELP_LIBRARIES,
+    OUR_PACKAGES,
     PACKAGES,
     begin_as_first_version,
     data_sets,
     defaults_and_limits,
     help_of_commands,
     helps,
+    importable,
     library_versions,
     pictures,
     public_names,
@@ -29,7 +36,8 @@ FIRST_VERSION = json.loads((FOLDER / "first_version.json").read_text(encoding="u
 """Digests of the same sets of the first version of the schema, which is never recorded again."""
 
 
-NEEDED = {"realtouch.torch": "torch", "env_assets": "tactile_mnist"}
+CHANGING = {"SamplingExhausted", "_Run", "DiskCache", "_Object"}
+"""Dataclasses that are not frozen: an error, a training while it runs, a cache, a part while it is read."""
 
 
 @pytest.mark.parametrize("package", PACKAGES)
@@ -41,21 +49,36 @@ def test_public_names_are_unchanged(package):
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_defaults_and_limits_are_unchanged(package):
-    """Of all public names, some of which only extras can import."""
-    if package in NEEDED:
-        pytest.importorskip(NEEDED[package], reason=f"needs {NEEDED[package]}, of an extra")
-    assert defaults_and_limits(package) == RECORD["fields"][package]
+    """Of all public names, but for those that only extras can import."""
+    if package == "realtouch.torch":
+        pytest.importorskip("torch", reason="needs torch, of the extra torch")
+    names = importable(package)
+    recorded = RECORD["fields"][package].items()
+    expected = {place: default for place, default in recorded if re.split(r"[.(]", place)[0] in names}
+    assert defaults_and_limits(package) == expected
+    assert expected
 
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_what_users_hold_is_not_changed_by_whoever_else_holds_it(package):
-    if package in NEEDED:
-        pytest.importorskip(NEEDED[package], reason=f"needs {NEEDED[package]}, of an extra")
-    held = [getattr(import_module(package), name) for name in public_names(package)]
-    kinds = [kind for kind in held if isinstance(kind, type) and is_dataclass(kind)]
+    if package == "realtouch.torch":
+        pytest.importorskip("torch", reason="needs torch, of the extra torch")
+    kinds = [kind for kind in importable(package).values() if isinstance(kind, type) and is_dataclass(kind)]
     # An error is not held; Python itself writes where it came from into it.
     changeable = [kind for kind in kinds if not kind.__dataclass_params__.frozen]
     assert all(issubclass(kind, Exception) for kind in changeable), changeable
+
+
+def test_dataclasses_are_frozen():
+    """Those inside packages too: what one module holds is what the next one reads."""
+    found = set()
+    for package in OUR_PACKAGES | {"cli"}:
+        for file in Path(import_module(package).__file__).parent.rglob("*.py"):
+            for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                marks = [ast.unparse(each) for each in getattr(node, "decorator_list", ())]
+                if any(re.match(r"dataclass\b(?!.*frozen=True)", mark) for mark in marks):
+                    found.add(node.name)
+    assert found == CHANGING
 
 
 def test_every_package_is_recorded():
@@ -91,3 +114,20 @@ def test_bytes_of_synthetic_touches_are_unchanged(tmp_path):
     assert synthetic_touches(tmp_path / "new") == RECORD["touches"]
     begin_as_first_version(tmp_path / "new", tmp_path / "first", "touches-*")
     assert synthetic_touches(tmp_path / "first") == FIRST_VERSION["touches"]
+
+
+@pytest.mark.env
+def test_what_ids_of_environments_stand_for_is_unchanged():
+    assert environments.ids() == RECORD["environments"]
+
+
+@pytest.mark.env
+@pytest.mark.parametrize("name", environments.COURSES)
+def test_courses_of_environments_are_unchanged(name, assets):  # noqa: F811
+    """Compared with the published environments elsewhere, which only CI can."""
+    pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+    found, recorded = environments.course(name, assets), RECORD["courses"][name]
+    assert found.keys() == recorded.keys()
+    for key, values in found.items():
+        loose = {"abs": 0.3} if key.startswith("picture") else {"rel": 2e-5, "abs": 1e-6}
+        assert values == pytest.approx([float(each) for each in recorded[key].split()], **loose), key
