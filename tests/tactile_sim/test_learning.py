@@ -20,11 +20,9 @@ import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
 
-import mnist3d
 import realtouch
 import tactile_sim
 import tactile_sim.optics
-from mnist3d.sources.synthetic import SyntheticSource
 from tactile_sim.noise import add_noise
 from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
 from tactile_toolkit.catalog.locate import find_shards
@@ -33,6 +31,8 @@ from tactile_toolkit.pictures.sheets import png_bytes
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY
 from tests.tactile_sim.sets import NOISE
+from tests.tactile_sim.training import CONFIG, SPEC, losses_of_steps, make_sources
+from tests.unchanged.record import FOLDER
 
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
@@ -68,24 +68,13 @@ from tactile_sim.spec import TrainConfig  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
 from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
 
-SPEC = PairsSpec((32, 32), 60, without_contact=0.2, min_height_m=0.006, window="center")
-CONFIG = TrainConfig(
-    2, 1, 4, steps=6, crop=1.0, pool=3, checkpoint_every=2, log_every=1, sensor_noise=NOISE, noise=0.05,
-    discriminator_noise=0.1, pretrain_steps=3,
-)  # fmt: skip
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
 
 
 @pytest.fixture(scope="module")
 def sources(tmp_path_factory):
     """Six digits and touches of them."""
-    digits, touches = (str(tmp_path_factory.mktemp(name)) for name in ("digits", "touches"))
-    source = SyntheticSource(seed=1)
-    mnist3d.generate(mnist3d.GenerateSpec(source, limit=6), digits, splits=("train",))
-    plan = tactile_sim.TouchPlan(rounds=1, touches=32, seed=3)
-    spec = tactile_sim.GenerateSpec((32, 32), "taxim", plan=plan, image_format="png")
-    tactile_sim.generate(digits, spec, touches)
-    return digits, touches
+    return make_sources(tmp_path_factory.mktemp("sources"))
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +90,15 @@ def trained(pairs, tmp_path_factory):
     folder = tmp_path_factory.mktemp("trained") / "weights"
     train(pairs, folder, CONFIG, device="cpu", deterministic=True)
     return folder
+
+
+def test_losses_of_a_training_are_unchanged(trained):
+    """Other processors round otherwise, which some steps later is a thousandth."""
+    recorded = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))["training"]
+    found = losses_of_steps(trained)
+    assert found.keys() == recorded.keys()
+    for name, values in found.items():
+        assert values == pytest.approx([float(each) for each in recorded[name].split()], rel=2e-3), name
 
 
 def _weights(folder) -> list[bytes]:
@@ -378,6 +376,17 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     assert "under a sensor's noise" in (tmp_path / "found" / "evaluation.md").read_text()
     rows = {row["name"]: row for row in told["measured"]}
     assert list(rows) == ["real", "trained", "taxim", "untrained"]
+    assert [rows[name]["depth_um"] for name in ("trained", "taxim", "untrained")] == pytest.approx(
+        [939.82, 929.20, 940.52], rel=1e-4
+    )
+    # Whatever a processor rounds, classifiers that learn for 60 steps find about the same.
+    assert [row["contact_accuracy"] for row in rows.values()] == pytest.approx(
+        [0.841, 0.5, 0.773, 0.5], abs=0.05
+    )
+    assert [row["two_sample"] for row in rows.values()] == pytest.approx([0.493, 1.0, 0.499, 1.0], abs=0.05)
+    assert [row["two_sample_error"] for row in rows.values()] == pytest.approx(
+        [0.0928, 0.0085, 0.0651, 0.0085], abs=1e-3
+    )
     assert rows["untrained"]["two_sample"] > 0.9  # noise is not a touch
     # These real touches are Taxim's own, but for their noise.
     assert rows["taxim"]["two_sample"] < rows["untrained"]["two_sample"]

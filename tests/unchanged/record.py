@@ -32,6 +32,7 @@ import starstruck_gen
 import starstruck_gen.previews
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.spec import TouchPreviewSpec
+from tactile_sim.pairs import make_pairs
 from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.printing.packing import arrange, measure
@@ -42,7 +43,7 @@ from tactile_toolkit.store.manifest import read_manifest, write_manifest
 from tests.env_assets.factories import write_assets
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
-from tests.tactile_sim import made_up_sensor
+from tests.tactile_sim import made_up_sensor, training
 from tests.tactile_sim.sets import touch_sets
 from tests.tactile_toolkit.printing.solids import box, ell, named, ring
 from tests.unchanged import environments
@@ -212,6 +213,16 @@ def synthetic_touches(folder: Path) -> dict[str, Any]:
     return {"taxim": version("taxim"), **digests}
 
 
+def _losses_of_training(folder: Path) -> dict[str, list[float]]:
+    from tactile_sim.learned.training import train
+
+    folder.mkdir()
+    pairs = str(folder / "pairs")
+    make_pairs(*training.make_sources(folder), "train", training.SPEC, pairs)
+    train(pairs, folder / "trained", training.CONFIG, device="cpu", deterministic=True)
+    return training.losses_of_steps(folder / "trained")
+
+
 def _line(numbers: list[float]) -> str:
     return " ".join(map(repr, numbers))
 
@@ -221,6 +232,7 @@ def main() -> None:
         digests = data_sets(Path(folder) / "sets")
         pixels = pictures(Path(folder) / "sets")
         touches = synthetic_touches(Path(folder) / "touches")
+        losses = _losses_of_training(Path(folder) / "training")
         made_up_sensor.write_calibration(Path(folder) / "taxim")
         shades = made_up_sensor.sums(made_up_sensor.pictures(Path(folder) / "taxim"))
         write_assets(Path(folder) / "assets")
@@ -238,6 +250,7 @@ def main() -> None:
             name: {key: _line(values) for key, values in course.items()} for name, course in courses.items()
         },
         "made_up_sensor": _line(shades),
+        "training": {name: _line(values) for name, values in losses.items()},
     }
     (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
     for command_line in COMMAND_LINES:
