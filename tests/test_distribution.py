@@ -30,6 +30,7 @@ def packed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_the_sdist_holds_the_checkout(packed: Path) -> None:
     (file,) = packed.glob("*.tar.gz")
     with tarfile.open(file) as archive:
