@@ -13,10 +13,12 @@ import starstruck_gen
 import tactile_sim
 from realtouch.gallery import plan_gallery
 from realtouch.previews import CONTACT, draw_grid
+from tactile_sim.card import sheet_png
 from tactile_sim.pairs import PairsSpec, make_pairs
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.touch.jpeg import decode_image
 from tests.command_line import call
 
 pytestmark = pytest.mark.sim
@@ -138,6 +140,23 @@ def test_pairs_are_drawn_by_the_same_rule(scenes, in_cell, tmp_path):
     assert manifest is not None
     assert [record.statistics["on_object"] for record in manifest.shards] == [8, 8]
     assert " 6 mm" not in (tmp_path / "pairs" / "README.md").read_text()
+
+
+def test_a_sheet_takes_rows_of_any_lengths():
+    """Objects that bound no solid are left out of the depth images alone."""
+    touches, depth = np.zeros((3, 8, 8, 3), np.uint8), np.zeros((1, 8, 8), np.float32)
+    sheet = decode_image(sheet_png([("touch", touches), ("depth", depth)]))
+    middle = sheet.shape[0] // 2
+    assert sheet[:middle, -20:].min() == 0
+    assert sheet[middle:, -20:].min() == 255
+
+
+def test_depth_is_shown_from_black_to_white():
+    shown = []
+    for depth in (0, 0.5, 1):
+        sheet = decode_image(sheet_png([("", np.full((1, 96, 96), depth, np.float32))]))
+        shown.append(sheet[sheet.shape[0] // 2, sheet.shape[1] // 2, 0])
+    assert shown == [0, 128, 255]
 
 
 def test_pairs_are_not_written_over_their_sources(scenes, in_cell):

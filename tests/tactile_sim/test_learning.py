@@ -37,7 +37,6 @@ from tests.tactile_sim.sets import NOISE
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
-from tactile_sim.card import sheet_png  # noqa: E402
 from tactile_sim.learned import evaluation  # noqa: E402
 from tactile_sim.learned.cyclegan import (  # noqa: E402
     Batch,
@@ -66,7 +65,6 @@ from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.spec import TrainConfig  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
-from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
 
 SPEC = PairsSpec((32, 32), 60, without_contact=0.2, min_height_m=0.006, window="center")
 CONFIG = TrainConfig(
@@ -232,15 +230,6 @@ def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pai
     with pytest.raises(InputError, match="few' is not finished; next: run the same command"):
         train(str(tmp_path / "few"), tmp_path / "out", CONFIG, device="cpu")
     assert not (tmp_path / "out").exists()
-
-
-def test_a_sheet_takes_rows_of_any_lengths():
-    """Objects that bound no solid are left out of the depth images alone."""
-    touches, depth = np.zeros((3, 8, 8, 3), np.uint8), np.zeros((1, 8, 8), np.float32)
-    sheet = decode_image(sheet_png([("touch", touches), ("depth", depth)]))
-    middle = sheet.shape[0] // 2
-    assert sheet[:middle, -20:].min() == 0
-    assert sheet[middle:, -20:].min() == 255
 
 
 def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_path):
