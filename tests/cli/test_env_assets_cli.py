@@ -42,7 +42,10 @@ def test_a_dry_run_says_the_same_and_writes_nothing(tmp_path):
     assert before == after
     assert after["spec"]["second_opening_mm"] == 10
     assert after["warnings"] == []
-    assert (tmp_path / "wrench.stl").is_file()
+    report = mnist3d.inspect(mnist3d.read_mesh(tmp_path / "wrench.stl"))
+    assert after["size_mm"] == [round(side, 3) for side in report.size_mm]
+    for name in ("volume_mm3", "mass_g", "thinnest_wall_mm", "vertices", "faces"):
+        assert after[name] == round(getattr(report, name), 3), name
     card = (tmp_path / "wrench" / "README.md").read_text()
     assert f"{after['size_mm'][0]:.1f} mm\nlong" in card, "the card is longer than the solid"
 

@@ -68,6 +68,17 @@ def test_no_cell_is_cut_in_any_terminal(columns):
     assert (columns < 100) == (f"\n{HEADER[0]} " in text and f"\n  {HEADER[1]}" in text)
 
 
+def test_a_long_cell_continues_below_itself(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "26")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    Sink().table(("mesh", "findings"), [("test 1", "two of 12 bodies overlap")])
+    assert capsys.readouterr().out.splitlines() == [
+        "mesh       test 1",
+        "  findings two of 12",
+        "           bodies overlap",
+    ]
+
+
 def test_a_table_in_a_pipe_keeps_its_columns(capsys):
     Sink().table(HEADER, ROWS)
     lines = [line for line in capsys.readouterr().out.splitlines() if "test" in line]
