@@ -13,8 +13,10 @@ import sys
 import threading
 import time
 from collections.abc import Generator
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -28,6 +30,7 @@ from tactile_toolkit.errors import (
     ToolkitError,
 )
 from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.threads import skip_pandas
 from tests.processes import PATIENCE_S, alive, printed_by
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -176,6 +179,24 @@ assert "pandas" not in sys.modules
 import pandas  # whoever wants it has it
 """
     printed_by(code)
+
+
+def test_pyarrow_misses_no_package_but_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[str] = []
+
+    def look(_values: list[int]) -> None:
+        for name in ("pandas", "wave"):
+            with suppress(ModuleNotFoundError):
+                found.append(find_spec(name).name)  # type: ignore[union-attr]
+
+    for name in ("pandas", "wave"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setattr("pyarrow.array", look)
+    skip_pandas()
+    assert found == ["wave"]
+    found.clear()
+    look([])
+    assert found == ["pandas", "wave"]
 
 
 @pytest.mark.parametrize(
