@@ -70,6 +70,7 @@ def test_every_length_reaches_the_wrench():
     assert {name: spec[name] for name in expected} == expected
     single = run("wrench", "--single", "--dry-run")
     assert single.stdout.startswith("wrench for 13 mm across flats: ")
+    assert "warning: larger-than-plate\n" in run("wrench", "--length-mm", 400, "--dry-run").stdout
 
 
 @pytest.mark.parametrize(
@@ -101,6 +102,7 @@ def test_the_home_of_the_user_is_known(tmp_path, monkeypatch):
 
 
 def test_info_lists_what_a_provider_would_give(tmp_path):
+    assert run("info", tmp_path).stdout == f"{tmp_path} holds no data sets\n"
     run("wrench", "--out", tmp_path / "wrench")
     scenes = starstruck_gen.GenerateSpec(scenes=(("train", 6), ("test", 3)))
     starstruck_gen.generate(scenes, str(tmp_path / "stars"))
