@@ -29,7 +29,7 @@ from tactile_toolkit.errors import (
     MissingExtraError,
     ToolkitError,
 )
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.processes import ProcessRunner, unpack_result
 from tactile_toolkit.run.threads import skip_pandas
 from tests.processes import PATIENCE_S, alive, printed_by
 
@@ -131,6 +131,13 @@ def test_an_exception_tells_where_in_the_worker_it_was_raised() -> None:
     assert "in fails\n    raise ZeroDivisionError" in raised.value.__notes__[0]
 
 
+def test_what_is_known_of_a_failed_task_is_noted_on_its_error() -> None:
+    with pytest.raises(InputError, match="what") as raised:
+        unpack_result(pickle.dumps((None, InputError("what"))), "task 3", "on machine b")
+    assert raised.value.__notes__ == ["task 3", "on machine b"]
+    assert unpack_result(pickle.dumps((5, None)), "task 3") == 5
+
+
 def large(size: int) -> bytes:
     return bytes(size)
 
@@ -146,6 +153,7 @@ def test_tasks_and_answers_may_be_larger_than_a_pipe_holds() -> None:
 
 def waits(path: str) -> None:
     """Show where this process waits, unless there is nowhere to."""
+    os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C comes to the workers, too, and the caller alone decides
     if path:
         Path(path, str(os.getpid())).touch()
         time.sleep(PATIENCE_S)
