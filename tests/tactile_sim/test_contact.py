@@ -25,6 +25,8 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.touch.jpeg import decode_image
 from tests.command_line import call
+from tests.env_assets.factories import write_meshes
+from tests.tactile_sim.solids import block
 
 pytestmark = pytest.mark.sim
 PRESS_M = 0.002125
@@ -257,6 +259,15 @@ def test_pairs_are_not_written_over_their_sources(scenes, in_cell):
         with pytest.raises(InputError, match="holds the source"):
             make_pairs(scenes, str(in_cell), "train", PairsSpec((32, 24), 10), source, overwrite=True)
     assert realtouch.verify(in_cell).ok
+
+
+def test_objects_that_are_too_low_for_a_touch_are_named(in_cell, tmp_path):
+    low = write_meshes(tmp_path / "low", [block((0.02, 0.03, 0.003))], ("a",))
+    spec = PairsSpec((32, 24), 1, 0.0, min_height_m=0.004)
+    words = "object 0 is nowhere 4.0 mm high: no touch of it counts as contact; next: lower --min-height-mm"
+    with pytest.raises(InputError, match=words):
+        make_pairs(str(low), str(in_cell), "train", spec, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_too_few_touches_in_contact_name_the_option(scenes, on_objects, tmp_path, capsys):

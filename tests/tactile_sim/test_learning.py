@@ -146,16 +146,6 @@ def test_pairs_that_cannot_be_made_are_named(sources, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_objects_that_are_too_low_for_a_touch_are_named(sources, tmp_path):
-    highest_m = float(realtouch.load(sources[1], "train").touches().heights_m().max())
-    spec = PairsSpec((32, 32), 1, 0.0, highest_m, "center")
-    with pytest.raises(
-        InputError, match=r"object \d+ is nowhere \d\.\d mm high.*next: lower --min-height-mm"
-    ):
-        make_pairs(*sources, "train", spec, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
 def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pairs, trained, tmp_path):
     few = PairsSpec((32, 32), 12, without_contact=0.2, window="center")
     make_pairs(*sources, "train", few, tmp_path / "few")
