@@ -101,6 +101,19 @@ def test_a_path_that_the_system_refuses_is_input(words, tmp_path, monkeypatch, c
     assert list(tmp_path.iterdir()) == []
 
 
+def test_pandas_is_left_out_before_a_command_begins(monkeypatch):
+    """It would swallow a Ctrl-C that comes while pyarrow imports it."""
+    app, order = new_app("toy", "A toy."), []
+    monkeypatch.setattr("tactile_toolkit.run.threads.skip_pandas", lambda: order.append("left out"))
+
+    @command(app)
+    def make(sink: Sink) -> None:
+        order.append("begun")
+
+    assert CliRunner().invoke(app, ["make"]).exit_code == 0
+    assert order == ["left out", "begun"]
+
+
 def test_a_lack_of_file_handles_is_not_called_a_wrong_path():
     app = new_app("toy", "A toy.")
 

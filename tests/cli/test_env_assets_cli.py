@@ -42,7 +42,10 @@ def test_a_dry_run_says_the_same_and_writes_nothing(tmp_path):
     assert before == after
     assert after["spec"]["second_opening_mm"] == 10
     assert after["warnings"] == []
-    assert (tmp_path / "wrench.stl").is_file()
+    report = mnist3d.inspect(mnist3d.read_mesh(tmp_path / "wrench.stl"))
+    assert after["size_mm"] == [round(side, 3) for side in report.size_mm]
+    for name in ("volume_mm3", "mass_g", "thinnest_wall_mm", "vertices", "faces"):
+        assert after[name] == round(getattr(report, name), 3), name
     card = (tmp_path / "wrench" / "README.md").read_text()
     assert f"{after['size_mm'][0]:.1f} mm\nlong" in card, "the card is longer than the solid"
 
@@ -67,6 +70,7 @@ def test_every_length_reaches_the_wrench():
     assert {name: spec[name] for name in expected} == expected
     single = run("wrench", "--single", "--dry-run")
     assert single.stdout.startswith("wrench for 13 mm across flats: ")
+    assert "warning: larger-than-plate\n" in run("wrench", "--length-mm", 400, "--dry-run").stdout
 
 
 @pytest.mark.parametrize(
@@ -98,6 +102,7 @@ def test_the_home_of_the_user_is_known(tmp_path, monkeypatch):
 
 
 def test_info_lists_what_a_provider_would_give(tmp_path):
+    assert run("info", tmp_path).stdout == f"{tmp_path} holds no data sets\n"
     run("wrench", "--out", tmp_path / "wrench")
     scenes = starstruck_gen.GenerateSpec(scenes=(("train", 6), ("test", 3)))
     starstruck_gen.generate(scenes, str(tmp_path / "stars"))

@@ -68,6 +68,37 @@ def test_no_cell_is_cut_in_any_terminal(columns):
     assert (columns < 100) == (f"\n{HEADER[0]} " in text and f"\n  {HEADER[1]}" in text)
 
 
+def test_a_long_cell_continues_below_itself(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "26")
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    Sink().table(("mesh", "findings"), [("test 1", "two of 12 bodies overlap")])
+    assert capsys.readouterr().out.splitlines() == [
+        "mesh       test 1",
+        "  findings two of 12",
+        "           bodies overlap",
+    ]
+
+
+def test_truths_are_words_in_a_table(capsys):
+    Sink().table(("mesh", "solid"), [("a", True), ("b", False)])
+    assert [line.split() for line in capsys.readouterr().out.splitlines()[2:]] == [["a", "yes"], ["b", "-"]]
+
+
+def test_a_terminal_shows_a_bar_that_fits_it(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "50")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr("cli.output._BAR_INTERVAL_S", 0.0)
+    with Sink().progress("drawing", "digits") as update:
+        for done in (0, 1, 4):
+            update(done, 4)
+    begun, first, last = capsys.readouterr().err.split("\r")
+    assert begun == ""
+    assert 4 * first.count("━") == last.count("━") > 4
+    assert " drawing: 1 of 4, " in first
+    assert last.endswith("\x1b[K\n")
+    assert max(len(line.rstrip("\n").removesuffix("\x1b[K")) for line in (first, last)) < 50
+
+
 def test_a_table_in_a_pipe_keeps_its_columns(capsys):
     Sink().table(HEADER, ROWS)
     lines = [line for line in capsys.readouterr().out.splitlines() if "test" in line]

@@ -113,6 +113,13 @@ def test_a_threshold_that_leaves_no_paper_or_no_ink_is_named() -> None:
     assert reason_of(pixels, 255) == "all-ink"
 
 
+def test_the_ink_of_the_margin_is_told_in_per_cent() -> None:
+    pixels = np.zeros((100, 100), np.uint8)
+    pixels[:2, :39] = 255  # of 784 pixels of the margin
+    with pytest.raises(ItemError, match=r"ink covers 90% of the margin .* less than 75%"):
+        ink_of_levels(pixels)
+
+
 @given(hnp.arrays(np.uint8, (12, 12)).filter(lambda levels: levels.min() < levels.max()))
 def test_otsu_agrees_with_scikit_image(levels: np.ndarray) -> None:
     from skimage.filters import threshold_otsu

@@ -6,6 +6,7 @@ import hashlib
 import json
 import pickle
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from multiprocessing import get_context
 
 import numpy as np
@@ -14,8 +15,8 @@ from hypothesis import given, strategies as st
 from scipy import ndimage
 
 from mnist3d.sources import DigitImage
-from mnist3d.sources.digits import ALLOGRAPHS
-from mnist3d.sources.pen import KeyedRng, choose_allograph, index_at
+from mnist3d.sources.digits import ALLOGRAPHS, CLEAR, nine_g_shaped, through
+from mnist3d.sources.pen import PAGE_PX, KeyedRng, choose_allograph, draw, index_at
 from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
 from tactile_toolkit.errors import InputError
 
@@ -227,6 +228,33 @@ def test_rings_stay_open_under_thick_pens() -> None:
     rings = [holes(source.image(id_of(writer, 0, 1))) for writer in thick]
     assert set(rings) <= {0, 1}
     assert np.mean(rings) > 0.7
+
+
+@pytest.mark.parametrize("label", [0, 6, 9])
+def test_every_ring_keeps_the_same_paper_free_whatever_the_pen(label: int) -> None:
+    sides = 2 if label == 9 else 1  # the ring of a 9 has its own height, too
+    for shape, _ in ALLOGRAPHS[label]:
+        if shape is nine_g_shaped:  # slim on purpose
+            continue
+        free = []
+        for pen in (0.1, 0.2, 0.4):
+            # Of a writer whose ring would have no size at all by itself.
+            ring = through(shape(lambda _mean, _spread: 0.0, pen)[0][0])
+            free.append(np.ptp(ring, axis=0)[:sides] - pen)
+        assert np.ptp(free, axis=0) == pytest.approx(0, abs=0.007), shape
+        assert np.min(free) == pytest.approx(2 * CLEAR, abs=0.05), shape
+
+
+def test_strokes_along_the_edge_of_the_page_are_inked_up_to_it() -> None:
+    style = replace(SyntheticSource().hand(0), nib=0.0, pressure=0.0, roughness_px=0.0, gaps=0.0, specks=0.0)
+    along = np.linspace(0.0, PAGE_PX, 72)
+    for edge in (0, PAGE_PX):
+        across = np.full_like(along, edge)
+        strokes = [np.stack([along, across], axis=1), np.stack([across, along], axis=1)]
+        page = draw(strokes, 20.0, style, KeyedRng(0))
+        last = 0 if edge == 0 else -1
+        assert page[last].max() == page[:, last].max() == 0
+        assert page[20:-20, 20:-20].min() == 255
 
 
 def test_dice_are_pinned_to_the_raw_stream() -> None:

@@ -6,6 +6,7 @@ import io
 import json
 import pickle
 import re
+import sys
 import tarfile
 import zipfile
 import zlib
@@ -18,7 +19,7 @@ import pytest
 from PIL import Image
 
 import realtouch
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part
 from tactile_toolkit.touch.jpeg import decode_image
 from tests.command_line import call
@@ -372,8 +373,24 @@ def test_a_replay_buffer_comes_back(source: Path, tmp_path: Path) -> None:
     columns = realtouch.ImportColumns(image="depth")
     with pytest.raises(InputError, match="no array of pictures 'depth'; found"):
         realtouch.import_images(place, tmp_path / "none", "replay", columns)
-    with pytest.raises(InputError, match="should hold one Zarr group; found none"):
-        realtouch.import_images(tmp_path / "back", tmp_path / "none", "replay")
+
+
+def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(error: type[Exception], words: str) -> None:
+        with pytest.raises(error, match=words):
+            realtouch.import_images(source, tmp_path / "out", "replay")
+
+    source = tmp_path / "source"
+    source.mkdir()
+    refused(InputError, "should hold one Zarr group; found none$")
+    for name in ("a.zarr", "b.zarr.zip"):
+        (source / name).mkdir(parents=True)
+    refused(InputError, "should hold one Zarr group; found a.zarr, b.zarr.zip$")
+    (source / "a.zarr").rmdir()
+    monkeypatch.setitem(sys.modules, "zarr", None)
+    refused(MissingExtraError, "importing a replay buffer needs the package 'zarr'.*the extra `zarr`")
 
 
 def test_a_replay_buffer_that_zarr_wrote_is_read(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ import pytest
 
 import realtouch
 from realtouch.convert import plan
-from realtouch.exchange import lerobot
+from realtouch.exchange import flat, lerobot
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part
 from tactile_toolkit.touch.jpeg import decode_image
@@ -97,6 +97,18 @@ def test_every_reader_of_tables_reads_flat_touches(source: Path, tmp_path: Path)
     result = realtouch.verify(out)
     assert result.ok
     assert (result.rounds, result.touches) == (4, 20)
+
+
+def test_row_groups_hold_as_many_touches_as_their_bytes_allow(
+    single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    largest = max(len(row["image"]) for row in expected(single_folder))
+    monkeypatch.setattr(flat, "_GROUP_BYTES", 5 * largest)
+    realtouch.export(single_folder, tmp_path, "flat", split="train")
+    (file,) = (pq.ParquetFile(path).metadata for path in (tmp_path / "data").iterdir())
+    rows = [file.row_group(number).num_rows for number in range(file.num_row_groups)]
+    assert sum(rows) == 15
+    assert 3 <= max(rows) <= 8
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # tars that it leaves open

@@ -92,7 +92,14 @@ def test_one_file_several_files_and_a_folder_read_alike(single_folder: Path) -> 
     ids = [record.id for record in realtouch.load(single_folder, "train")]
     assert [record.id for record in realtouch.load(files)] == ids
     assert [record.id for file in files for record in realtouch.load(str(file))] == ids
-    assert [record.id for record in realtouch.load(single_folder, "train", streaming=True)] == ids
+    stream = realtouch.load(single_folder, "train", streaming=True)
+    assert [record.id for record in stream] == ids
+    assert repr(stream) == f"TouchStream(single, 2 shards of '{single_folder.name}', split train)"
+    touches = realtouch.load(single_folder, "train").touches()
+    np.testing.assert_array_equal(stream.touches()[7].image, touches[7].image)
+    damaged = realtouch.load(single_folder, "train", streaming=True, on_error="skip")
+    with pytest.raises(InputError, match="no numbered touches; next: load it without streaming"):
+        damaged.touches()
     assert len(realtouch.load(single_folder, "test")) == 1
 
 

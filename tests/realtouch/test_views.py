@@ -15,6 +15,7 @@ import pytest
 import realtouch
 from realtouch.rounds import Touch
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.read.order import GlobalOrder
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -99,6 +100,29 @@ def test_a_missing_column_is_told_beside_all_that_are_there(single_rows: list[di
     factories.write_set(tmp_path, {"train": single_rows}, "single", layout)
     with pytest.raises(InputError, match=r"no column 'gel_pose_cell_frame\.position'; next"):
         realtouch.load(tmp_path).touches().with_contact()
+
+
+def test_clips_are_no_images(seq_folder: Path) -> None:
+    with pytest.raises(InputError, match="no column 'sensor_image'"):
+        realtouch.load(seq_folder, "train").touches().images([0])
+
+
+def test_of_no_rounds_there_are_no_rows(single_folder: Path) -> None:
+    assert len(realtouch.load(single_folder, "train")[:0].touches().to_hf()) == 0
+
+
+def test_any_choice_of_touches_is_trained_on_file_by_file(single_folder: Path) -> None:
+    data = realtouch.load(single_folder, "train")
+    for touches in (
+        data.touches(),
+        data[[2, 0]].touches(),
+        data.touches()[::-2],
+        data.touches().sample(9, 1),
+    ):
+        places = GlobalOrder(touches._stored_parts(), None, 1).epoch(0).positions(np.arange(len(touches)))
+        assert sorted(places) == list(range(len(touches)))
+        rows = [(touch.object_id, touch.touch_index) for touch in (touches[int(place)] for place in places)]
+        assert rows == sorted(rows), "as they are stored"
 
 
 def test_heights_of_a_set_without_intended_positions(

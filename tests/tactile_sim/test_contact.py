@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import realtouch
@@ -13,11 +15,18 @@ import starstruck_gen
 import tactile_sim
 from realtouch.gallery import plan_gallery
 from realtouch.previews import CONTACT, draw_grid
-from tactile_sim.pairs import PairsSpec, make_pairs
-from tactile_toolkit.errors import InputError
+from tactile_sim.card import sheet_png
+from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
+from tactile_toolkit.catalog.locate import find_shards
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.pictures.sheets import png_bytes
+from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.touch.jpeg import decode_image
 from tests.command_line import call
+from tests.env_assets.factories import write_meshes
+from tests.tactile_sim.solids import block
 
 pytestmark = pytest.mark.sim
 PRESS_M = 0.002125
@@ -48,6 +57,13 @@ def on_objects(scenes, tmp_path_factory):
 def in_cell(scenes, tmp_path_factory):
     """Some of the touches are on an object."""
     return _made(scenes, tmp_path_factory.mktemp("touches") / "in-cell", "cell")
+
+
+@pytest.fixture(scope="module")
+def pairs(scenes, in_cell, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pairs") / "set"
+    make_pairs(scenes, str(in_cell), "train", PairsSpec((32, 24), 10, 0.2), folder)
+    return str(folder)
 
 
 @pytest.fixture(params=["on_objects", "in_cell"])
@@ -132,12 +148,110 @@ def test_pictures_and_galleries_frame_them(touches):
         assert [entry["height_mm"] for entry in listed] == pytest.approx(5.0 * of_round, abs=0.01)
 
 
-def test_pairs_are_drawn_by_the_same_rule(scenes, in_cell, tmp_path):
-    make_pairs(scenes, str(in_cell), "train", PairsSpec((32, 24), 10, 0.2), tmp_path / "pairs")
-    manifest = read_manifest(DataFolder(str(tmp_path / "pairs")))
+def test_pairs_are_drawn_by_the_same_rule(pairs):
+    manifest = read_manifest(DataFolder(pairs))
     assert manifest is not None
     assert [record.statistics["on_object"] for record in manifest.shards] == [8, 8]
-    assert " 6 mm" not in (tmp_path / "pairs" / "README.md").read_text()
+    assert " 6 mm" not in Path(pairs, "README.md").read_text()
+
+
+def test_pairs_are_read_as_they_were_drawn(pairs, in_cell):
+    found = Pairs.open(pairs)
+    for domain in (found.depth, found.real):
+        assert len(domain) == 10
+        assert int(domain.contact.sum()) == 8
+    # Where the gel met nothing, the depth image is the bare plate.
+    levels = found.depth.images(range(10)).min(axis=(1, 2))
+    assert levels.tolist() == np.where(found.depth.contact, 0, 1).tolist()
+    touches = {f"{t.round_id}-{t.touch_index}": t for t in realtouch.load(in_cell, "train").touches()}
+    for row, name in enumerate(found.real.table.column("id")):
+        assert (found.real.image(row) == touches[name].image).all()
+        assert found.real.labels[row] == touches[name].label
+        assert found.real.object_ids[row] == touches[name].round.object_id
+
+
+def test_the_command_makes_the_same_pairs(scenes, in_cell, pairs, tmp_path):
+    sizes = ("--size", "32x24", "--count", 10, "--without-contact", 0.2)
+    words = ("--real", in_cell, "--split", "train", *sizes, "--out", tmp_path / "pairs", "-w", 1)
+    assert call("tactile-sim", "pairs", scenes, *words) == 0
+    assert Pairs.open(str(tmp_path / "pairs")).identity == Pairs.open(pairs).identity
+
+
+def test_depth_survives_its_picture(monkeypatch):
+    image = np.linspace(0, 1, 32 * 24, dtype=np.float32).reshape(24, 32)
+    assert np.abs(decode_depth(encode_depth(image)) - image).max() < 1e-5
+    level = decode_depth(encode_depth(np.zeros((4, 4), np.float32)))
+    assert (level == 1).all()  # a level surface counts as no contact
+    monkeypatch.setattr("tactile_sim.pairs.MAX_IMAGE_PIXELS", 10_000)
+    for other, words in (
+        (b"no picture", "expected a grey PNG"),
+        (png_bytes(image.astype(np.uint8)), "mode L"),
+        (encode_depth(np.zeros((101, 100), np.float32)), "100 x 101 pixels"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            decode_depth(other)
+
+
+def test_damaged_pairs_are_named(pairs, tmp_path):
+    data = tmp_path / "data"
+    data.mkdir()
+    (file,) = Path(pairs, "data").glob("depth-*")
+    table = pq.read_table(file)
+    images = table["sensor_image"].to_pylist()
+    images[0]["bytes"] = encode_depth(np.ones((32, 24), np.float32))
+    images[1]["bytes"] = images[1]["bytes"][:40]
+    place = table.schema.get_field_index("sensor_image")
+    column = pa.array(images, table.schema.field(place).type)
+    pq.write_table(table.set_column(place, table.schema.field(place), column), data / file.name)
+    depth = Domain(ShardedTable(find_shards(str(tmp_path), "depth")), True, (32, 24))
+    for row, text in (
+        (0, f"{file.name}', row 0: a picture of 24 x 32 pixels; expected .32, 24. as in the manifest"),
+        (1, f"{file.name}', row 1: expected a grey PNG .*next: run `tactile-sim verify`"),
+    ):
+        with pytest.raises(IntegrityError, match=text):
+            depth.image(row)
+    assert (depth.image(2) == Pairs.open(pairs).depth.image(2)).all()
+    verdicts = json.loads(Path(pairs, "manifest.json").read_text())
+    del verdicts["spec"]["options"]["size_px"]
+    (tmp_path / "manifest.json").write_text(json.dumps(verdicts))
+    with pytest.raises(IntegrityError, match="does not state size and window of the pictures"):
+        Pairs.open(str(tmp_path))
+
+
+def test_pairs_of_what_is_no_such_set_are_refused(scenes, in_cell, tmp_path):
+    with pytest.raises(InputError, match="is not a training set; expected a folder that"):
+        Pairs.open(str(in_cell))
+    _without_rows(scenes, tmp_path / "none")
+    with pytest.raises(InputError, match=r"split 'train' of '.*none' holds no mesh; next: choose another"):
+        make_pairs(str(tmp_path / "none"), str(in_cell), "train", PairsSpec((32, 24), 10), tmp_path / "out")
+    for wrong, text in (({"size_px": (30, 32)}, "multiples of 4"), ({"without_contact": 2}, "0 to 1")):
+        with pytest.raises(InputError, match=text):
+            PairsSpec(**{"count": 9, **wrong})
+    assert [path.name for path in tmp_path.iterdir()] == ["none"]
+
+
+def _without_rows(source, folder):
+    """Write the shard of a set with its columns and no row."""
+    (file,) = Path(source, "data").glob("train-*")
+    (folder / "data").mkdir(parents=True)
+    pq.write_table(pq.read_table(file).slice(0, 0), folder / "data" / file.name)
+
+
+def test_a_sheet_takes_rows_of_any_lengths():
+    """Objects that bound no solid are left out of the depth images alone."""
+    touches, depth = np.zeros((3, 8, 8, 3), np.uint8), np.zeros((1, 8, 8), np.float32)
+    sheet = decode_image(sheet_png([("touch", touches), ("depth", depth)]))
+    middle = sheet.shape[0] // 2
+    assert sheet[:middle, -20:].min() == 0
+    assert sheet[middle:, -20:].min() == 255
+
+
+def test_depth_is_shown_from_black_to_white():
+    shown = []
+    for depth in (0, 0.5, 1):
+        sheet = decode_image(sheet_png([("", np.full((1, 96, 96), depth, np.float32))]))
+        shown.append(sheet[sheet.shape[0] // 2, sheet.shape[1] // 2, 0])
+    assert shown == [0, 128, 255]
 
 
 def test_pairs_are_not_written_over_their_sources(scenes, in_cell):
@@ -145,6 +259,15 @@ def test_pairs_are_not_written_over_their_sources(scenes, in_cell):
         with pytest.raises(InputError, match="holds the source"):
             make_pairs(scenes, str(in_cell), "train", PairsSpec((32, 24), 10), source, overwrite=True)
     assert realtouch.verify(in_cell).ok
+
+
+def test_objects_that_are_too_low_for_a_touch_are_named(in_cell, tmp_path):
+    low = write_meshes(tmp_path / "low", [block((0.02, 0.03, 0.003))], ("a",))
+    spec = PairsSpec((32, 24), 1, 0.0, min_height_m=0.004)
+    words = "object 0 is nowhere 4.0 mm high: no touch of it counts as contact; next: lower --min-height-mm"
+    with pytest.raises(InputError, match=words):
+        make_pairs(str(low), str(in_cell), "train", spec, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
 
 
 def test_too_few_touches_in_contact_name_the_option(scenes, on_objects, tmp_path, capsys):

@@ -309,6 +309,10 @@ def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
         return result.output
 
     assert "would make 3 rounds" in call(*command, "--optics", "depth", "--dry-run")
+    (tmp_path / "places.csv").write_text("x_m,y_m\n0,0\n0.01,0\n")
+    given = ("--touches-from", str(tmp_path / "places.csv"), "--optics", "depth", "--dry-run")
+    assert "would make 3 rounds" in call(*command, *given)
+    assert CliRunner().invoke(app, [*command, *given, "--positions", "grid"]).exit_code == 2
     assert "made 3 rounds" in call(*command, "--optics", "depth", "--part", "0/2")
     unfinished = call("info", out)
     assert "unfinished, the run is under way or was interrupted" in unfinished
@@ -417,9 +421,13 @@ def test_some_objects_are_touched_as_among_all(scenes, touches, tmp_path):
         TouchMaking.of(scenes, unknown)
 
 
-def test_the_default_of_the_optics_needs_no_extra(monkeypatch):
+def test_the_default_of_the_optics_needs_no_extra(monkeypatch, tmp_path, capsys):
     options = PictureOptions()
     monkeypatch.setattr("tactile_sim.generation.find_spec", lambda name: name)
     assert tactile_sim.GenerateSpec.of(options).optics == "taxim"
     monkeypatch.setattr("tactile_sim.generation.find_spec", lambda _: None)
     assert tactile_sim.GenerateSpec.of(options).optics == "depth"
+    block().apply_scale(1000).export(tmp_path / "part.stl")
+    words = (tmp_path / "part.stl", "--size", "32x24", "--out", tmp_path / "touch.png")
+    assert call("tactile-sim", "render", *words) == 0
+    assert "note: pictures are depth images, as Taxim needs the extra `sim`" in capsys.readouterr().err

@@ -15,7 +15,6 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from typer.testing import CliRunner
@@ -24,11 +23,8 @@ import realtouch
 import tactile_sim
 import tactile_sim.optics
 from tactile_sim.noise import add_noise
-from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
-from tactile_toolkit.catalog.locate import find_shards
+from tactile_sim.pairs import Pairs, PairsSpec, make_pairs
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
-from tactile_toolkit.pictures.sheets import png_bytes
-from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY
 from tests.tactile_sim.sets import NOISE
 from tests.tactile_sim.training import CONFIG, SPEC, losses_of_steps, make_sources
@@ -37,7 +33,6 @@ from tests.unchanged.record import FOLDER
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
-from tactile_sim.card import sheet_png  # noqa: E402
 from tactile_sim.learned import evaluation  # noqa: E402
 from tactile_sim.learned.cyclegan import (  # noqa: E402
     Batch,
@@ -66,7 +61,6 @@ from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.spec import TrainConfig  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
-from tactile_toolkit.touch.jpeg import decode_image  # noqa: E402
 
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
 
@@ -103,20 +97,6 @@ def test_losses_of_a_training_are_unchanged(trained):
 
 def _weights(folder) -> list[bytes]:
     return [(Path(folder) / name).read_bytes() for name in FILES]
-
-
-def test_depth_survives_its_picture():
-    image = np.linspace(0, 1, 32 * 24, dtype=np.float32).reshape(24, 32)
-    assert np.abs(decode_depth(encode_depth(image)) - image).max() < 1e-5
-    level = decode_depth(encode_depth(np.zeros((4, 4), np.float32)))
-    assert (level == 1).all()  # a level surface counts as no contact
-    for other, words in (
-        (b"no picture", "expected a grey PNG"),
-        (png_bytes(image.astype(np.uint8)), "mode L"),
-        (encode_depth(np.zeros((4097, 4097), np.float32)), "4097 x 4097 pixels"),
-    ):
-        with pytest.raises(ValueError, match=words):
-            decode_depth(other)
 
 
 def test_pairs_hold_what_was_asked_for_with_any_number_of_workers(sources, pairs, tmp_path, monkeypatch):
@@ -159,60 +139,9 @@ def test_pairs_that_cannot_be_made_are_named(sources, tmp_path):
     for spec, text in cases:
         with pytest.raises(InputError, match=text):
             make_pairs(*sources, "train", spec, tmp_path / "out")
-    _without_rows(sources[0], tmp_path / "none")
-    with pytest.raises(InputError, match=r"split 'train' of '.*none' holds no mesh; next: choose another"):
-        make_pairs(str(tmp_path / "none"), sources[1], "train", SPEC, tmp_path / "out")
-    for wrong, text in (({"size_px": (30, 32)}, "multiples of 4"), ({"without_contact": 2}, "0 to 1")):
-        with pytest.raises(InputError, match=text):
-            PairsSpec(**{"count": 9, **wrong})
-    with pytest.raises(InputError, match="not a training set"):
-        Pairs.open(sources[1])
     with pytest.raises(InputError, match="baselines has 'paint'; expected some of taxim, untrained"):
         evaluate(tmp_path, sources[0], baselines=("taxim", "paint"))
-    assert [path.name for path in tmp_path.iterdir()] == ["none"]
-
-
-def test_objects_that_are_too_low_for_a_touch_are_named(sources, tmp_path):
-    highest_m = float(realtouch.load(sources[1], "train").touches().heights_m().max())
-    spec = PairsSpec((32, 32), 1, 0.0, highest_m, "center")
-    with pytest.raises(
-        InputError, match=r"object \d+ is nowhere \d\.\d mm high.*next: lower --min-height-mm"
-    ):
-        make_pairs(*sources, "train", spec, tmp_path / "out")
-    assert not (tmp_path / "out").exists()
-
-
-def _without_rows(source, folder):
-    """Write the shard of a set with its columns and no row."""
-    (file,) = Path(source, "data").iterdir()
-    (folder / "data").mkdir(parents=True)
-    pq.write_table(pq.read_table(file).slice(0, 0), folder / "data" / file.name)
-
-
-def test_damaged_pairs_are_named(pairs, tmp_path):
-    data = tmp_path / "data"
-    data.mkdir()
-    (file,) = Path(pairs, "data").glob("depth-*")
-    table = pq.read_table(file)
-    images = table["sensor_image"].to_pylist()
-    images[0]["bytes"] = encode_depth(np.ones((24, 32), np.float32))
-    images[1]["bytes"] = images[1]["bytes"][:40]
-    place = table.schema.get_field_index("sensor_image")
-    column = pa.array(images, table.schema.field(place).type)
-    pq.write_table(table.set_column(place, table.schema.field(place), column), data / file.name)
-    depth = Domain(ShardedTable(find_shards(str(tmp_path), "depth")), True, (32, 32))
-    for row, text in (
-        (0, f"{file.name}', row 0: a picture of 32 x 24 pixels; expected .32, 32. as in the manifest"),
-        (1, f"{file.name}', row 1: expected a grey PNG .*next: run `tactile-sim verify`"),
-    ):
-        with pytest.raises(IntegrityError, match=text):
-            depth.image(row)
-    assert (depth.image(2) == Pairs.open(pairs).depth.image(2)).all()
-    verdicts = json.loads(Path(pairs, "manifest.json").read_text())
-    del verdicts["spec"]["options"]["size_px"]
-    (tmp_path / "manifest.json").write_text(json.dumps(verdicts))
-    with pytest.raises(IntegrityError, match="does not state size and window of the pictures"):
-        Pairs.open(str(tmp_path))
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pairs, trained, tmp_path):
@@ -230,15 +159,6 @@ def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pai
     with pytest.raises(InputError, match="few' is not finished; next: run the same command"):
         train(str(tmp_path / "few"), tmp_path / "out", CONFIG, device="cpu")
     assert not (tmp_path / "out").exists()
-
-
-def test_a_sheet_takes_rows_of_any_lengths():
-    """Objects that bound no solid are left out of the depth images alone."""
-    touches, depth = np.zeros((3, 8, 8, 3), np.uint8), np.zeros((1, 8, 8), np.float32)
-    sheet = decode_image(sheet_png([("touch", touches), ("depth", depth)]))
-    middle = sheet.shape[0] // 2
-    assert sheet[:middle, -20:].min() == 0
-    assert sheet[middle:, -20:].min() == 255
 
 
 def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_path):

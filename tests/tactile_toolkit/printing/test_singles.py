@@ -188,7 +188,8 @@ def test_bad_places_and_formats_are_named(tmp_path: Path) -> None:
         export_files(named(SHAPES), str(tmp_path / "file" / "below"))
     with pytest.raises(InputError, match="memory://"):
         export_files(named(SHAPES), "memory://prints")
-    with pytest.raises(InputError, match="step"):
+    formats = "stl, 3mf, ply, obj, glb, mjcf, urdf, usd"
+    with pytest.raises(InputError, match=f"--format is 'step'; expected one of {formats}$"):
         export_files(named(SHAPES), str(tmp_path / "out"), "step")
     (name,) = [item.name for item in named(SHAPES)[:1]]
     (tmp_path / "files").mkdir()

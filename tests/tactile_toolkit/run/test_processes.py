@@ -13,8 +13,10 @@ import sys
 import threading
 import time
 from collections.abc import Generator
+from contextlib import suppress
 from functools import partial
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -27,7 +29,8 @@ from tactile_toolkit.errors import (
     MissingExtraError,
     ToolkitError,
 )
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run.processes import ProcessRunner, unpack_result
+from tactile_toolkit.run.threads import skip_pandas
 from tests.processes import PATIENCE_S, alive, printed_by
 
 REPOSITORY = Path(__file__).resolve().parents[3]
@@ -128,6 +131,13 @@ def test_an_exception_tells_where_in_the_worker_it_was_raised() -> None:
     assert "in fails\n    raise ZeroDivisionError" in raised.value.__notes__[0]
 
 
+def test_what_is_known_of_a_failed_task_is_noted_on_its_error() -> None:
+    with pytest.raises(InputError, match="what") as raised:
+        unpack_result(pickle.dumps((None, InputError("what"))), "task 3", "on machine b")
+    assert raised.value.__notes__ == ["task 3", "on machine b"]
+    assert unpack_result(pickle.dumps((5, None)), "task 3") == 5
+
+
 def large(size: int) -> bytes:
     return bytes(size)
 
@@ -143,6 +153,7 @@ def test_tasks_and_answers_may_be_larger_than_a_pipe_holds() -> None:
 
 def waits(path: str) -> None:
     """Show where this process waits, unless there is nowhere to."""
+    os.kill(os.getpid(), signal.SIGINT)  # Ctrl-C comes to the workers, too, and the caller alone decides
     if path:
         Path(path, str(os.getpid())).touch()
         time.sleep(PATIENCE_S)
@@ -176,6 +187,24 @@ assert "pandas" not in sys.modules
 import pandas  # whoever wants it has it
 """
     printed_by(code)
+
+
+def test_pyarrow_misses_no_package_but_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[str] = []
+
+    def look(_values: list[int]) -> None:
+        for name in ("pandas", "wave"):
+            with suppress(ModuleNotFoundError):
+                found.append(find_spec(name).name)  # type: ignore[union-attr]
+
+    for name in ("pandas", "wave"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    monkeypatch.setattr("pyarrow.array", look)
+    skip_pandas()
+    assert found == ["wave"]
+    found.clear()
+    look([])
+    assert found == ["pandas", "wave"]
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import pytest
 from tactile_toolkit.store.parquet import (
     ParquetStyle,
     encode_parquet,
+    open_checked,
     sha256_hex,
     stream_parquet,
 )
@@ -86,3 +87,13 @@ def test_of_tables_one_after_another_no_more_than_a_row_group_is_held():
 
     stream_parquet(written, tables(), ParquetStyle(rows_per_group=3))
     assert sizes[0] < sizes[2] < sizes[4] < len(written.getvalue())
+
+
+@pytest.mark.parametrize("size", [1_000, 200_000])
+def test_a_changed_footer_is_found_however_long_it_is(size):
+    notes = pa.schema([("id", pa.int64())], metadata={"notes": "a" * size})
+    content = encode_parquet(pa.table({"id": [1]}, schema=notes), ParquetStyle(rows_per_group=3))
+    assert open_checked(io.BytesIO(content)).schema_arrow.metadata == {b"notes": b"a" * size}
+    changed = content.replace(b"aaaa", b"abaa", 1)  # what Parquet itself takes for notes
+    with pytest.raises(pa.ArrowInvalid, match="the footer does not match its checksum"):
+        open_checked(io.BytesIO(changed))

@@ -90,6 +90,16 @@ class RefusedError(Exception):
         self.response = {"Error": {"Code": code}}
 
 
+class NumberedError(Exception):
+    """As clients of other stores raise it: with a number of HTTP."""
+
+    __module__ = "gcsfs.retry"
+
+    def __init__(self, code):
+        super().__init__("the store says no")
+        self.code = code
+
+
 def caused(error, cause):
     error.__cause__ = cause
     return error
@@ -107,6 +117,8 @@ def caused(error, cause):
         (RefusedError("503"), "failed: 503: ", True),
         (RefusedError("AccessDenied"), r"reading 's3://b/a' is refused \(AccessDenied: ", False),
         (caused(RefusedError("AccessDenied"), TimeoutError()), r"is refused \(AccessDenied: ", False),
+        (NumberedError(503), "reading 's3://b/a' failed: 503: the store says no; ", True),
+        (NumberedError(None), "reading 's3://b/a' failed: NumberedError: the store says no; ", False),
         (RefusedError("PermanentRedirect"), r"lies in another region \(PermanentRedirect\)", False),
     ],
     ids=str,

@@ -1,0 +1,96 @@
+"""Meshes that a user has: files, folders of classes, lists of records."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from scipy.spatial.transform import Rotation
+
+from env_assets.meshes import MeshView, flat_turn, require_fitting_meshes
+from env_assets.provider import meshes_at
+from tactile_toolkit.errors import InputError
+from tests.env_assets.shapes import box
+
+SOLID = box((0, 0, 0), (0.01, 0.02, 0.03)).to_trimesh()
+
+
+def write(folder: Path, *names: str) -> None:
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in names:
+        SOLID.copy().apply_scale(1000).export(folder / name)
+
+
+def record(number: int, label: Any) -> Any:
+    return SimpleNamespace(
+        id=number, label=label, vertices_m=SOLID.vertices, faces=SOLID.faces, mesh=SOLID.copy()
+    )
+
+
+def test_folders_are_classes_and_loose_files_a_class_each(tmp_path: Path) -> None:
+    write(tmp_path / "sorted" / "train" / "10", "b.stl", "a.ply")
+    write(tmp_path / "sorted" / "train" / "2", "c.obj", ".half.stl")
+    write(tmp_path / "loose", "nut.stl", "bolt.ply")
+    by_class, loose = meshes_at(tmp_path / "sorted", "train"), meshes_at(tmp_path / "loose", "test")
+    assert by_class.label_names == ("2", "10")
+    assert [(each.id, each.label) for each in by_class] == [(0, 0), (1, 1), (2, 1)]
+    assert loose.label_names == ("bolt", "nut")
+    assert meshes_at(tmp_path / "loose" / "nut.stl", "test").label_names == ("nut",)
+    for view in (by_class, loose):
+        np.testing.assert_allclose(view.volumes_m3, 6e-6, rtol=1e-5)
+        np.testing.assert_allclose(view[1].mesh.extents, (0.01, 0.02, 0.03), rtol=1e-5)
+
+
+def test_folders_of_another_split_or_of_two_kinds_are_refused(tmp_path: Path) -> None:
+    write(tmp_path / "train", "nut.stl")
+    with pytest.raises(InputError, match="has no split 'test', only 'train'; next: put meshes into a sub-"):
+        meshes_at(tmp_path, "test")
+    write(tmp_path / "train" / "screws", "a.stl")
+    with pytest.raises(InputError, match=r"holds mesh files \(nut.stl\) next to folders of them \(screws\)"):
+        meshes_at(tmp_path, "train")
+
+
+def test_a_list_of_records_is_taken_with_its_numbers_of_classes() -> None:
+    view = MeshView.of([record(number, label) for number, label in enumerate((0, 2, 2))])
+    assert view.label_names == ("0", "1", "2")
+    assert [each.id for each in view[[2, 0]]] == [2, 0]
+    assert view[1:].column("label").tolist() == [2, 2]
+    require_fitting_meshes(view, None, "mine", (0.1, 0.1))
+    with pytest.raises(InputError, match="mine holds no mesh; next: choose another split"):
+        require_fitting_meshes(view[:0], None, "mine", (0.1, 0.1))
+    assert MeshView.of([record(0, 0)], ("nut", "bolt")).label_names == ("nut", "bolt")
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (7, "a data set of meshes was expected, found int; next: open one"),
+        ("nuts", "a data set of meshes was expected, found str"),
+        ([], "a data set of meshes was expected, found list"),
+        ([SOLID], "a data set of meshes was expected, found list"),
+        ([record(0, 0), record(1, "nut")], "record 1 has label 'nut'; expected the number of its class"),
+    ],
+)
+def test_what_is_no_list_of_meshes_is_refused(given: Any, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        MeshView.of(given)
+
+
+@pytest.mark.parametrize("sides", [(0.02, 0.03, 0.01), (0.03, 0.02, 0.01)])
+def test_objects_are_laid_onto_their_broadest_side_and_stay_as_they_lie(sides: Any) -> None:
+    """What is above stays above, what lies along x stays along it."""
+    for tilt_deg, about in ((0, "x"), (30, "x"), (-30, "x"), (40, "y"), (-40, "y"), (210, "x"), (150, "y")):
+        tilt = Rotation.from_euler(about, tilt_deg, degrees=True).as_matrix()
+        tilted = trimesh.creation.box(sides)
+        tilted.vertices = tilted.vertices @ tilt.T
+        turned = flat_turn(tilted)
+        assert np.linalg.det(turned) == pytest.approx(1)
+        axes = turned @ tilt  # where the sides of the box lie then
+        np.testing.assert_allclose(np.abs(axes), np.eye(3), atol=1e-6)
+        assert axes[2, 2] == pytest.approx(np.sign(tilt[2, 2]))
+        laid = MeshView([SimpleNamespace(id=0, label=0, mesh=tilted)], ("a",), flat=True)[0].mesh
+        np.testing.assert_allclose(laid.extents, sides, atol=1e-6)
