@@ -13,8 +13,12 @@ import pytest
 from huggingface_hub import DatasetCard
 from PIL import Image
 
+import mnist3d
 import realtouch
+import starstruck_gen
+from starstruck_gen.scene import draw_scene
 from tactile_toolkit.cards.card import check_card
+from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.store.folder import DataFolder
 from tests.command_line import call
 from tests.realtouch import factories
@@ -114,6 +118,27 @@ def test_the_card_is_true_and_has_every_part(folders, kind):
     assert data.tags
     picture = next((folder / "previews").iterdir())
     assert picture.stat().st_size < 150_000
+
+
+def test_the_picture_of_a_card_shows_the_first_scenes_or_a_digit_of_each_class(folders):
+    """Twelve scenes 140 pixels wide in rows of six, and digits at 0.4 mm per pixel in rows of five."""
+    scenes = starstruck_gen.load(str(folders["starstruck"]), "train")
+    digits = sorted(mnist3d.load(str(folders["mnist3d"]), "test"), key=lambda digit: digit.label)
+    shown = {
+        "starstruck": (6, [draw_scene(each.placements, (0.12, 0.12), 140 / 120) for each in scenes[:12]]),
+        "mnist3d": (5, [relief(each.vertices_m, each.faces, 0.0004) for each in digits]),
+    }
+    for kind, (columns, drawn) in shown.items():
+        (file,) = (folders[kind] / "previews").iterdir()
+        tiles = [np.asarray(Image.fromarray(np.asarray(each)).convert("RGB")) for each in drawn]
+        height, width, _ = np.max([tile.shape for tile in tiles], axis=0)
+        expected = np.full((2 * (height + 8) + 8, columns * (width + 8) + 8, 3), 255, np.uint8)
+        for index, tile in enumerate(tiles):
+            down, across = divmod(index, columns)
+            top = 8 + down * (height + 8) + (height - tile.shape[0]) // 2
+            left = 8 + across * (width + 8) + (width - tile.shape[1]) // 2
+            expected[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
+        assert np.array_equal(np.asarray(Image.open(file).convert("RGB")), expected), kind
 
 
 def test_datasets_follows_the_card(folders, kind):

@@ -65,6 +65,8 @@ def test_parts_are_data_sets_and_together_what_was_divided(kind, tmp_path, capsy
     assert call(kind, "split", folder, "--fractions", "0.75,0.25", "--out", tmp_path / "again", *ALONE) == 0
     for file in one.rglob("*.parquet"):
         assert (tmp_path / "again" / file.relative_to(parts)).read_bytes() == file.read_bytes()
+    assert call(kind, "merge", two, "--out", tmp_path / "copy", *ALONE) == 0
+    assert _rows(tmp_path / "copy") == _rows(two)
     capsys.readouterr()
     assert call(kind, "merge", one, folder, "--out", tmp_path / "twice", *ALONE) == 2
     assert " stands twice in " in capsys.readouterr().err

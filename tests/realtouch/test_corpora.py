@@ -319,6 +319,17 @@ def test_an_image_damaged_in_its_middle_is_named(
         realtouch.export(tmp_path / "cut", tmp_path / "out", layout)
 
 
+@pytest.mark.parametrize("layout", ["sparsh", "anytouch"])
+def test_a_round_of_two_sizes_has_no_background(layout: Any, single_rows: list[dict], tmp_path: Path) -> None:
+    def shrink(row: dict[str, Any], index: int) -> None:
+        first = {"bytes": factories.encode_jpeg(np.zeros((10, 20, 3), np.uint8)), "path": None}
+        row["sensor_image"] = [first, *row["sensor_image"][1:]]
+
+    factories.write_set(tmp_path / "two", {"train": single_rows[:1]}, "single", Layout(edit=shrink))
+    with pytest.raises(InputError, match=r"20 x 10, 96 x 72 pixels have no common background.*resize"):
+        realtouch.export(tmp_path / "two", tmp_path / "out", layout)
+
+
 def test_lines_that_cannot_be_used_are_left_out_and_named(single_folder: Path, tmp_path: Path) -> None:
     realtouch.export(single_folder, tmp_path / "there", "anytouch", split="train")
     home = tmp_path / "there" / "anytouch"

@@ -227,8 +227,11 @@ def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -
 
 
 def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> None:
-    (home / "pictures" / "4.jpg").write_bytes(picture(9))
-    objects = [("cat", 1), ("dog", 1), ("cat", 2), ("cat", 1), ("cat", "one")]
+    for number in range(4, 7):
+        (home / "pictures" / f"{number}.jpg").write_bytes(picture(9))
+    # The last are a digit of another script, and more than a column of integers takes.
+    odd = [("cat", each) for each in ("one", "\u0661", "9" * 19)]
+    objects = [("cat", 1), ("dog", 1), ("cat", 2), ("cat", 1), *odd]
     lines = [
         {"file": f"pictures/{number}.jpg", "label": label, "object": object_id, "round": "a"}
         for number, (label, object_id) in enumerate(objects)
@@ -237,7 +240,7 @@ def test_a_round_is_of_one_label_and_one_object(home: Path, tmp_path: Path) -> N
     columns = realtouch.ImportColumns(round="round", object_id="object")
     manifest = realtouch.import_images(home, tmp_path / "out", "folder", columns)
     skipped = [(item.id, item.reason) for item in manifest.shards[0].skipped]
-    assert skipped == [(1, "round"), (2, "round"), (4, "object")]
+    assert skipped == [(1, "round"), (2, "round"), (4, "object"), (5, "object"), (6, "object")]
     (only,) = realtouch.load(tmp_path / "out", "train")
     assert (only.id, only.label, only.object_id, only.touch_count) == ("a", 0, 1, 2)
 

@@ -202,6 +202,8 @@ def test_an_out_with_room_to_spare_or_between_images_is_filled(single_folder: Pa
             assert fill([0, 1], out=out) is out
             np.testing.assert_array_equal(out[:2], expected)
             assert not out[2:].any()
+            assert fill([], out=out) is out
+            np.testing.assert_array_equal(out[:2], expected)
 
 
 def test_an_empty_choice_has_the_size_of_the_others(single_folder: Path, seq_folder: Path) -> None:
