@@ -65,6 +65,11 @@ def test_training_digits_come_before_test_digits(tmp_path: Path) -> None:
         assert (digit.id, digit.label, digit.writer) == (digit_id, alone.label, NO_WRITER)
         np.testing.assert_array_equal(digit.pixels, alone.pixels)
     assert fingerprint != train.fingerprint()
+    write(tmp_path / "test", "test", then, then_labels)
+    for digit_id in range(5, 8):
+        digit, alone = found[digit_id], MnistSource(str(tmp_path / "test")).image(digit_id - 5)
+        assert (digit.id, digit.label) == (digit_id, alone.label)
+        np.testing.assert_array_equal(digit.pixels, alone.pixels)
 
 
 def test_one_part_alone_begins_at_zero(tmp_path: Path) -> None:

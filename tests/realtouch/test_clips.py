@@ -216,6 +216,13 @@ def test_a_cut_avi_is_refused(keep: int) -> None:
         Avi(memoryview(AVI[:keep]))
 
 
+def test_a_part_that_is_longer_than_its_file_is_named() -> None:
+    data, place = bytearray(AVI), AVI.rindex(b"idx1") + 4
+    data[place : place + 4] = (int.from_bytes(data[place : place + 4], "little") + 3).to_bytes(4, "little")
+    with pytest.raises(ValueError, match="whose part b'idx1' ends 3 bytes behind its end"):
+        Avi(memoryview(data))
+
+
 def test_hostile_counts_are_refused() -> None:
     with pytest.raises(ValueError, match="the limit is"):
         Avi(memoryview(write_avi([b"x"] * (MAX_CLIP_FRAMES + 1), 24, 16, 25.0)))
