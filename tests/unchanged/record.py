@@ -178,6 +178,14 @@ def data_sets(folder: Path) -> dict[str, Any]:
     return found | {"the literal solid": hashlib.sha256(content).hexdigest()}
 
 
+def styles() -> dict[str, str]:
+    """Return how shards of digits and scenes are stored, which decides the bytes of sets of any size."""
+    return {
+        package: repr(import_module(f"{package}.columns").PARQUET_STYLE)
+        for package in ("mnist3d", "starstruck_gen")
+    }
+
+
 def begin_as_first_version(sets: Path, folder: Path, names: str = "*") -> None:
     """Put the manifests below a folder with which the first version of the schema began such sets."""
     for file in sets.glob(f"{names}/manifest.json"):
@@ -242,6 +250,7 @@ def main() -> None:
         "help_libraries": library_versions(HELP_LIBRARIES),
         "names": {package: public_names(package) for package in PACKAGES},
         "fields": {package: defaults_and_limits(package) for package in PACKAGES},
+        "styles": styles(),
         "parquet": digests,
         "pictures": pixels,
         "touches": touches,

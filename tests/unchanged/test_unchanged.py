@@ -27,6 +27,7 @@ from tests.unchanged.record import (
     library_versions,
     pictures,
     public_names,
+    styles,
     synthetic_touches,
 )
 
@@ -94,6 +95,10 @@ def test_help_is_unchanged_and_names_no_former_spelling_or_type_of_python(comman
     if library_versions(HELP_LIBRARIES) != RECORD["help_libraries"]:
         pytest.skip(f"help is laid out by libraries; recorded with {RECORD['help_libraries']}")
     assert helps(found) == (FOLDER / f"{command_line}.txt").read_text(encoding="utf-8")
+
+
+def test_how_shards_are_stored_is_unchanged():
+    assert styles() == RECORD["styles"]
 
 
 def test_bytes_of_data_sets_and_their_pictures_are_unchanged(tmp_path):
