@@ -38,6 +38,7 @@ def test_the_sdist_holds_the_checkout(packed: Path) -> None:
     assert names - {"PKG-INFO"} == tracked()
 
 
+@pytest.mark.thorough
 def test_the_wheel_holds_the_packages(packed: Path) -> None:
     (file,) = packed.glob("*.whl")
     names = zipfile.ZipFile(file).namelist()

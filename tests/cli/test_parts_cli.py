@@ -53,6 +53,7 @@ def whole(tmp_path_factory) -> dict[str, bytes]:
     return folder_bytes(place)
 
 
+@pytest.mark.thorough
 def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole, monkeypatch, capfd):
     """An array of four is given whole, one job is killed, and given again as Slurm gives some of an array."""
     place = tmp_path / "scenes"

@@ -112,6 +112,7 @@ def test_half_written_pictures_are_removed(
     assert folder_bytes(out) == undisturbed["frames"]
 
 
+@pytest.mark.thorough
 def test_killed_with_its_workers_at_work(
     seq_folder: Path, undisturbed: dict[str, dict[str, bytes]], tmp_path: Path
 ) -> None:

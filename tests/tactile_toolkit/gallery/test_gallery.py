@@ -214,6 +214,7 @@ def _build_and_die(out: Path, calls: int, overwrite: bool) -> None:
     build(out, overwrite=overwrite)
 
 
+@pytest.mark.thorough
 def test_a_run_that_is_killed_while_its_site_appears_can_be_given_again(tmp_path):
     """``new``: nothing is there; ``empty``: an empty folder; ``former``: another gallery, to be replaced."""
     places = [tmp_path / name for name in ("new.1", "empty.0", "empty.1")]
