@@ -6,9 +6,11 @@ import subprocess
 import sys
 import time
 
+import pytest
 from hypothesis import settings
 
 
+@pytest.mark.thorough
 def test_damage_is_named_or_found() -> None:
     """Other damage in each run, the same where properties draw the same examples too."""
     trials = settings.default.max_examples // 4

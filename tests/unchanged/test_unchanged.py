@@ -101,13 +101,25 @@ def test_how_shards_are_stored_is_unchanged():
     assert styles() == RECORD["styles"]
 
 
-def test_bytes_of_data_sets_and_their_pictures_are_unchanged(tmp_path):
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Small data sets of each kind, and the digests of their files."""
     if library_versions() != RECORD["libraries"]:
         pytest.skip(f"bytes follow from the versions of libraries; recorded with {RECORD['libraries']}")
-    assert data_sets(tmp_path / "new") == RECORD["parquet"]
-    assert pictures(tmp_path / "new") == RECORD["pictures"]
-    begin_as_first_version(tmp_path / "new", tmp_path / "first")
-    assert data_sets(tmp_path / "first") == FIRST_VERSION["parquet"]
+    folder = tmp_path_factory.mktemp("sets")
+    return folder, data_sets(folder)
+
+
+def test_bytes_of_data_sets_and_their_pictures_are_unchanged(made):
+    folder, digests = made
+    assert digests == RECORD["parquet"]
+    assert pictures(folder) == RECORD["pictures"]
+
+
+@pytest.mark.thorough
+def test_bytes_of_sets_of_the_first_version_are_unchanged(made, tmp_path):
+    begin_as_first_version(made[0], tmp_path)
+    assert data_sets(tmp_path) == FIRST_VERSION["parquet"]
 
 
 @pytest.mark.sim

@@ -73,6 +73,7 @@ print("REPORT" + json.dumps({
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(datasets, "Mesh"), reason="this release of datasets knows no meshes")
 def test_each_row_is_shown_in_3d_and_the_fast_columns_stay_the_default(server, made, tmp_path):
     before = folder_bytes(made)
