@@ -63,16 +63,16 @@ _EXTRAS = ("browser", "env", "ray", "s3", "sim", "simulators", "slicer", "torch"
 
 
 _LONG = ("test_readme.py", "test_ray.py", "test_damage.py", "test_processors.py", "test_other_systems.py")
-_NEED_FEW_KERNELS = ("tests/realtouch", "tests/tactile_toolkit")
+_SECOND_HALF = ("tests/realtouch", "tests/tactile_toolkit", "tests/unchanged")
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Begin with the longest tests: as the last ones they would keep one core waiting.
 
-    What needs few kernels comes last: there the second of two workers begins, while the first one compiles them
-    for both.
+    The second half begins with what needs few kernels: there the second worker begins, while the first one
+    compiles them for both.
     """
-    items.sort(key=lambda item: (item.path.name not in _LONG, item.nodeid.startswith(_NEED_FEW_KERNELS)))
+    items.sort(key=lambda item: (item.path.name not in _LONG, item.nodeid.startswith(_SECOND_HALF)))
 
 
 def pytest_collection_finish() -> None:
