@@ -113,7 +113,7 @@ def test_a_threshold_that_leaves_no_paper_or_no_ink_is_named() -> None:
     assert reason_of(pixels, 255) == "all-ink"
 
 
-def test_the_ink_of_the_margin_is_told_in_per_cent() -> None:
+def test_the_ink_of_the_margin_is_stated_in_per_cent() -> None:
     pixels = np.zeros((100, 100), np.uint8)
     pixels[:2, :39] = 255  # of 784 pixels of the margin
     with pytest.raises(ItemError, match=r"ink covers 90% of the margin .* less than 75%"):

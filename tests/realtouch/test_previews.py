@@ -190,7 +190,7 @@ def test_plans_name_the_round(seq_folder: Path) -> None:
     assert SIZE == (96, 72)
 
 
-def test_of_very_many_sizes_the_smallest_are_told() -> None:
+def test_of_very_many_sizes_the_smallest_are_named() -> None:
     touches = [placed(np.zeros((side, side, 3), np.uint8), (0, 0), gel(0, True)) for side in range(1, 30)]
     with pytest.raises(InputError, match=r"sizes \(1 x 1, 2 x 2, 3 x 3, 4 x 4 pixels\)"):
         overlay(touches, CellMap((1, 1), 1.0))

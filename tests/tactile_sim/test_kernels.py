@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
@@ -13,7 +12,7 @@ from scipy.ndimage import correlate1d
 
 from tactile_sim import kernels
 from tests.tactile_sim import made_up_sensor
-from tests.unchanged.record import FOLDER
+from tests.unchanged.record import numbers_of, recorded
 
 
 @pytest.fixture(scope="module")
@@ -29,8 +28,7 @@ def in_python(tmp_path_factory):
 
 
 def test_pictures_of_a_made_up_sensor_are_unchanged(in_python):
-    recorded = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))["made_up_sensor"]
-    expected = [float(each) for each in recorded.split()]
+    expected = numbers_of(recorded()["made_up_sensor"])
     assert made_up_sensor.sums(in_python[1]) == pytest.approx(expected, abs=1e-4)
 
 

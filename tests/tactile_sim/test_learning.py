@@ -28,7 +28,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY
 from tests.tactile_sim.sets import NOISE
 from tests.tactile_sim.training import CONFIG, SPEC, losses_of_steps, make_sources
-from tests.unchanged.record import FOLDER
+from tests.unchanged.record import numbers_of, recorded
 
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
@@ -88,11 +88,10 @@ def trained(pairs, tmp_path_factory):
 
 def test_losses_of_a_training_are_unchanged(trained):
     """Other processors round otherwise, which some steps later is a thousandth."""
-    recorded = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))["training"]
-    found = losses_of_steps(trained)
-    assert found.keys() == recorded.keys()
+    expected, found = recorded()["training"], losses_of_steps(trained)
+    assert found.keys() == expected.keys()
     for name, values in found.items():
-        assert values == pytest.approx([float(each) for each in recorded[name].split()], rel=2e-3), name
+        assert values == pytest.approx(numbers_of(expected[name]), rel=2e-3), name
 
 
 def _weights(folder) -> list[bytes]:

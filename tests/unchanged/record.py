@@ -1,4 +1,4 @@
-"""What users and stored data rely on, as text: bytes of data sets, pixels of pictures, public names, helps.
+"""What users and stored data rely on, as text: bytes, pixels, courses of environments, names, helps.
 
 ``python -m tests.unchanged.record`` writes it again after a change that was meant, and what notebooks show;
 review shows the rest.
@@ -49,6 +49,14 @@ from tests.tactile_toolkit.printing.solids import box, ell, named, ring
 from tests.unchanged import environments
 
 FOLDER = Path(__file__).parent
+
+
+def recorded() -> dict[str, Any]:
+    """Return what :func:`main` wrote."""
+    found: dict[str, Any] = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))
+    return found
+
+
 PACKAGES = (
     "mnist3d",
     "starstruck_gen",
@@ -233,6 +241,11 @@ def _losses_of_training(folder: Path) -> dict[str, list[float]]:
 
 def _line(numbers: list[float]) -> str:
     return " ".join(map(repr, numbers))
+
+
+def numbers_of(line: str) -> list[float]:
+    """Return numbers as they were recorded, in one line."""
+    return [float(number) for number in line.split()]
 
 
 def main() -> None:

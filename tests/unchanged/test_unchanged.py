@@ -25,13 +25,15 @@ from tests.unchanged.record import (
     helps,
     importable,
     library_versions,
+    numbers_of,
     pictures,
     public_names,
+    recorded,
     styles,
     synthetic_touches,
 )
 
-RECORD = json.loads((FOLDER / "record.json").read_text(encoding="utf-8"))
+RECORD = recorded()
 FIRST_VERSION = json.loads((FOLDER / "first_version.json").read_text(encoding="utf-8"))
 """Digests of the same sets of the first version of the schema, which is never recorded again."""
 
@@ -54,8 +56,8 @@ def test_defaults_and_limits_are_unchanged(package):
     if package == "realtouch.torch":
         pytest.importorskip("torch", reason="needs torch, of the extra torch")
     names = importable(package)
-    recorded = RECORD["fields"][package].items()
-    expected = {place: default for place, default in recorded if re.split(r"[.(]", place)[0] in names}
+    fields = RECORD["fields"][package].items()
+    expected = {place: default for place, default in fields if re.split(r"[.(]", place)[0] in names}
     assert defaults_and_limits(package) == expected
     assert expected
 
@@ -142,8 +144,8 @@ def test_what_ids_of_environments_stand_for_is_unchanged():
 def test_courses_of_environments_are_unchanged(name, assets):  # noqa: F811
     """Compared with the published environments elsewhere, which only CI can."""
     pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
-    found, recorded = environments.course(name, assets), RECORD["courses"][name]
-    assert found.keys() == recorded.keys()
+    found, course = environments.course(name, assets), RECORD["courses"][name]
+    assert found.keys() == course.keys()
     for key, values in found.items():
         loose = {"abs": 0.3} if key.startswith("picture") else {"rel": 2e-5, "abs": 1e-6}
-        assert values == pytest.approx([float(each) for each in recorded[key].split()], **loose), key
+        assert values == pytest.approx(numbers_of(course[key]), **loose), key

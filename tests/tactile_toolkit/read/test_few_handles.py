@@ -102,7 +102,7 @@ def test_a_folder_is_not_called_damaged(tmp_path: Path, name: str) -> None:
     run_forked(code, tmp_path, name)
 
 
-def test_what_the_machine_lacks_is_told_beside_the_file() -> None:
+def test_too_little_memory_is_named_with_the_file() -> None:
     words = "'a' cannot be read: Cannot allocate memory; next: end programs"
     with pytest.raises(InputError, match=words), readable("a"):
         raise MemoryError
