@@ -311,6 +311,7 @@ def _sets_in(folder: Path) -> list[dict[str, Any]]:
     """
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.job import manifest_so_far
+    from tactile_toolkit.store.names import is_hidden
 
     if not folder.is_dir():
         raise InputError(
@@ -318,7 +319,8 @@ def _sets_in(folder: Path) -> list[dict[str, Any]]:
             next="give a folder with data set folders",
         )
     found = []
-    for name in [".", *sorted(each.name for each in folder.iterdir() if each.is_dir())]:
+    inner = sorted(each.name for each in folder.iterdir() if each.is_dir() and not is_hidden(each.name))
+    for name in [".", *inner]:
         kind, table, state = "", dict[str, dict[str, int]](), ""
         try:
             manifest = manifest_so_far(DataFolder(str(folder / name)))

@@ -20,6 +20,7 @@ from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.read.dataset import RecordDataset, positions
 from tactile_toolkit.store.files import expanded, path_exists
+from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.wording import natural_key
 
 _FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
@@ -203,7 +204,7 @@ def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
             f"{str(root / others[0])!r}",
         )
     loose = _files_in(root)
-    folders = (each.name for each in root.iterdir() if each.is_dir() and each.name[0] != ".")
+    folders = (each.name for each in root.iterdir() if each.is_dir() and not is_hidden(each.name))
     sorted_files = [file for name in sorted(folders, key=natural_key) for file in _files_in(root / name)]
     if loose and sorted_files:
         raise InputError(
@@ -219,7 +220,9 @@ def _files_in(folder: Path) -> list[Path]:
     # Hidden files may be half-written. In natural order (2 before 10) and not in that of the file system,
     # so that ids are the same on every machine.
     found = (file for file in folder.iterdir() if file.suffix.lower() in FORMATS and file.is_file())
-    return sorted((file for file in found if file.name[0] != "."), key=lambda file: natural_key(file.name))
+    return sorted(
+        (file for file in found if not is_hidden(file.name)), key=lambda file: natural_key(file.name)
+    )
 
 
 def _view_of_files(files: list[Path], classes: list[str]) -> MeshView:

@@ -32,6 +32,7 @@ from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.store.files import expanded, locked, named_failures, path_exists
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
@@ -442,7 +443,7 @@ def inventory(root: Path) -> list[dict[str, Any]]:
             next="give the folder of an AssetProvider",
         )
     found = []
-    for place in sorted(each for each in root.iterdir() if each.is_dir() and each.name[0] != "."):
+    for place in sorted(each for each in root.iterdir() if each.is_dir() and not is_hidden(each.name)):
         try:
             splits = splits_of(str(place))
         except InputError:  # some other folder: there are no Parquet files in it

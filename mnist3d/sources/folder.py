@@ -19,6 +19,7 @@ from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.canvas import as_grey, fit
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.touch.jpeg import require_bounded_jpeg
 from tactile_toolkit.wording import natural_key
 
@@ -133,7 +134,7 @@ def _listing(root: str, stamps: tuple[int, ...]) -> tuple[_Picture, ...]:
     base, found = Path(root), []
     try:
         inner = [path for digit in base.glob("[0-9]") for path in digit.iterdir()]
-        visible = sorted(path for path in (*base.iterdir(), *inner) if not path.name.startswith("."))
+        visible = sorted(path for path in (*base.iterdir(), *inner) if not is_hidden(path.name))
     except OSError as error:
         raise InputError(
             f"{root}: cannot be listed ({error.strerror}), expected a folder of pictures",

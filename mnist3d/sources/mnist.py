@@ -23,6 +23,7 @@ from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.canvas import SIDE_PX, enlarge
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import HubError, InputError, needs_extra
+from tactile_toolkit.store.names import is_hidden
 
 IMAGES_MAGIC = 0x803
 """First number of a file of images: unsigned bytes (8) in three dimensions (3)."""
@@ -113,9 +114,11 @@ class MnistSource:
         path, folder = _find(self.root, prefix, kind), Path(self.root)
         if path is not None:
             return path
-        names = sorted(each.name for each in folder.iterdir())[:8] if folder.is_dir() else "no such folder"
+        found = "no such folder"
+        if folder.is_dir():
+            found = str(sorted(each.name for each in folder.iterdir() if not is_hidden(each.name))[:8])
         raise InputError(
-            f"{self.root}: found {names}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, "
+            f"{self.root}: found {found}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, "
             "there or in MNIST/raw",
             next="check the folder, or fetch the files with --download",
         )

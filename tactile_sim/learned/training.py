@@ -52,7 +52,7 @@ from tactile_toolkit.errors import (
 )
 from tactile_toolkit.store.files import locked
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import decode
+from tactile_toolkit.store.names import decode, is_hidden
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.touch.jpeg import decode_image
 
@@ -223,7 +223,7 @@ def _claim(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> 
                 )
         folder.remove_temporaries()
         return
-    others = [name for name in folder.names() if not name.startswith(".")]
+    others = [name for name in folder.names() if not is_hidden(name)]
     if resume or others:
         held = f" (found {others[0]!r})" if others else ""
         raise InputError(

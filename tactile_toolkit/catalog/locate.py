@@ -275,7 +275,7 @@ def _folder_files(folder: DataFolder) -> list[ShardFile]:
         return found
     # In folders called as their split: default/train/0000.parquet of the Hub's branch refs/convert/parquet.
     root = Path(folder.address())
-    files = [file for pattern in ("[!.]*/*.parquet", "[!.]*/[!.]*/*.parquet") for file in root.glob(pattern)]
+    files = [file for pattern in ("*/*.parquet", "*/*/*.parquet") for file in root.glob(pattern)]
     return shard_files(file.relative_to(root).as_posix() for file in files if file.stem.isdigit())
 
 

@@ -28,7 +28,7 @@ from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
-from tactile_toolkit.store.names import names_inside, problem_of_name
+from tactile_toolkit.store.names import is_hidden, names_inside, problem_of_name
 from tactile_toolkit.store.origin import HubFile, has_digest
 from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding, ShardName
 from tactile_toolkit.store.verify import problem_of_place, verify
@@ -244,7 +244,7 @@ def local_copy(folder: DataFolder, root: Path) -> DataFolder:
     Raises IntegrityError for names that lead out of a folder, StorageError where the disk is full, and
     RemoteError where the store fails.
     """
-    visible = [path for path in folder.walk() if not path.startswith(".") and "/." not in path]
+    visible = [path for path in folder.walk() if not is_hidden(path)]
     paths = names_inside(visible, repr(folder.address()))
     for _ in in_threads(lambda path: folder.download(path, root / path), paths, _THREADS):
         pass

@@ -41,7 +41,7 @@ from tactile_toolkit.store.manifest import (
     read_manifest,
     write_manifest,
 )
-from tactile_toolkit.store.names import decode
+from tactile_toolkit.store.names import decode, is_hidden
 from tactile_toolkit.store.origin import RECORD_FILE
 from tactile_toolkit.store.parquet import (
     REPORT_STYLE,
@@ -322,7 +322,7 @@ def require_replaceable(folder: DataFolder) -> list[str]:
     named = () if manifest is None else manifest.trees
     further = [pattern for pattern in _extra_files() if pattern.partition("/")[0] in named]
     names = set(folder.names())
-    shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or name[0] != "."}
+    shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}
     found = [path for path in folder.walk() if path.partition("/")[0] in shown]
     strange = [path for path in found if folder.place(path) and not _is_ours(path, further)]
     # A damaged manifest of a data set has shards next to it; other programs have files of that name, too.
@@ -409,7 +409,7 @@ def promote(folder: DataFolder) -> None:
 
 def _arriving(folder: DataFolder) -> list[str]:
     """Return the files of the next data set that were not moved yet."""
-    return [path for path in DataFolder(folder.address(NEXT_FOLDER)).walk() if not path.startswith(".")]
+    return [path for path in DataFolder(folder.address(NEXT_FOLDER)).walk() if not is_hidden(path)]
 
 
 def _move_files(folder: DataFolder) -> None:

@@ -29,7 +29,7 @@ from tactile_toolkit.store.manifest import (
     read_manifest,
     write_manifest,
 )
-from tactile_toolkit.store.names import Count, decode
+from tactile_toolkit.store.names import Count, decode, is_hidden
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord, Skipped
 
@@ -422,7 +422,7 @@ def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
 
 def refuse_unknown_files(folder: DataFolder) -> None:
     """Refuse a folder without a data set that holds a user's files: a run must never mix with them."""
-    unknown = [name for name in folder.names() if not name.startswith(".")]
+    unknown = [name for name in folder.names() if not is_hidden(name)]
     if unknown and MANIFEST_FILE not in unknown:  # another run may have begun at this moment
         raise InputError(
             f"{folder.address()!r} is not empty and holds no {MANIFEST_FILE} (found {unknown[0]!r}); nothing "
@@ -472,7 +472,7 @@ def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan) -> None:
     others = set(plan.split_order) - {shard.split for shard in planned}
     for name in folder.names(DATA_FOLDER):
         shard = ShardName.parse(name)
-        if not name.startswith(".") and shard not in planned and (shard is None or shard.split not in others):
+        if not is_hidden(name) and shard not in planned and (shard is None or shard.split not in others):
             raise InputError(
                 f"{folder.address(f'{DATA_FOLDER}/{name}')!r} is not a file of this data set; nothing was "
                 "changed",

@@ -38,6 +38,19 @@ _DRIVE = re.compile("[A-Za-z]:")
 _PORTS = frozenset(f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³")
 _WINDOWS_DEVICES = _PORTS | {"con", "prn", "aux", "nul", "conin$", "conout$"}
 _SHOWN = 80
+# What systems leave in folders and archives, in lower case; names that begin with a dot are hidden anyway.
+_LEFT_BY_SYSTEMS = frozenset(
+    {
+        "__macosx",
+        "@eadir",
+        "#recycle",
+        "$recycle.bin",
+        "system volume information",
+        "thumbs.db",
+        "ehthumbs.db",
+        "desktop.ini",
+    }
+)
 
 LARGEST = (1 << 63) - 1
 Count = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
@@ -87,6 +100,15 @@ def normalize_uri(place: str) -> str:
             "and give credentials as the store's own tools take them, such as AWS_PROFILE",
         )
     return f"{scheme}://{rest}"
+
+
+def is_hidden(path: str) -> bool:
+    """Return whether a listing passes over a relative path, with slashes.
+
+    It does where a part of the path begins with a dot (``._a.png``, ``.DS_Store``) or is one that systems
+    leave in folders and archives (``__MACOSX``, ``@eaDir``, ``Thumbs.db``, ``desktop.ini``, ...).
+    """
+    return any(part[:1] == "." or part.lower() in _LEFT_BY_SYSTEMS for part in path.split("/"))
 
 
 def problem_of_name(name: object) -> str:

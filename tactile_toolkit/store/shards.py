@@ -14,7 +14,7 @@ import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.folder import PENDING_FOLDER
-from tactile_toolkit.store.names import LARGEST, Count, Sha256
+from tactile_toolkit.store.names import LARGEST, Count, Sha256, is_hidden
 from tactile_toolkit.wording import did_you_mean, natural_key, printable
 
 DAMAGED = "damaged"
@@ -203,7 +203,7 @@ def shard_files(paths: Iterable[str]) -> list[ShardFile]:
     files = []
     for path in paths:
         file = PurePosixPath(path)
-        if file.suffix != ".parquet" or file.name.startswith(".") or file.parts[0] == "reports":
+        if file.suffix != ".parquet" or is_hidden(path) or file.parts[0] == "reports":
             continue
         shard = ShardName.parse(file.name)
         if shard is not None:

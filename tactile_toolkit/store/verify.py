@@ -16,6 +16,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.origin import RECORD_FILE, HubFile, digest_like, kind_of, read_record
 from tactile_toolkit.store.parquet import named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
@@ -197,7 +198,7 @@ def _unlisted(
     for name in folder.names(DATA_FOLDER):
         path, shard = f"{DATA_FOLDER}/{name}", ShardName.parse(name)
         is_begun = shard is not None and shard.split in others
-        if not (path in listed or is_begun or name.startswith(".")):
+        if not (path in listed or is_begun or is_hidden(name)):
             findings.append(Finding(path, f"is not listed in {where}; next: remove it"))
     return findings
 

@@ -17,7 +17,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, StorageError, Too
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import names_inside, problem_of_name
+from tactile_toolkit.store.names import is_hidden, names_inside, problem_of_name
 from tactile_toolkit.store.origin import RECORD_FILE, read_record
 from tactile_toolkit.store.verify import verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
@@ -78,6 +78,24 @@ def test_a_wild_name_is_refused_by_name(name):
         names_inside(["reports/fine.parquet", name], "here")
     assert str(told.value).isprintable()
     assert len(str(told.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("path", "hidden"),
+    [
+        ("._a.png", True),
+        ("7/.DS_Store", True),
+        ("__MACOSX/7/a.png", True),
+        ("7/@eaDir/a.png", True),
+        ("THUMBS.DB", True),
+        ("7/desktop.ini", True),
+        ("7/a.png", False),
+        ("7/thumbs.db.png", False),
+        ("a.b/c", False),
+    ],
+)
+def test_what_systems_leave_is_passed_over(path: str, hidden: bool) -> None:
+    assert is_hidden(path) is hidden
 
 
 def test_plain_names_pass():
@@ -149,6 +167,15 @@ def test_a_wild_manifest_is_refused_and_nothing_is_touched(finished, tmp_path, f
     assert folder_bytes(tmp_path) == before
     build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
     assert (tmp_path / "victim").read_text() == "years of work"
+
+
+def test_what_systems_leave_in_a_finished_set_is_passed_over(finished: Path) -> None:
+    (finished / "data" / "Thumbs.db").touch()
+    (finished / "desktop.ini").touch()
+    assert not verify(DataFolder(str(finished))).findings
+    before = folder_bytes(finished)
+    build(DataFolder(str(finished)), toy_plan(), InlineRunner())
+    assert folder_bytes(finished) == before
 
 
 @pytest.mark.parametrize("digest", ["../../../evil", "0" * 63, "0" * 64 + "\n", "G" * 64, 0, None])
