@@ -11,7 +11,7 @@ import typer
 
 from cli.application import EXIT_FAILED
 from cli.making import PrintMade, print_set
-from cli.options import ANY_SET, FOLDER, FOLDERS, WORKERS, argument, local_place, process_count
+from cli.options import ANY_SET, FOLDER, FOLDERS, WORKERS, Opening, argument, local_place, process_count
 from cli.output import Sink, bytes_text, flat_lines
 from tactile_toolkit.catalog.spec import LIMIT, SPLIT
 from tactile_toolkit.checked_fields import choice, integer, real, switch
@@ -20,7 +20,7 @@ from tactile_toolkit.kind import DatasetKind, is_copy
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
-    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.places.place import Place
 
 
 # Values of a longer list that are named.
@@ -39,42 +39,38 @@ class Geometry:
     check: Callable[..., Sequence[Any]]
 
 
-def info(*, kind: DatasetKind, print_made: PrintMade, folder: str = FOLDER, sink: Sink) -> None:
-    """Show what a data set folder holds and how it was made.
+def info(
+    *, kind: DatasetKind, print_made: PrintMade, name: str = ANY_SET, opening: Opening, sink: Sink
+) -> None:
+    """Show what a data set holds and how it was made.
 
-    Example: info FOLDER --json
+    Example: info DIR --json
     """
-    from tactile_toolkit.catalog.locate import require_manifest
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.job import manifest_so_far
-
-    place = DataFolder(folder)
-    manifest = manifest_so_far(place)
-    if manifest is None and kind.published:
-        _print_copy(sink, place, folder, kind)
+    place = opening.open(sink, name, shows_all=True).require(kind, "info")
+    manifest, folder = place.manifest, place.folder
+    if manifest is None:
+        _print_copy(sink, place, kind)
         return
-    manifest = manifest or require_manifest(kind, place)
-    kind.refuse_other(manifest, folder)
-    if is_copy(manifest):
-        print_set(sink, kind, manifest, folder)
+    if folder is None or is_copy(manifest):
+        print_set(sink, kind, manifest, name)
         return
-    print_made(sink, kind, manifest, folder, None)
+    print_made(sink, kind, manifest, folder.address(), None)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
     for line in flat_lines(manifest.spec):
         sink.line(f"  {line}")
 
 
-def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -> None:
-    """Print what the splits of a folder without a manifest hold, and where they were downloaded from."""
+def _print_copy(sink: Sink, place: Place, kind: DatasetKind) -> None:
+    """Print what the splits of a data set without a manifest hold, and where they are from."""
     from tactile_toolkit.catalog.choose import open_splits
-    from tactile_toolkit.catalog.locate import find_shards
     from tactile_toolkit.store.folder import split_uri
     from tactile_toolkit.store.origin import read_record
 
-    record = read_record(place)
+    record = None if place.folder is None else read_record(place.folder)
+    repository = record or place.repository
     entries, rows = [], []
-    for split, dataset in open_splits(folder, None, kind.load, kind.nouns).items():
-        paths = [shard.path for shard in find_shards(folder, split)]
+    for split, dataset in open_splits(place, None, kind.load, kind.nouns).items():
+        paths = [shard.path for shard in place.shards(split)]
         size = sum(store.size_bytes(name) for store, name in map(split_uri, paths))
         # Not by `bincount`, which fails on labels below 0 as other people's data have them.
         labels = enumerate(dataset.label_names)
@@ -83,10 +79,12 @@ def _print_copy(sink: Sink, place: DataFolder, folder: str, kind: DatasetKind) -
         entries.append({**counts, "per_class": per_class})
         classes = ", ".join(f"{name}: {count:,}" for name, count in per_class.items())
         rows.append((split, len(dataset), len(paths), bytes_text(size), classes))
-    source = {"repository": record and record.repo_id, "commit": record and record.commit}
-    sink.document({"folder": folder, **source, "splits": entries})
+    source = {"repository": repository and repository.repo_id, "commit": repository and repository.commit}
+    sink.document({"folder": place.name, **source, "splits": entries})
     sink.table(("split", kind.nouns, "shards", "Parquet", "per class"), rows)
-    origin = f"downloaded from {record.repo_id} at {record.commit[:12]}" if record else "no manifest"
+    origin = (
+        f"downloaded from {repository.repo_id} at {repository.commit[:12]}" if repository else "no manifest"
+    )
     sink.line(f"{origin}: no provenance recorded")
 
 
@@ -117,14 +115,13 @@ def verify(
     Exit code 3 when something is damaged; each damaged file is named.
     """
     from tactile_toolkit.cards.card import check_card
+    from tactile_toolkit.places.place import open_place
     from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import read_manifest
     from tactile_toolkit.store.origin import read_record
     from tactile_toolkit.store.verify import verify
 
     place = DataFolder(folder)
-    manifest = read_manifest(place)
-    kind.refuse_other(manifest, place.address())
+    manifest = open_place(folder).require(kind, "verify").manifest
     result = verify(place, kind.schema_of(manifest), check_card=check_card, workers=process_count(workers))
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     counts_of = {"files": result.files, "rows": result.rows}
@@ -155,6 +152,7 @@ def validate(
     *,
     checks: Geometry,
     paths: list[str] = FOLDERS,
+    opening: Opening,
     split: str | None = SPLIT,
     limit: int | None = LIMIT,
     workers: int = WORKERS,
@@ -169,13 +167,17 @@ def validate(
 
     Exit code 1 when one is not valid. For a folder, `verify --geometry` checks its files as well.
     """
-    check_objects(sink, checks, paths, split, limit, workers)
+    from tactile_toolkit.mesh.files import FORMATS
+
+    files = [path for path in paths if Path(path).suffix.lower() in FORMATS]
+    places = [path if path in files else opening.open(sink, path) for path in paths]
+    check_objects(sink, checks, places, split, limit, workers)
 
 
 def check_objects(
     sink: Sink,
     geometry: Geometry,
-    paths: Sequence[str],
+    paths: Sequence[str | Place],
     split: str | None,
     limit: int | None,
     workers: int,
@@ -211,14 +213,16 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
     """
     from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, check_card
     from tactile_toolkit.cards.facts import CROISSANT_FILE
-    from tactile_toolkit.catalog.locate import finished_manifest, require_manifest, specification_read
+    from tactile_toolkit.catalog.locate import specification_read
+    from tactile_toolkit.places.place import open_place
     from tactile_toolkit.store.folder import DataFolder
 
-    place = DataFolder(folder)
+    opened = open_place(folder).require(kind, "card").require_complete()
     # Touches may be of the publisher, who writes no manifest.
-    manifest_of = require_manifest if kind.needs_manifest else finished_manifest
+    manifest = opened.require_manifest(kind) if kind.needs_manifest else opened.manifest
+    place = DataFolder(folder)
     with specification_read(place.address()):
-        kind.write_card(place, manifest_of(kind, place))
+        (opened.kind or kind).write_card(place, manifest)
     findings = check_card(place)
     if findings:
         raise IntegrityError(f"{findings[0].file} of {folder!r}: {findings[0].problem}")
@@ -235,17 +239,18 @@ def show(
     name: str = ANY_SET,
     row: int = integer(0, help="Row of the split, counted from 0."),
     split: str | None = SPLIT,
+    opening: Opening,
     sink: Sink,
 ) -> None:
     """Show a row of a data set: each column, its type and its value, or how many values it has.
 
     Example: show DIR --row 3 --split test
     """
-    from tactile_toolkit.catalog.locate import find_shards, splits_of
     from tactile_toolkit.read.parquet import ShardedTable
 
-    chosen = splits_of(name)[0] if split is None else split
-    rows = ShardedTable(tuple(find_shards(name, chosen)))
+    place = opening.open(sink, name, shows_all=True)
+    chosen = place.splits[0] if split is None else split
+    rows = ShardedTable(place.shards(chosen))
     if row >= len(rows):
         raise InputError(f"--row is {row}; expected less than the {counted(len(rows), 'rows')} of {chosen!r}")
     group, index = rows.locate(row)
@@ -364,15 +369,15 @@ def cache(
 
 def print_sets(sink: Sink, kind: DatasetKind) -> None:
     """Print the published data sets: what they hold, their terms, what is here, and how large they are."""
-    from tactile_toolkit.catalog.locate import states
-    from tactile_toolkit.store.shards import shard_files
+    from tactile_toolkit.places.layout import splits_by_name
+    from tactile_toolkit.places.published import hub_states
 
     documents, rows = [], []
-    for known, (on_hub, local) in zip(kind.published, states(kind.published), strict=True):
+    for known, (on_hub, local) in zip(kind.published, hub_states(kind.published), strict=True):
         licence = known.licence or (on_hub.licence if on_hub else None)
         size = on_hub.size_bytes if on_hub else None
         local_bytes = local.size_bytes if local else 0
-        splits = list(dict.fromkeys(file.split for file in shard_files(local.remote if local else ())))
+        splits = list(splits_by_name(local.remote if local else (), known.repo_id))
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
         facts = {"licence": licence, "hub_bytes": size, "local_bytes": local_bytes, "local_splits": splits}
         documents.append({**names, "citation": known.citation, **facts})

@@ -12,11 +12,11 @@ import typer
 
 from cli.options import FOLDER, WORKERS, argument, parse_address, process_count
 from cli.output import BYTES, Sink, bytes_text
-from tactile_toolkit.catalog.spec import REVISION
+from tactile_toolkit.catalog.spec import CONFIG, REVISION
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
-from tactile_toolkit.kind import DatasetKind, kinds
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -43,12 +43,13 @@ def upload(
 
     After an interruption, the same command continues; after success, it sends nothing.
     """
-    from tactile_toolkit.catalog.locate import require_manifest
     from tactile_toolkit.exchange.upload import check_folder, prepare_upload, run_upload
-    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.places.place import open_place
 
     _quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
-    require_manifest(kind, DataFolder(folder))
+    place = open_place(folder).require(kind, "upload")
+    place.require_manifest(kind)
+    kind = place.kind or kind
     sink.info(f"checking {folder}")
     check = partial(check_folder, kind, workers=process_count(workers))
     prepared = prepare_upload(folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info)
@@ -71,6 +72,7 @@ def download(
     name: str = argument("NAME", "Short name of a published set, or USER/NAME on the Hub."),
     split: list[str] | None = text(metavar="SPLIT", several=True, help="Only this split; may be repeated."),
     revision: str | None = REVISION,
+    config_name: str | None = CONFIG,
     out: str | None = text(
         name="--out -o",
         metavar="DIR",
@@ -85,18 +87,11 @@ def download(
 
     After an interruption, the same command continues. `list` names the published data sets.
     """
-    from tactile_toolkit.catalog.locate import published_set
     from tactile_toolkit.exchange.download import download as carry_out, plan_download
 
     _quiet_client(is_all=True)
-    # The repository of a published set holds no manifest.
-    known = next((each for each in kinds() if published_set(name) in each.published), kind)
-    if known is not kind:
-        raise InputError(
-            f"{name!r} is a data set of `{known.command}`", next=f"{known.command} download {name}"
-        )
-    plan = plan_download(name, split or (), revision=revision, out=out, on_wait=sink.info)
-    kind.refuse_other(plan.repository.manifest, plan.repository.repo_id)
+    plan = plan_download(name, split or (), revision=revision, config=config_name, out=out, on_wait=sink.info)
+    plan.require(kind)
     _print_download_plan(sink, name, plan)
     place = ""
     if not dry_run:
@@ -223,7 +218,7 @@ def _where(prepared: PreparedUpload) -> str:
 
 def _print_download_plan(sink: Sink, name: str, plan: DownloadPlan) -> None:
     """Print what is fetched, how large it is, and under which terms it stands."""
-    from tactile_toolkit.catalog.locate import published_set
+    from tactile_toolkit.places.published import published_set
 
     known, files = published_set(name), plan.record.files.values()
     licence = (known.licence if known else None) or plan.repository.licence

@@ -8,7 +8,7 @@ from dataclasses import asdict
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from cli.options import ANY_SET, Making, Work, argument, out_folder, process_count
+from cli.options import ANY_SET, Making, Opening, Work, argument, out_folder, process_count
 from cli.output import Sink, bytes_text, duration_text
 from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.checked_fields import integer, text
@@ -202,6 +202,7 @@ def merge(
     *,
     kind: DatasetKind,
     names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
+    opening: Opening,
     out: str = out_folder("merged"),
     work: Work,
     sink: Sink,
@@ -212,7 +213,8 @@ def merge(
     """
     from tactile_toolkit.exchange.copies import merge_sets
 
-    make = partial(merge_sets, kind, names, out)
+    places = [opening.open(sink, name) for name in names]
+    make = partial(merge_sets, kind, places, out)
     make_with_progress(sink, "copying", kind, make, work, out, print_set)
 
 
@@ -220,6 +222,7 @@ def split(
     *,
     kind: DatasetKind,
     name: str = ANY_SET,
+    opening: Opening,
     out: str = out_folder("parts"),
     fractions: tuple[float, ...] = text(
         (),
@@ -245,7 +248,8 @@ def split(
     if bool(given) == bool(fractions):
         raise InputError("expected either --fractions, or --ids and the like", next="add --fractions 0.8,0.2")
     options = {"fractions": fractions, "seed": seed} if fractions else given
-    for number, rows in enumerate(divide(kind, name, fractions, seed, given), 1):
+    source = opening.open(sink, name)
+    for number, rows in enumerate(divide(kind, source, fractions, seed, given), 1):
         place = f"{out.rstrip('/')}/part-{number}"
-        make = partial(write_part, kind, name, rows, {**options, "part": number}, place)
+        make = partial(write_part, kind, source, rows, {**options, "part": number}, place)
         make_with_progress(sink, "copying", kind, make, work, place, print_set)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cli.application import OptionsOf, command, new_app, run
 from cli.folders import Geometry
 from cli.making import generate_set, least_to_most, print_set
-from cli.options import Making, argument, out_folder
+from cli.options import Making, Opening, argument, out_folder
 from cli.output import Sink, bytes_text
 from cli.products import Pictures
 from cli.shared import add_shared
@@ -104,6 +104,7 @@ def _preview(
     path: str = argument(
         "DIR|FILE", "Data set folder, Parquet file, STL/3MF/PLY/OBJ/GLB file, or a picture of a digit."
     ),
+    opening: Opening,
     spec: DigitPreviewSpec,
     pictures: Pictures,
     sink: Sink,
@@ -112,9 +113,10 @@ def _preview(
 
     Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
     """
-    from mnist3d.previews import plan_previews
+    from mnist3d.previews import is_picture_or_mesh, plan_previews
 
-    pictures.write(sink, plan_previews(path, spec))
+    name = path if is_picture_or_mesh(path) else opening.open(sink, path)
+    pictures.write(sink, plan_previews(name, spec))
 
 
 add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)

@@ -7,10 +7,13 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tactile_toolkit.catalog.spec import CONFIG, INCOMPLETE, REVISION
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
+    from cli.output import Sink
+    from tactile_toolkit.places.place import Place
     from tactile_toolkit.run.processes import Runner
 
 
@@ -75,6 +78,28 @@ WORKERS = integer(
 )
 DRY_RUN = switch(False, panel=JOB, help="Print what would be made, its size and the time; write nothing.")
 OVERWRITE = switch(False, panel=JOB, help="Replace another data set in the folder.")
+
+
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """Options of all commands that open a data set by its name."""
+
+    revision: str | None = REVISION
+    config_name: str | None = CONFIG
+    allow_incomplete: bool = INCOMPLETE
+
+    def open(self, sink: Sink, name: str, *, shows_all: bool = False) -> Place:
+        """Say what a name stands for; print that it is unfinished, where the command goes on all the same.
+
+        With ``shows_all`` an unfinished data set is opened as far as it is there.
+        """
+        from tactile_toolkit.places.place import open_place
+
+        allow = self.allow_incomplete or shows_all
+        place = open_place(name, revision=self.revision, config=self.config_name, allow_incomplete=allow)
+        if allow and place.unfinished:
+            sink.info(f"note: {place.name} is unfinished: {place.unfinished}")
+        return place
 
 
 @dataclass(frozen=True, slots=True)

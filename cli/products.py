@@ -19,6 +19,7 @@ from cli.options import (
     JOB,
     TOUCH_SET,
     WORKERS,
+    Opening,
     Work,
     local_out_folder,
     local_place,
@@ -26,7 +27,7 @@ from cli.options import (
 )
 from cli.output import Sink, bytes_text, duration_text
 from realtouch.spec import TouchPreviewSpec
-from tactile_toolkit.catalog.spec import REVISION, Chosen
+from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
@@ -36,6 +37,7 @@ from tactile_toolkit.wording import counted
 if TYPE_CHECKING:
     from tactile_toolkit.gallery.items import Gallery
     from tactile_toolkit.pictures.sheets import PicturePlan
+    from tactile_toolkit.places.place import Place
     from tactile_toolkit.printing.objects import Failure, PrintObject
 
 
@@ -80,7 +82,9 @@ class Pictures:
             sink.line(f"{folder / made.file}: {made.what} ({size})")
 
 
-def preview_touches(*, name: str = TOUCH_SET, spec: TouchPreviewSpec, pictures: Pictures, sink: Sink) -> None:
+def preview_touches(
+    *, name: str = TOUCH_SET, opening: Opening, spec: TouchPreviewSpec, pictures: Pictures, sink: Sink
+) -> None:
     """Write pictures of touches as PNG, without a screen; a grid alone goes to touches.png.
 
     Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
@@ -88,7 +92,8 @@ def preview_touches(*, name: str = TOUCH_SET, spec: TouchPreviewSpec, pictures: 
     """
     from realtouch.previews import plan_previews
 
-    pictures.write(sink, plan_previews(name, spec), "previews" if spec.kinds else "touches.png")
+    plan = plan_previews(opening.open(sink, name), spec)
+    pictures.write(sink, plan, "previews" if spec.kinds else "touches.png")
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,6 +139,7 @@ def gallery_of_meshes(
     *,
     kind: DatasetKind,
     name: str = ANY_SET,
+    opening: Opening,
     chosen: Chosen,
     out: Path = local_out_folder("gallery"),
     job: Job,
@@ -145,15 +151,15 @@ def gallery_of_meshes(
 
     Examples: gallery DIR --out site --split test;  gallery DIR --per-class 1
     """
-    _make_page(sink, kind.plan_gallery(name, chosen), out, job)
+    _make_page(sink, kind.plan_gallery(opening.open(sink, name), chosen), out, job)
 
 
 def gallery_of_touches(
     *,
     name: str = TOUCH_SET,
+    opening: Opening,
     chosen: Chosen,
     touches: int = integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
-    revision: str | None = REVISION,
     out: Path = local_out_folder("gallery"),
     job: Job,
     sink: Sink,
@@ -166,7 +172,7 @@ def gallery_of_touches(
     """
     from realtouch.gallery import plan_gallery
 
-    _make_page(sink, plan_gallery(name, chosen, touches=touches, revision=revision), out, job)
+    _make_page(sink, plan_gallery(opening.open(sink, name), chosen, touches=touches), out, job)
 
 
 _ROWS_SHOWN = 20
@@ -196,6 +202,7 @@ def export(
     *,
     kind: DatasetKind,
     name: str = ANY_SET,
+    opening: Opening,
     form: Form,
     chosen: Chosen,
     distances: Annotated[dict[str, Any], OptionsOf(PlateSpec)],
@@ -233,9 +240,10 @@ def export(
         _refuse(distances, "about build plates", "add --plate 256x256")
     elif form.file_format not in (None, "3mf", "mjcf"):
         _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
-    datasets = open_splits(name, some.pop("split"), kind.load, kind.nouns).items()
+    place = opening.open(sink, name).require(kind, "export")
+    datasets = open_splits(place, some.pop("split"), kind.load, kind.nouns).items()
     if form.file_format == "flat":
-        _export_flat(sink, kind, name, choose_rows(datasets, **some), some, str(out), job)
+        _export_flat(sink, kind, place, choose_rows(datasets, **some), some, str(out), job)
         return
     bodies = Physics(**material)
     spec = None if form.plate is None else PlateSpec.parse(form.plate, **distances)
@@ -292,14 +300,14 @@ def _export_files(
 
 
 def _export_flat(
-    sink: Sink, kind: DatasetKind, name: str, choices: Any, some: Mapping[str, Any], out: str, job: Job
+    sink: Sink, kind: DatasetKind, place: Place, choices: Any, some: Mapping[str, Any], out: str, job: Job
 ) -> None:
     from tactile_toolkit.exchange.copies import plan_tables
     from tactile_toolkit.store.build import build
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.job import inspect_job
 
-    plan = plan_tables(kind, name, choices, some, out)
+    plan = plan_tables(kind, place, choices, some, out)
     if job.dry_run:
         if not job.overwrite:
             inspect_job(DataFolder(out), plan)

@@ -11,13 +11,13 @@ import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
 from cli.making import least_to_most, make_with_progress, print_set
-from cli.options import TOUCH_SET, WORKERS, Work, argument, out_folder, parse_address, process_count
+from cli.options import TOUCH_SET, WORKERS, Opening, Work, argument, out_folder, parse_address, process_count
 from cli.output import Sink, flat_lines
 from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
 from realtouch.kind import KIND
 from realtouch.spec import ImportColumns
-from tactile_toolkit.catalog.spec import IDS, LABELS, LIMIT, ONE_SPLIT, PER_CLASS, REVISION, SPLIT
+from tactile_toolkit.catalog.spec import IDS, LABELS, LIMIT, ONE_SPLIT, PER_CLASS, SPLIT
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -27,6 +27,7 @@ from tactile_toolkit.wording import counted, listed
 if TYPE_CHECKING:
     from realtouch.summary import Summary
     from realtouch.verification import TouchVerification
+    from tactile_toolkit.places.place import Place
     from tactile_toolkit.store.manifest import Manifest
 
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
@@ -37,7 +38,7 @@ def load(
     *,
     name: str = TOUCH_SET,
     split: str | None = ONE_SPLIT,
-    revision: str | None = REVISION,
+    opening: Opening,
     check: bool = switch(True, help="Check every round and the headers of its images."),
     sink: Sink,
 ) -> None:
@@ -48,9 +49,10 @@ def load(
     from realtouch.opening import load as open_set
     from realtouch.summary import summarise
 
-    dataset = open_set(name, split, revision=revision)
+    place = opening.open(sink, name)
+    dataset = open_set(place, split)
     if check:
-        _require_intact(sink, _verified(sink, name, split, revision, quick=True), name)
+        _require_intact(sink, _verified(sink, place, split, quick=True), name)
     summary = summarise(dataset)
     opened = split or " and ".join(dataset.splits)
     sink.document({"name": name, "split": opened, "checked": check, **summary.to_dict()})
@@ -60,9 +62,7 @@ def load(
 
 
 @command(app)
-def info(
-    *, name: str = TOUCH_SET, split: str | None = SPLIT, revision: str | None = REVISION, sink: Sink
-) -> None:
+def info(*, name: str = TOUCH_SET, split: str | None = SPLIT, opening: Opening, sink: Sink) -> None:
     """Show what each split of a data set holds and, if this toolkit made it, how.
 
     Example: realtouch info touches-64x64
@@ -70,21 +70,19 @@ def info(
     from realtouch.convert.plan import Source
     from realtouch.dataset import dataset_of
     from realtouch.summary import summarise
-    from tactile_toolkit.catalog.locate import folder_named
-    from tactile_toolkit.store.job import manifest_so_far
     from tactile_toolkit.store.manifest import MANIFEST_FILE
     from tactile_toolkit.store.names import typed
 
-    folder = folder_named(name)
-    manifest = None if folder is None else manifest_so_far(folder)
+    place = opening.open(sink, name, shows_all=True).require(KIND, "info")
+    manifest = place.manifest
     operation = ""
     if manifest is not None:
         operation = typed(manifest.spec.get("operation"), str, f"{name}/{MANIFEST_FILE}", "spec.operation")
         if not manifest.complete or operation in ("frames", "export", "merge", "split"):
             print_set(sink, KIND, manifest, name)
             return
-    announce_fetching(sink, name, split)
-    source = Source.open(name, revision, split)
+    announce_fetching(sink, place, split)
+    source = Source.open(place, split)
     summaries = {each: summarise(dataset_of(shards)) for each, shards in source.shards.items()}
     sink.document(
         {
@@ -106,7 +104,7 @@ def verify(
     *,
     name: str = TOUCH_SET,
     split: str | None = SPLIT,
-    revision: str | None = REVISION,
+    opening: Opening,
     quick: bool = switch(False, help="Read only the headers of images; decode none."),
     workers: int = WORKERS,
     sink: Sink,
@@ -117,7 +115,7 @@ def verify(
 
     Example: realtouch verify real-single-64x64 --split test
     """
-    result = _verified(sink, name, split, revision, workers, quick=quick)
+    result = _verified(sink, opening.open(sink, name), split, workers, quick=quick)
     findings = list(map(asdict, result.findings))
     counts_of = {"rounds": result.rounds, "touches": result.touches}
     unprotected = list(result.unprotected)
@@ -134,7 +132,7 @@ def verify(
 
 
 @command(app)
-def reproduce(*, name: str = TOUCH_SET, revision: str | None = REVISION, sink: Sink) -> None:
+def reproduce(*, name: str = TOUCH_SET, opening: Opening, sink: Sink) -> None:
     """Measure what the Tactile MNIST paper states about the real touches.
 
     Exit code 1 when something differs.
@@ -145,8 +143,9 @@ def reproduce(*, name: str = TOUCH_SET, revision: str | None = REVISION, sink: S
     from realtouch.dataset import dataset_of
     from realtouch.summary import paper_numbers
 
-    announce_fetching(sink, name, None)
-    source = Source.open(name, revision, None)
+    place = opening.open(sink, name)
+    announce_fetching(sink, place, None)
+    source = Source.open(place)
     numbers = paper_numbers({split: dataset_of(shards) for split, shards in source.shards.items()})
     sink.document([number.to_dict() for number in numbers])
     rows = [(each.what, each.paper, each.found, "yes" if each.agrees else "NO") for each in numbers]
@@ -156,13 +155,13 @@ def reproduce(*, name: str = TOUCH_SET, revision: str | None = REVISION, sink: S
 
 
 def _verified(
-    sink: Sink, name: str, split: str | None, revision: str | None, workers: int = 0, *, quick: bool
+    sink: Sink, place: Place, split: str | None, workers: int = 0, *, quick: bool
 ) -> TouchVerification:
     from realtouch.verification import verify as check
 
     count = process_count(workers)
     with sink.progress("checking", "rounds") as update:
-        return check(name, split, revision=revision, quick=quick, workers=count, on_progress=update)
+        return check(place, split, quick=quick, workers=count, on_progress=update)
 
 
 def _require_intact(sink: Sink, result: TouchVerification, name: str) -> None:
@@ -303,6 +302,7 @@ def _add(name: str, options_of: type, function: Callable[..., Manifest], nouns: 
     def convert(
         *,
         source: str = TOUCH_SET,
+        opening: Opening,
         former_out: str | None = text(argument=True, metavar="OUT", read=parse_address),
         out: str | None = text(
             name="--out -o", metavar="DIR", read=parse_address, help="Folder to write; required."
@@ -318,8 +318,9 @@ def _add(name: str, options_of: type, function: Callable[..., Manifest], nouns: 
         place = out or former_out
         if place is None:
             raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
-        make = partial(function, source, place, **_arguments(options), split=split, limit=limit)
-        announce_fetching(sink, source, split)
+        opened = opening.open(sink, source)
+        make = partial(function, opened, place, **_arguments(options), split=split, limit=limit)
+        announce_fetching(sink, opened, split)
         kind = replace(KIND, nouns=nouns)
         make_with_progress(sink, "converting", kind, make, work, place, print_set, KIND.nouns)
 
@@ -342,18 +343,12 @@ def _arguments(options: Any) -> dict[str, Any]:
     return found
 
 
-def announce_fetching(sink: Sink, name: str, split: str | None) -> None:
+def announce_fetching(sink: Sink, place: Place, split: str | None) -> None:
     """Print what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
-    from tactile_toolkit.catalog.locate import place_of
-    from tactile_toolkit.hub.repository import hub_name
-    from tactile_toolkit.store.files import expanded
-
-    place = place_of(name)
-    # A folder called USER/NAME that is here comes before the repository of that name, as in `load`.
-    if hub_name(place) is None or expanded(place).exists():
+    if place.repository is None:
         return
     part = f"the files of split {split!r}" if split else "the files of all splits (--split takes one)"
-    sink.info(f"{place}: fetching from the Hub what is not here yet of {part}")
+    sink.info(f"{place.repository.repo_id}: fetching from the Hub what is not here yet of {part}")
 
 
 def import_touches(

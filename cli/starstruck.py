@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from cli.application import command, new_app, run
 from cli.folders import Geometry
 from cli.making import generate_set, least_to_most, print_set
-from cli.options import Making, argument, out_folder
+from cli.options import Making, Opening, argument, out_folder
 from cli.output import Sink, bytes_text
 from cli.products import Pictures
 from cli.shared import add_shared
@@ -89,7 +89,7 @@ def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, ela
     print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
 
 
-def _check(paths: Sequence[str], *options: Any, on_progress: Callable[[int, int], None]) -> list[Checked]:
+def _check(paths: Sequence[Any], *options: Any, on_progress: Callable[[int, int], None]) -> list[Checked]:
     from starstruck_gen.validate import validate_folder
 
     return [validate_folder(path, *options, on_progress=on_progress) for path in paths]
@@ -101,6 +101,7 @@ _CHECKS = Geometry("scenes", _check)
 def _preview(
     *,
     path: str = argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
+    opening: Opening,
     spec: ScenePreviewSpec,
     pictures: Pictures,
     sink: Sink,
@@ -111,7 +112,7 @@ def _preview(
     """
     from starstruck_gen.previews import plan_previews
 
-    pictures.write(sink, plan_previews(path, spec))
+    pictures.write(sink, plan_previews(opening.open(sink, path), spec))
 
 
 add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)

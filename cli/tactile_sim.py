@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from cli.application import OptionsOf, command, new_app, run
 from cli.folders import Objects
 from cli.making import generate_set, print_set
-from cli.options import Making, argument, local_out_folder, local_place, out_folder
+from cli.options import Making, Opening, argument, local_out_folder, local_place, out_folder
 from cli.output import Sink, bytes_text
 from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
@@ -38,6 +38,7 @@ _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".
 def generate(
     *,
     objects: str = argument("DIR|NAME", "Digits, scenes or other meshes: folder, file or Hub id."),
+    opening: Opening,
     chosen: Chosen,
     out: str = out_folder("touches"),
     plan: Annotated[dict[str, Any], OptionsOf(TouchPlan)],
@@ -63,7 +64,7 @@ def generate(
     spec = _noted(sink, picture, GenerateSpec.of(picture, TouchPlan(**plan), **given))
     if not making.dry_run:
         prepare_batch_process()
-    touches = TouchMaking.of(objects, spec)
+    touches = TouchMaking.of(opening.open(sink, objects), spec)
     require = partial(touches.refuse_sources, objects, out)
     generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
 

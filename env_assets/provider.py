@@ -22,12 +22,12 @@ from mnist3d.kind import KIND as DIGITS
 from mnist3d.loader import MeshDataset
 from starstruck_gen.kind import KIND as SCENES
 from starstruck_gen.loader import SceneMeshDataset
-from tactile_toolkit.catalog.locate import find_shards, kind_of_meshes, splits_of
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
+from tactile_toolkit.places.place import kind_of_rows, open_place
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.store.files import expanded, locked, named_failures, path_exists
@@ -220,12 +220,11 @@ class AssetProvider:
             As :meth:`meshes`.
         """
         from realtouch.opening import load
-        from tactile_toolkit.catalog.locate import place_of
 
         name = fspath(name)
         opened = self._opened.get(("touches", name, split))
         if opened is None:
-            place = place_of(self._place(name))
+            place = self._place(name)
             # By commit and not by branch: rounds stay as they were when a user pushes meanwhile.
             opened = load(place, split, revision=self._commit_of(place))
             opened = self._opened.setdefault(("touches", name, split), opened)
@@ -327,7 +326,7 @@ class AssetProvider:
     def _shards(self, name: str, split: str) -> tuple[Shard, ...]:
         place = self._place(name)
         try:
-            return find_shards(place, split, revision=self._commit_of(place))
+            return open_place(place, revision=self._commit_of(place)).shards(split)
         except (InputError, IntegrityError) as error:  # the latter of killed runs too, which continue
             if name not in KINDS or name in self._places:
                 raise
@@ -344,11 +343,11 @@ class AssetProvider:
         with locked(lock):
             try:
                 # Another process may have made it while this one waited.
-                return find_shards(place, split)
+                return open_place(place).shards(split)
             except (InputError, IntegrityError):
                 _LOG.info("making split %r of %s in %s", split, name, place)
                 recipe.make(place, split, self._workers)
-        return find_shards(place, split)
+        return open_place(place).shards(split)
 
     def _refuse_missing(self, error: InputError, name: str, split: str, recipe: Recipe) -> None:
         """Refuse a split that a kind does not have, or one that is not to be made here."""
@@ -408,7 +407,7 @@ def _open_meshes(shards: tuple[Shard, ...], name: str) -> MeshSet:
     import_module("pyarrow").array([0]).to_numpy()
     table = ShardedTable(shards)
     require_mesh_columns(table.schema, name, DIGITS.made_by)
-    kind, expected = kind_of_meshes(table.schema), KINDS.get(name)
+    kind, expected = kind_of_rows(table.schema), KINDS.get(name)
     names = class_names(table.schema, () if kind is None else kind.class_names)
     if expected is not None and kind is not expected and (kind is not None or expected.published):
         raise InputError(
@@ -445,7 +444,7 @@ def inventory(root: Path) -> list[dict[str, Any]]:
     found = []
     for place in sorted(each for each in root.iterdir() if each.is_dir() and not is_hidden(each.name)):
         try:
-            splits = splits_of(str(place))
+            splits = open_place(place).splits
         except InputError:  # some other folder: there are no Parquet files in it
             continue
         except ToolkitError as error:
@@ -462,12 +461,12 @@ def inventory(root: Path) -> list[dict[str, Any]]:
 
 
 def _measured(place: Path, split: str) -> dict[str, Any]:
-    shards = find_shards(str(place), split)
+    shards = open_place(place).shards(split)
     schema = ShardedTable(shards).schema
     # Only touches have the column; they are not opened, as no mesh is to be measured.
     if "pos_in_cell" in schema.names:
         return {"kind": "touches", "rows": sum(map(len, shards))}
-    kind, view = kind_of_meshes(schema), MeshView.of(_open_meshes(shards, str(place)))
+    kind, view = kind_of_rows(schema), MeshView.of(_open_meshes(shards, str(place)))
     found = {"kind": kind.name if kind else "meshes", "rows": len(view), "classes": view.label_names}
     if not len(view):
         return found

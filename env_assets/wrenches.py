@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from env_assets.wrench.kind import KIND
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.mesh.records import SolidDataset, SolidRecord, open_solids
+from tactile_toolkit.places.place import Name, Place, open_place
 
 
 class WrenchRecord(SolidRecord):
@@ -49,6 +49,7 @@ class WrenchDataset(SolidDataset[WrenchRecord]):
     things = "wrenches"
 
 
-def load(name: str, split: str = "train") -> WrenchDataset:
+def load(name: Name | Place, split: str = "train") -> WrenchDataset:
     """Open a folder, a Parquet file or a repository of the Hub; raises as ``AssetProvider.meshes``."""
-    return open_solids(find_shards(name, split), name, WrenchDataset, KIND)
+    place = open_place(name)
+    return open_solids(place.shards(split, kind=KIND), place.name, WrenchDataset, KIND)

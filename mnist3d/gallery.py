@@ -24,8 +24,7 @@ from tactile_toolkit.gallery.items import (
 )
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import WARNINGS, inspect
-from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.store.parquet import read_report
 from tactile_toolkit.wording import class_name
 
@@ -50,24 +49,25 @@ _MEASURES = (
 )
 
 
-def plan_gallery(name: str, chosen: Chosen = ALL_ROWS) -> Gallery:
+def plan_gallery(name: Name | Place, chosen: Chosen = ALL_ROWS) -> Gallery:
     """State what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
     # What the data set's own report says of each digit that is shown; nothing where it has none.
-    is_folder = expanded(name).is_dir()
-    has_report = is_folder and DataFolder(name).exists(REPORT_FILE)
+    place = open_place(name)
+    folder = place.folder
+    has_report = folder is not None and folder.exists(REPORT_FILE)
 
     def known(rows: MeshDataset, split: str) -> list[Mapping[str, Any] | None]:
         import pyarrow as pa
         import pyarrow.compute as pc
 
-        if not has_report:
+        if folder is None or not has_report:
             return [None] * len(rows)
-        report = read_report(DataFolder(name), REPORT_FILE)
+        report = read_report(folder, REPORT_FILE)
         chosen = pc.and_(pc.equal(report["split"], split), pc.is_in(report["id"], pa.array(rows.ids)))
         found = {row["id"]: row for row in report.filter(chosen).to_pylist()}
         return [found.get(number) for number in rows.ids.tolist()]
 
-    return gallery_of_rows(KIND, name, chosen, "3D digits", _FACETS, _MEASURES, _item, _ROWS_PER_TASK, known)
+    return gallery_of_rows(KIND, place, chosen, "3D digits", _FACETS, _MEASURES, _item, _ROWS_PER_TASK, known)
 
 
 def _item(record: MeshRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None) -> Item:

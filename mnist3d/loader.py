@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 
 from mnist3d.kind import KIND
 from mnist3d.sources import NO_WRITER
-from tactile_toolkit.catalog.locate import find_shards, place_of
 from tactile_toolkit.mesh.mesh import MM_PER_M
 from tactile_toolkit.mesh.records import RecordStream, SolidDataset, SolidRecord, open_solids
+from tactile_toolkit.places.place import Name, Place, open_place
 
 
 class MeshRecord(SolidRecord):
@@ -78,24 +78,44 @@ class MeshStream(RecordStream[MeshRecord]):
 
 @overload
 def load(
-    name: str, split: str | None = None, *, streaming: Literal[False] = False, revision: str | None = None
+    name: Name | Place,
+    split: str | None = None,
+    *,
+    streaming: Literal[False] = False,
+    revision: str | None = None,
+    config: str | None = None,
 ) -> MeshDataset: ...
 @overload
 def load(
-    name: str, split: str | None = None, *, streaming: Literal[True], revision: str | None = None
+    name: Name | Place,
+    split: str | None = None,
+    *,
+    streaming: Literal[True],
+    revision: str | None = None,
+    config: str | None = None,
 ) -> MeshStream: ...
 @overload
 def load(
-    name: str, split: str | None = None, *, streaming: bool = False, revision: str | None = None
+    name: Name | Place,
+    split: str | None = None,
+    *,
+    streaming: bool = False,
+    revision: str | None = None,
+    config: str | None = None,
 ) -> MeshDataset | MeshStream: ...
 def load(
-    name: str, split: str | None = None, *, streaming: bool = False, revision: str | None = None
+    name: Name | Place,
+    split: str | None = None,
+    *,
+    streaming: bool = False,
+    revision: str | None = None,
+    config: str | None = None,
 ) -> MeshDataset | MeshStream:
     """Open a data set of 3D digits.
 
     Parameters
     ----------
-    name : str
+    name : str or path
         A folder written by ``mnist3d generate``, a Parquet file, or a repository of the Hub with the columns
         of MNIST 3D: ``USER/NAME``, or ``mnist3d`` for the published one.
     split : str, optional
@@ -105,6 +125,8 @@ def load(
         random access.
     revision : str, optional
         Branch, tag or commit of a Hub repository.
+    config : str, optional
+        Configuration, of a data set whose card has several.
 
     Returns
     -------
@@ -114,11 +136,12 @@ def load(
     Raises
     ------
     InputError
-        No such folder or split, several splits and none named, or the columns are not those of MNIST 3D.
+        No such folder or split, several splits and none named, another kind, or no columns of MNIST 3D.
     IntegrityError
         The data set is damaged or unfinished.
     HubError
         The repository cannot be reached or does not exist.
     """
-    shards = find_shards(place_of(name), split, revision=revision, streaming=streaming)
-    return open_solids(shards, name, MeshDataset, KIND, MeshStream if streaming else None)
+    place = open_place(name, revision=revision, config=config)
+    shards = place.shards(split, kind=KIND, streaming=streaming)
+    return open_solids(shards, place.name, MeshDataset, KIND, MeshStream if streaming else None)

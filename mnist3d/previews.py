@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,6 +44,7 @@ from tactile_toolkit.pictures.sheets import (
     sheet,
     with_scale_bar,
 )
+from tactile_toolkit.places.place import Name, Place
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.names import is_remote
 from tactile_toolkit.wording import class_name, counted
@@ -65,30 +67,36 @@ _TILE_PX = 132
 _VIEW_PX = 520
 
 
-def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
+def plan_previews(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
     """Decide which pictures of a data set, a mesh file or an image of a digit to draw; draws none.
 
     Kinds are sheet and steps. InputError as
     :class:`~tactile_toolkit.pictures.previews.MeshPreviews`, and where a file cannot be read; IntegrityError
     where the data set is damaged or unfinished.
     """
+    if isinstance(name, Place) or not is_picture_or_mesh(fspath(name)):
+        return _plan_set(name, spec)
+    name = fspath(name)
     path = expanded(name)
     ending = path.suffix.lower()
-    if is_remote(name) or not path.is_file() or ending == ".parquet":
-        return _plan_set(name, spec)
     if ending in FORMATS:
         mesh = read_mesh(path)
         return _plan_file("sheet", name, spec, partial(draw_mesh, mesh=mesh, title=path.name))
-    if ending in _IMAGES:
-        from mnist3d.sources.canvas import fit
-        from mnist3d.sources.folder import read_picture
+    from mnist3d.sources.canvas import fit
+    from mnist3d.sources.folder import read_picture
 
-        # As the sources do: the numbers of the default specification are for sheets of 500 px.
-        pixels = fit(read_picture(path))
-        draw = partial(draw_steps, pixels=pixels, spec=SolidSpec(), title=path.name)
-        return _plan_file("steps", name, spec, draw)
-    known = ", ".join((".parquet", *FORMATS, *_IMAGES))
-    raise InputError(f"{name!r} ends in {ending!r}; expected a folder, or a file ending in one of {known}")
+    # As the sources do: the numbers of the default specification are for sheets of 500 px.
+    pixels = fit(read_picture(path))
+    draw = partial(draw_steps, pixels=pixels, spec=SolidSpec(), title=path.name)
+    return _plan_file("steps", name, spec, draw)
+
+
+def is_picture_or_mesh(name: str) -> bool:
+    """Return whether a name is that of a single picture or mesh on this machine, and of no data set."""
+    if is_remote(name):
+        return False
+    path = expanded(name)
+    return path.suffix.lower() in (*FORMATS, *_IMAGES) and path.is_file()
 
 
 def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixels]) -> PicturePlan:
@@ -106,7 +114,7 @@ def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixel
     return PicturePlan((PlannedPicture(f"{file_stem(name)}-{kind}.png", Path(name).name, draw),))
 
 
-def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
+def _plan_set(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
     opened: MeshPreviews[MeshDataset] = MeshPreviews(KIND, name, spec)
     names = opened.chosen[0][1].label_names
 
@@ -115,10 +123,10 @@ def _plan_set(name: str, spec: PreviewSpec) -> PicturePlan:
 
     def plan_steps() -> list[PlannedPicture]:
         if "source" not in opened.made_by:
-            raise InputError(f"{name!r} does not name the source of its images")
+            raise InputError(f"{opened.name!r} does not name the source of its images")
         given = spec if isinstance(spec, DigitPreviewSpec) else DigitPreviewSpec()
         files = {"images": given.images, "writer_info": given.writer_info}
-        with specification_read(name):
+        with specification_read(opened.name):
             places = {option: None if path is None else str(path) for option, path in files.items()}
             source = source_again(opened.made_by["source"], **places)
             solid = SolidSpec.from_dict(opened.made_by["solid"])

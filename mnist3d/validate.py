@@ -10,14 +10,16 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from mnist3d.kind import KIND
 from tactile_toolkit.catalog.choose import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.files import read_mesh
+from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
 from tactile_toolkit.mesh.records import FACES, VERTICES
+from tactile_toolkit.places.place import Place, open_place
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.store.names import is_remote, normalize_uri
+from tactile_toolkit.store.names import normalize_uri
 
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", VERTICES, FACES)
@@ -101,7 +103,7 @@ def _inspect_row(row: Row, profile: PrintProfile) -> PrintReport:
 
 
 def validate_paths(
-    paths: Sequence[str],
+    paths: Sequence[str | Place],
     split: str | None = None,
     limit: int | None = None,
     workers: int = 1,
@@ -113,8 +115,8 @@ def validate_paths(
 
     Parameters
     ----------
-    paths : sequence of str
-        Folders of data sets, and STL, 3MF, PLY, OBJ or GLB files; one that cannot be read is reported so.
+    paths : sequence of str or Place
+        Data sets, and STL, 3MF, PLY, OBJ or GLB files; one that cannot be read is reported so.
     split, limit : optional
         Of folders only this split, and only the first so many rows of each.
     workers : int
@@ -127,19 +129,17 @@ def validate_paths(
     Raises
     ------
     InputError
-        A path does not exist, or is a folder without a data set.
+        A path does not exist, or is no data set of digits or other meshes.
     IntegrityError
         A shard is damaged, or the run that makes a data set is not finished.
     """
     profile = profile or PrintProfile()
     # All names are looked at first: a typing error should not show after an hour of checking.
-    missing = [path for path in paths if not is_remote(path) and not Path(normalize_uri(path)).exists()]
-    if missing:
-        raise InputError(f"{missing[0]!r} does not exist; expected a data set folder or a mesh file")
+    opened = [path if _is_mesh_file(path) else open_place(path) for path in paths]
     results = []
-    for path in paths:
-        if is_remote(path) or Path(normalize_uri(path)).is_dir():
-            shards = shards_to_check(path, split, "mnist3d generate")
+    for path in opened:
+        if isinstance(path, Place):
+            shards = shards_to_check(path, split, KIND)
             rows = check_rows(
                 shards, partial(_inspect_row, profile=profile), _COLUMNS, limit, workers, on_progress
             )
@@ -157,5 +157,11 @@ def validate_paths(
             except InputError as error:
                 report = unreadable(str(error))
             items = [CheckedItem(Path(path).name, report)]
-        results.append(Checked(path, tuple(items)))
+        results.append(Checked(path.name if isinstance(path, Place) else path, tuple(items)))
     return results
+
+
+def _is_mesh_file(path: str | Place) -> bool:
+    return (
+        isinstance(path, str) and Path(path).suffix.lower() in FORMATS and Path(normalize_uri(path)).exists()
+    )

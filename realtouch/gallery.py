@@ -12,14 +12,12 @@ from numpy.typing import NDArray
 from realtouch.dataset import TouchDataset
 from realtouch.kind import KIND
 from realtouch.media import TouchClip, evenly_spaced
-from realtouch.opening import load
 from realtouch.rounds import Touch, TouchRound, TouchSeqRound
-from tactile_toolkit.catalog.choose import open_splits
-from tactile_toolkit.catalog.locate import place_of
 from tactile_toolkit.catalog.spec import ALL_ROWS, Chosen
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows, thumbnail
 from tactile_toolkit.mesh.mesh import MM_PER_M
+from tactile_toolkit.places.place import Name, Place
 from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
 from tactile_toolkit.wording import class_name
 
@@ -52,12 +50,10 @@ _MEASURES = (
 )
 
 
-def plan_gallery(
-    name: str, chosen: Chosen = ALL_ROWS, *, touches: int = DEFAULT_TOUCHES, revision: str | None = None
-) -> Gallery:
+def plan_gallery(name: Name | Place, chosen: Chosen = ALL_ROWS, *, touches: int = DEFAULT_TOUCHES) -> Gallery:
     """State what a gallery of rounds shows; reads labels and poses, no image and no clip.
 
-    At most ``touches`` of each round, evenly spaced; ``revision`` of a Hub repository.
+    At most ``touches`` of each round, evenly spaced.
 
     InputError: no such data set or split, or one that does not hold touches. IntegrityError: it is damaged or
     unfinished. HubError: the repository cannot be reached or does not exist.
@@ -76,14 +72,7 @@ def plan_gallery(
         least_m = [rule.min_height_m for rule in rows.contact_rules()]
         return [(touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
-    opened = open_splits(
-        place_of(name),
-        chosen.given()["split"],
-        lambda place, split: load(place, split, revision=revision),
-        KIND.nouns,
-        revision,
-    )
-    return gallery_of_rows(KIND, name, chosen, "Real touches", _FACETS, _MEASURES, _item, 1, known, opened)
+    return gallery_of_rows(KIND, name, chosen, "Real touches", _FACETS, _MEASURES, _item, 1, known)
 
 
 def _item(

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.contact import ContactHeight, contact_heights_m
+from realtouch.kind import KIND
 from realtouch.media import evenly_spaced, fitted, in_parallel
 from realtouch.opening import load
 from realtouch.rounds import Touch, TouchRound
@@ -27,6 +28,7 @@ from tactile_toolkit.pictures.sheets import (
     sheet,
     with_scale_bar,
 )
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.touch.contact import height_text
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.wording import counted
@@ -189,21 +191,22 @@ _TILE_PX = 160
 _PX_PER_MM = 7.0
 
 
-def plan_previews(name: str, spec: TouchPreviewSpec) -> PicturePlan:
+def plan_previews(name: Name | Place, spec: TouchPreviewSpec) -> PicturePlan:
     """Decide which pictures to draw of whatever :func:`realtouch.load` opens; draws none.
 
     Kinds are grid, overlay and strip. InputError: no such data set, split, round, touch or kind, nothing in
     it, or a strip of a set without clips. IntegrityError and HubError as :func:`realtouch.load`.
     """
-    dataset = load(name, spec.split, revision=spec.revision)
-    split = spec.split or "-".join(dataset.splits)
+    place = open_place(name).require(KIND, "preview").require_complete(spec.split)
+    split = place.split(spec.split)
+    dataset = load(place, split)
     if not len(dataset):
-        raise InputError(f"split {split!r} of {name!r} holds no round", next="choose another split")
+        raise InputError(f"split {split!r} of {place.name!r} holds no round", next="choose another split")
     number = spec.round_number
     if not 0 <= number < len(dataset):
         raise InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
     record = dataset[number]
-    stem = "-".join(filter(None, (file_stem(name), split)))
+    stem = "-".join(filter(None, (file_stem(place.name), split)))
 
     def planned(kind: str, what: str, draw: Callable[[], Pixels]) -> list[PlannedPicture]:
         return [PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tactile_toolkit.catalog.spec import ONE_SPLIT, REVISION
+from tactile_toolkit.catalog.spec import ONE_SPLIT
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import listed
@@ -118,4 +118,3 @@ class TouchPreviewSpec:
     split: str | None = ONE_SPLIT
     round_number: int = integer(0, name="--round", help="Round to draw, counted from 0.")
     touches: int = integer(32, 1, help="Number of touches in a grid.")
-    revision: str | None = REVISION

@@ -16,15 +16,15 @@ from realtouch.integrity import (
     modal_touch_count,
     stated_class_names,
 )
-from realtouch.opening import Name, open_shards, place_of
+from realtouch.kind import KIND
 from realtouch.tars import files_of_tar
 from tactile_toolkit.cards.card import check_card
-from tactile_toolkit.catalog.locate import folder_named, splits_of
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import typed
 from tactile_toolkit.store.origin import read_record
 from tactile_toolkit.store.parquet import open_parquet
@@ -60,10 +60,9 @@ class TouchVerification:
 
 
 def verify(
-    name: Name | Sequence[Name],
+    name: Name | Place | Sequence[Name],
     split: str | None = None,
     *,
-    revision: str | None = None,
     quick: bool = False,
     workers: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -76,8 +75,6 @@ def verify(
         What :func:`realtouch.load` opens.
     split : str, optional
         Only this split; all of a folder, or train and test, by default.
-    revision : str, optional
-        Revision of a Hub repository.
     quick : bool
         Read the headers of images and frames instead of decoding them.
     workers : int
@@ -90,9 +87,8 @@ def verify(
     InputError
         Nothing of that name, or no data set of touches.
     """
-    place = place_of(name)
-    folder = folder_named(place) if isinstance(place, str) else None
-    manifest = None if folder is None else read_manifest(folder)
+    place = open_place(name).require(KIND, "verify")
+    folder, manifest = place.folder, place.manifest
     # Files of a folder of ours are held against its manifest and card, others against what the Hub said.
     has_checksums = folder is not None and (manifest is not None or read_record(folder) is not None)
     findings: list[Damage] = []
@@ -107,12 +103,11 @@ def verify(
             typed(operation, str, MANIFEST_FILE, "spec.operation")
         except IntegrityError as error:
             findings.append(Damage(MANIFEST_FILE, None, None, "", str(error)))
-    parts: Sequence[str] = ("train",)  # files come without a split
-    if isinstance(place, str):
-        parts = (split,) if split is not None else splits_of(place, revision=revision)
+    place.require_complete(split)
+    parts = (split,) if split is not None else place.splits
     splits = []
     for part in parts:
-        splits.append(agreeing_files(open_shards(place, part, revision=revision), str(name), findings))
+        splits.append(agreeing_files(place.shards(part), place.name, findings))
         findings += _lacking_columns(splits[-1])
     shards = [shard for files in splits for shard in files]
     total, rounds, touches = sum(map(len, shards)), 0, 0
@@ -127,14 +122,11 @@ def verify(
                 with suppress(InputError, IntegrityError):
                     touches += row.touch_total()
                 on_progress(rounds, total)
-    # Files of the Hub were compared when they came.
-    given = (place,) if isinstance(place, str) else place
+    fetched = place.fetched_paths()  # compared when they came
     unprotected = [
         shard.path
         for shard in shards
-        if not has_checksums
-        and any(each == shard.path or folder_named(each) is not None for each in given)
-        and not has_page_checksums(*split_uri(shard.path))
+        if not (has_checksums or shard.path in fetched) and not has_page_checksums(*split_uri(shard.path))
     ]
     return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
 

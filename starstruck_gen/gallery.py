@@ -24,6 +24,7 @@ from tactile_toolkit.gallery.items import (
     thumbnail,
 )
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.places.place import Name, Place
 
 _ROWS_PER_TASK = 32
 _OPAQUE_FROM = 150  # levels darker than the plate, as the fill of every object is
@@ -45,7 +46,7 @@ _MEASURES = (
 )
 
 
-def plan_gallery(name: str, chosen: Chosen = ALL_ROWS) -> Gallery:
+def plan_gallery(name: Name | Place, chosen: Chosen = ALL_ROWS) -> Gallery:
     """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
     return gallery_of_rows(KIND, name, chosen, "Starstruck scenes", _FACETS, _MEASURES, _item, _ROWS_PER_TASK)
 

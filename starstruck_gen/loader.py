@@ -18,9 +18,9 @@ from starstruck_gen.placement import Placement, SceneMeshes, build_meshes
 from starstruck_gen.sampling import MOST_SCENES, sample_scenes, scene_id, scene_seed
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.catalog.locate import find_shards, place_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.records import FACES, VERTICES, RecordStream, SolidRecord, open_solids
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.columns import RaggedColumn, RowGroup, column_names
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
@@ -127,24 +127,44 @@ class SceneMeshDataset(RecordDataset[SceneRecord]):
 
 @overload
 def load(
-    name: str, split: str | None = None, *, streaming: Literal[False] = False, revision: str | None = None
+    name: Name | Place,
+    split: str | None = None,
+    *,
+    streaming: Literal[False] = False,
+    revision: str | None = None,
+    config: str | None = None,
 ) -> SceneMeshDataset: ...
 @overload
 def load(
-    name: str, split: str | None = None, *, streaming: Literal[True], revision: str | None = None
+    name: Name | Place,
+    split: str | None = None,
+    *,
+    streaming: Literal[True],
+    revision: str | None = None,
+    config: str | None = None,
 ) -> RecordStream[SceneRecord]: ...
 @overload
 def load(
-    name: str, split: str | None = None, *, streaming: bool = False, revision: str | None = None
+    name: Name | Place,
+    split: str | None = None,
+    *,
+    streaming: bool = False,
+    revision: str | None = None,
+    config: str | None = None,
 ) -> SceneMeshDataset | RecordStream[SceneRecord]: ...
 def load(
-    name: str, split: str | None = None, *, streaming: bool = False, revision: str | None = None
+    name: Name | Place,
+    split: str | None = None,
+    *,
+    streaming: bool = False,
+    revision: str | None = None,
+    config: str | None = None,
 ) -> SceneMeshDataset | RecordStream[SceneRecord]:
     """Open a data set of scenes.
 
     Parameters
     ----------
-    name : str
+    name : str or path
         A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub with the
         columns of Starstruck: ``USER/NAME``, or ``starstruck`` for the published one.
     split : str, optional
@@ -154,6 +174,8 @@ def load(
         random access.
     revision : str, optional
         Branch, tag or commit of a Hub repository.
+    config : str, optional
+        Configuration, of a data set whose card has several.
 
     Returns
     -------
@@ -163,14 +185,15 @@ def load(
     Raises
     ------
     InputError
-        No such folder or split, several splits and none named, or the columns are not those of Starstruck.
+        No such folder or split, several splits and none named, another kind, or no columns of Starstruck.
     IntegrityError
         The data set is damaged or unfinished.
     HubError
         The repository cannot be reached or does not exist.
     """
-    shards = find_shards(place_of(name), split, revision=revision, streaming=streaming)
-    return open_solids(shards, name, SceneMeshDataset, KIND, RecordStream if streaming else None)
+    place = open_place(name, revision=revision, config=config)
+    shards = place.shards(split, kind=KIND, streaming=streaming)
+    return open_solids(shards, place.name, SceneMeshDataset, KIND, RecordStream if streaming else None)
 
 
 DEFAULT_SIZE = 300_000

@@ -16,18 +16,19 @@ from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.pictures.previews import MeshPreviews, draw_by_class
 from tactile_toolkit.pictures.render import relief_of
 from tactile_toolkit.pictures.sheets import PicturePlan, Pixels, Tile, plan_kinds
+from tactile_toolkit.places.place import Name, Place
 from tactile_toolkit.wording import counted
 
 _TILE_PX = 150
 
 
-def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
+def plan_previews(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
     """Decide which pictures of a folder or Parquet file of scenes to draw; draws none.
 
     Raises InputError where there is nothing to draw, or an option does not fit what is there.
     """
     opened: MeshPreviews[SceneMeshDataset] = MeshPreviews(KIND, name, spec)
-    with specification_read(name):
+    with specification_read(opened.name):
         made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else SceneSpec()
 
     def sheet_of(rows: SceneMeshDataset, title: str) -> Pixels:

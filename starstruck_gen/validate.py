@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -19,6 +18,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.records import FACES, VERTICES
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.columns import class_names, column_names
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.wording import counted
@@ -85,7 +85,7 @@ class Checked:
 
 
 def validate_folder(
-    path: str | os.PathLike[str],
+    name: Name | Place,
     split: str | None = None,
     limit: int | None = None,
     workers: int = 1,
@@ -98,8 +98,8 @@ def validate_folder(
     scenes done and in all. Raises InputError where there is no data set of scenes, and IntegrityError where a
     shard is damaged or the run that makes the data set is not finished.
     """
-    path = os.fspath(path)
-    shards = shards_to_check(path, split, "starstruck generate")
+    place = open_place(name)
+    shards = shards_to_check(place, split, KIND)
     names = {shard.path: class_names(shard.schema, KIND.class_names) for _, shard in shards}
     rows = check_rows(
         shards,
@@ -118,7 +118,7 @@ def validate_folder(
         else:
             failures.append(Failure(row.split, _NO_ID if row.id is None else row.id, problem))
     declares = any("placements" in column_names(shard.schema) for _, shard in shards)
-    return Checked(path, len(rows), bodies, stars, tuple(failures), declares)
+    return Checked(place.name, len(rows), bodies, stars, tuple(failures), declares)
 
 
 def _prove(

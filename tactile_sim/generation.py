@@ -8,7 +8,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache, partial
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any, Literal, Unpack
 
 import numpy as np
@@ -32,14 +31,14 @@ from tactile_sim.pressing import (
 from tactile_sim.spec import WINDOWS, PictureOptions, TouchPlan, current_window, window_option
 from tactile_toolkit import making
 from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.catalog.locate import place_of, refuse_source, splits_of
+from tactile_toolkit.catalog.locate import refuse_source
 from tactile_toolkit.catalog.spec import IdChoice
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.files import FORMATS
 from tactile_toolkit.mesh.mesh import MeshLike
 from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.store.build import RunOptions
 from tactile_toolkit.store.files import expanded
 from tactile_toolkit.store.folder import DataFolder
@@ -198,18 +197,12 @@ class TouchMaking(making.Making):
     kind = KIND
 
     @classmethod
-    def of(cls, source: str | os.PathLike[str], spec: GenerateSpec) -> TouchMaking:
+    def of(cls, source: Name | Place, spec: GenerateSpec) -> TouchMaking:
         """Look at the source; InputError for one that cannot be touched, or a plan that names no object."""
-        name = os.fspath(source)
-        if Path(name).suffix.lower() in FORMATS:
-            raise InputError(
-                f"{name!r} is a single mesh; expected a data set of solids",
-                next="`tactile-sim render` for a look at one mesh, or `tactile_sim.render_touch` in Python",
-            )
         make_optics(spec.optics, spec.weights)  # what is missing is reported before anything is written
-        place = place_of(name)
-        splits = {split: open_split(place, split) for split in splits_of(place)}
-        _require_known_objects(name, splits, spec)
+        place = open_place(source).require_complete()
+        splits = {split: open_split(place, split) for split in place.splits}
+        _require_known_objects(place.name, splits, spec)
         rows: dict[str, Any] = {split: range(len(each))[: spec.limit] for split, each in splits.items()}
         if any(value is not None for value in spec._chosen.values()):
             chosen = choose_rows(list(splits.items()), **spec._chosen, limit=spec.limit)

@@ -19,8 +19,10 @@ KIND = DatasetKind(
     package="realtouch",  # opens every data set in the schema of touches
     noun="round",
     nouns="rounds",
+    content="synthetic touches",
     made_by="tactile-sim generate",
     card_template="tactile_sim.md",
     write_card=lazy("tactile_sim.card:write_card"),
+    lacks=("validate", "export", "load"),
     loader=_loader,
 )

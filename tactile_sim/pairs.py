@@ -24,15 +24,10 @@ from tactile_sim.plan import content_fingerprint, key_of, open_split, plan_round
 from tactile_sim.pressing import Pressable, Sensor, center_view, full_view, render_touch
 from tactile_sim.spec import WINDOWS, PairsSpec, TouchPlan
 from tactile_toolkit import making
-from tactile_toolkit.catalog.locate import (
-    file_fingerprint,
-    find_shards,
-    place_of,
-    refuse_source,
-    require_manifest,
-)
+from tactile_toolkit.catalog.locate import file_fingerprint, refuse_source
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.records import SolidDataset
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.rows import column, plain_schema, row
 from tactile_toolkit.store.build import RunOptions
@@ -171,12 +166,13 @@ class Pairs:
     identity: str
 
     @classmethod
-    def open(cls, folder: str) -> Pairs:
+    def open(cls, folder: Name | Place) -> Pairs:
         """Open a folder; InputError for something else or an unfinished one, IntegrityError if damaged."""
-        manifest = require_manifest(KIND, DataFolder(folder))
+        place = open_place(folder).require(KIND, "train")
+        manifest = place.require_manifest(KIND)
         if manifest.spec.get("operation") != "pairs":
             raise InputError(
-                f"{folder!r} is not a training set; expected a folder that `tactile-sim pairs` made"
+                f"{place.name!r} is not a training set; expected a folder that `tactile-sim pairs` made"
             )
         try:
             options = manifest.spec["options"]
@@ -184,12 +180,11 @@ class Pairs:
             window = {former: name for name, former in WINDOWS.items()}[stored]
         except (KeyError, TypeError, ValueError) as error:
             raise IntegrityError(
-                f"the specification in {folder!r} does not state size and window of the pictures",
+                f"the specification in {place.name!r} does not state size and window of the pictures",
                 next="make the set again",
             ) from error
         depth, real = (
-            Domain(ShardedTable(find_shards(folder, split)), split == "depth", (width, height))
-            for split in SPLITS
+            Domain(ShardedTable(place.shards(split)), split == "depth", (width, height)) for split in SPLITS
         )
         # Content and order of the rows: what a training may continue with.
         checksums = "/".join(record.sha256 for split in SPLITS for record in manifest.shards_of(split))
@@ -222,7 +217,7 @@ class PairsMaking(making.Making):
     @classmethod
     def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsMaking:
         """Look at both sources; InputError for what is not of the right kind, or holds no mesh."""
-        solids = open_split(place_of(objects), split)
+        solids = open_split(open_place(objects), split)
         if not len(solids):
             raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
         touches = KIND.load(real, split)
@@ -234,7 +229,7 @@ class PairsMaking(making.Making):
         """Refuse to write into a source; ``objects`` is what that of the depth is called (InputError)."""
         folder = DataFolder(os.fspath(out))
         refuse_source(folder, objects, self.objects._table.shards)
-        refuse_source(folder, self.real, find_shards(place_of(self.real), self.split))
+        refuse_source(folder, self.real, open_place(self.real).shards(self.split))
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and sources."""
@@ -244,7 +239,7 @@ class PairsMaking(making.Making):
             "split": self.split,
             "source": {
                 "depth": list(map(content_fingerprint, self.objects._table.shards)),
-                "real": list(map(file_fingerprint, find_shards(place_of(self.real), self.split))),
+                "real": list(map(file_fingerprint, open_place(self.real).shards(self.split))),
             },
         }
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from tactile_sim.pressing import CELL_M, Pressable, pose, product, turn_quaternion
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
+from tactile_toolkit.places.place import Place
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.store.folder import split_uri
@@ -30,11 +30,11 @@ _SHIFT_M = 1e-3  # tactile-mnist 0.13.0, translation_perturbation_scale
 _SHIFT_RAD = 5e-2  # tactile-mnist 0.13.0, rotation_perturbation_scale
 
 
-def open_split(place: str, split: str) -> SolidDataset[Any]:
+def open_split(place: Place, split: str) -> SolidDataset[Any]:
     """Open a split of a data set of solids; InputError for a source without meshes."""
-    table = ShardedTable(find_shards(place, split))
-    require_mesh_columns(table.schema, place, "mnist3d generate")
-    return SolidDataset(table, label_names=class_names(table.schema, CLASS_NAMES, place))
+    table = ShardedTable(place.shards(split))
+    require_mesh_columns(table.schema, place.name, "mnist3d generate")
+    return SolidDataset(table, label_names=class_names(table.schema, CLASS_NAMES, place.name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

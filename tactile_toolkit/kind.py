@@ -14,8 +14,6 @@ from importlib import import_module
 from operator import attrgetter
 from typing import Any
 
-from tactile_toolkit.errors import InputError
-
 EXPORT, MERGE, SPLIT = "export", "merge", "split"
 """Operations, in a manifest, that made a copy: for other libraries, of several data sets, of some rows."""
 
@@ -101,6 +99,8 @@ class DatasetKind:
         Package whose ``load`` opens such data sets.
     noun, nouns : str
         What a row is called, and several: ``"digit"``, ``"digits"``.
+    content : str
+        What such a data set holds, in a word or two; ``nouns`` where that is enough.
     made_by : str
         Command that makes such folders, for messages.
     card_template : str
@@ -119,7 +119,11 @@ class DatasetKind:
     class_names : tuple of str
         Classes of the published data set, in order.
     columns : tuple of str
-        Columns that no other kind of meshes has; published data sets have none of them.
+        Columns that only rows of this kind have, by which they are recognised without a manifest.
+    splits : tuple of str
+        Splits that such data sets have, in order.
+    lacks : tuple of str
+        Shared commands that its command line does not have.
     published : tuple of PublishedSet
         The published data sets of this kind.
     extra_files : tuple of str
@@ -140,19 +144,26 @@ class DatasetKind:
     made_by: str
     card_template: str
     write_card: Callable[[Any, Any], None]
+    content: str = ""
     schema: Callable[[], Any] | None = None
     check: Callable[[Any, int], Iterable[Any]] | None = None
     needs_manifest: bool = True
     loader: Callable[[Any], str] | None = None
     class_names: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
+    splits: tuple[str, ...] = ()
+    lacks: tuple[str, ...] = ()
     published: tuple[PublishedSet, ...] = ()
     extra_files: tuple[str, ...] = ()
     plan_previews: Callable[..., Any] = _not_offered
     plan_gallery: Callable[..., Any] = _not_offered
     recipe: Callable[[int, int | None], Any] = _not_offered
 
-    def load(self, name: str, split: str) -> Any:
+    def __post_init__(self) -> None:
+        if not self.content:
+            object.__setattr__(self, "content", self.nouns)
+
+    def load(self, name: Any, split: str) -> Any:
         """Open a split as the kind's package does."""
         return import_module(self.package).load(name, split)
 
@@ -161,15 +172,9 @@ class DatasetKind:
         operation = None if manifest is None else manifest.spec.get("operation")
         return f"{self.command} {operation}" if operation else self.made_by
 
-    def refuse_other(self, manifest: Any, where: str) -> None:
-        """Raise InputError where a manifest names another kind; data without one may be of any."""
-        if manifest is None or manifest.kind == self.name:
-            return
-        commands = {each.name: f"`{each.command}`" for each in kinds()}
-        raise InputError(
-            f"{where!r} holds a data set of kind {manifest.kind!r}; expected one of {self.name!r}",
-            next=f"use {commands.get(manifest.kind, 'the package that made it')}",
-        )
+    def command_like(self, command: str) -> str:
+        """Return a command of this kind by its name, or the one that prints rows where it has none such."""
+        return "show" if command in self.lacks else command
 
     def schema_of(self, manifest: Any) -> Any:
         """Return the Arrow schema of every shard of a data set; None where it follows from a source."""

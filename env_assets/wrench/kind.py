@@ -16,5 +16,6 @@ KIND = DatasetKind(
     schema=lazy("env_assets.wrench.making:wrench_schema"),
     class_names=("wrench",),
     columns=("opening_mm",),
+    lacks=("info", "validate", "preview", "card", "upload", "download", "gallery", "list", "load"),
     recipe=lazy("env_assets.wrench.making:wrench_recipe"),
 )

@@ -63,6 +63,7 @@ from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from realtouch.video import write_avi
 from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.places.place import Name, Place
 from tactile_toolkit.read.columns import class_names, column_types
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
@@ -85,7 +86,7 @@ _INDEX_ROWS = 16
 
 
 def clips_to_images(
-    source: str | PathLike[str],
+    source: Name | Place,
     out: str | PathLike[str],
     frame: str = "contact_end",
     **job: Unpack[JobOptions],
@@ -147,7 +148,7 @@ def clips_to_images(
 
 
 def resize(
-    source: str | PathLike[str],
+    source: Name | Place,
     out: str | PathLike[str],
     width: int,
     height: int,
@@ -190,7 +191,7 @@ def resize(
 
 
 def select(
-    source: str | PathLike[str],
+    source: Name | Place,
     out: str | PathLike[str],
     *,
     contact: bool = False,
@@ -305,7 +306,7 @@ def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> i
 
 
 def frames(
-    source: str | PathLike[str],
+    source: Name | Place,
     out: str | PathLike[str],
     kind: Literal["png", "jpeg"] = "png",
     frame: str = "contact_end",

@@ -20,15 +20,15 @@ import pyarrow as pa
 from realtouch.card import origin_of, write_card
 from realtouch.columns import TouchRow
 from realtouch.dataset import dataset_of
-from realtouch.opening import open_shards, place_of
+from realtouch.kind import KIND
 from realtouch.schema import flat_schema, kind_of, require_types
 from tactile_toolkit.catalog.locate import (
     file_fingerprint,
     manifest_beside,
     refuse_source,
-    splits_of,
 )
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.columns import class_names, column_types
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
@@ -39,8 +39,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
-
-KIND = "realtouch"
 
 # What a worker may hold, unpacked.
 _SHARD_BYTES = 256 << 20
@@ -58,19 +56,20 @@ class Source:
     name: str
     shards: Mapping[str, tuple[Shard, ...]]
     kind: Kind
+    unfinished: str = ""
 
     @classmethod
-    def open(cls, name: str | PathLike[str], revision: str | None = None, split: str | None = None) -> Source:
+    def open(cls, name: Name | Place, split: str | None = None) -> Source:
         """Find the splits of a data set (or the one given), fetching them first where they are on the Hub.
 
         Reads footers. Raises as :func:`realtouch.load`.
         """
-        place = place_of(name := fspath(name))
-        splits = (split,) if split is not None else splits_of(str(place), revision=revision)
-        shards = {each: open_shards(place, each, revision=revision) for each in splits}
+        place = open_place(name).require_complete(split)
+        splits = (split,) if split is not None else place.splits
+        shards = {each: place.shards(each, kind=KIND) for each in splits}
         for found in shards.values():
             deque(in_threads(require_types, found, _READERS), maxlen=0)
-        return cls(name, shards, kind_of(shards[splits[0]][0].schema, name))
+        return cls(place.name, shards, kind_of(shards[splits[0]][0].schema, place.name), place.unfinished)
 
     @property
     def schema(self) -> pa.Schema:
@@ -277,7 +276,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
     is_flat = not any(name.endswith(".element") for name in media)
     per_page = None if is_flat else max(1, _PAGE_BYTES // source.media_bytes())
     return BuildPlan(
-        KIND,
+        KIND.name,
         spec,
         tuple(source.shards),
         tuple(tasks),
@@ -297,7 +296,7 @@ class JobOptions(RunOptions, total=False):
 
 
 def convert(
-    source: str | PathLike[str],
+    source: Name | Place,
     out: str | PathLike[str],
     plan: Callable[[Source, int | None], Conversion],
     *,
@@ -314,6 +313,8 @@ def convert(
     refuse_source(folder, opened.name, chain.from_iterable(opened.shards.values()))
     origin = origin_of(opened.schema, opened.manifest())
     # The terms are those of the source; columns of rounds say by themselves that they were rendered.
+    if opened.unfinished:
+        conversion = replace(conversion, options={**conversion.options, "unfinished": opened.unfinished})
     if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
         conversion = replace(conversion, options={**conversion.options, "touches": origin})
     return build(folder, plan_conversion(conversion), write_card=write_card, **run)

@@ -24,12 +24,14 @@ import pyarrow as pa
 
 from realtouch.card import write_card
 from realtouch.contact import require_method
-from realtouch.convert.plan import KIND, Conversion, JobOptions, Source, convert, first_rows
+from realtouch.convert.plan import Conversion, JobOptions, Source, convert, first_rows
 from realtouch.exchange.items import NUMBERED, Item, contents_of, require_intact
+from realtouch.kind import KIND
 from realtouch.poses import bad_pose
 from realtouch.spec import ImportColumns
 from tactile_toolkit.catalog.locate import refuse_source
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.places.place import Name, Place
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder
@@ -52,7 +54,7 @@ def format_of(layout: str, known: Sequence[str]) -> Any:
 
 
 def export(
-    source: str | PathLike[str],
+    source: Name | Place,
     out: str | PathLike[str],
     layout: Layout,
     *,
@@ -262,7 +264,9 @@ def _plan(
             return same and content.skipped == record.skipped
 
         every, libraries = tuple(tasks.values()), ("numpy", "pyarrow")
-        return BuildPlan(KIND, spec, tuple(rounds), every, style, is_current=is_current, libraries=libraries)
+        return BuildPlan(
+            KIND.name, spec, tuple(rounds), every, style, is_current=is_current, libraries=libraries
+        )
 
     return replace(plan_in(style), former=plan_in(first_style(style)))
 

@@ -19,14 +19,14 @@ from importlib.resources import files
 from pathlib import PurePosixPath
 from typing import Any
 
-from tactile_toolkit.catalog.locate import available_splits, find_shards
 from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.places.place import Place, folder_place
 from tactile_toolkit.read.columns import dtype_name, stored_features
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
-from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName
+from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
 from tactile_toolkit.wording import counted, printable, printable_json
 
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
@@ -74,19 +74,23 @@ class FolderFacts:
         return yaml_features(self.schema, first)
 
 
-def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> FolderFacts:
+def folder_facts(
+    folder: DataFolder, manifest: Manifest | None = None, place: Place | None = None
+) -> FolderFacts:
     """Return the facts of a folder: of each file what the manifest states, or else what its footer says.
 
-    ``manifest`` is one that is to be written there. The manifests of others, and of version 0.1.0, do not
-    state sizes. Raises InputError when the folder holds no Parquet files, and IntegrityError when one is
-    missing or damaged.
+    ``manifest`` is one that is to be written there, ``place`` what is known of a folder without one. The
+    manifests of others do not state sizes. Raises InputError when the folder holds no Parquet files, and
+    IntegrityError when one is missing or damaged.
     """
     manifest = manifest or read_manifest(folder)
     splits, recorded = [], manifest is not None
-    for split in available_splits(folder) if manifest is None else manifest.splits:
+    if manifest is None:
+        held = (place or folder_place(folder)).all_shards()
+    else:
+        held = {split: _recorded(folder, manifest.shards_of(split)) for split in manifest.splits}
+    for split, shards in held.items():
         records = () if manifest is None else manifest.shards_of(split)
-        shards = tuple(Shard(folder.address(each.shard.data_path), each.rows) for each in records)
-        shards = shards or find_shards(folder.address(), split)
         paths = tuple(shard.path.removeprefix(f"{folder.address()}/") for shard in shards)
         sizes: Iterable[Sequence[Any]] = [(each.rows, each.bytes, each.unpacked_bytes) for each in records]
         if not records or any(None in each for each in sizes):
@@ -97,6 +101,10 @@ def folder_facts(folder: DataFolder, manifest: Manifest | None = None) -> Folder
     if not splits:
         raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
     return FolderFacts(tuple(splits), splits[0].shards[0].schema, recorded, viewer_files(manifest))
+
+
+def _recorded(folder: DataFolder, records: Iterable[ShardRecord]) -> tuple[Shard, ...]:
+    return tuple(Shard(folder.address(each.shard.data_path), each.rows) for each in records)
 
 
 def _sizes(folder: DataFolder, file: tuple[Shard, str]) -> tuple[int, int, int]:

@@ -13,16 +13,16 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.catalog.locate import find_shards, folder_named, splits_of
 from tactile_toolkit.catalog.spec import IdChoice
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.records import require_mesh_columns
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.columns import null_fields
 from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import runner_for
 from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.names import is_remote, normalize_uri
 
 T = TypeVar("T")
@@ -30,19 +30,21 @@ D = TypeVar("D", bound=RecordDataset[Any])
 
 
 def open_splits(
-    name: str, split: str | None, load: Callable[[str, str], D], things: str, revision: str | None = None
+    place: Place, split: str | None, load: Callable[[Place, str], D], things: str
 ) -> dict[str, D]:
     """Open one split of a data set, or all of them; those without rows are left out.
 
-    ``load`` opens a split of a path; ``things`` is what the rows are, for messages, such as ``"digits"``.
-    InputError where the split does not exist, or is empty.
+    ``load`` opens a split; ``things`` is what the rows are, for messages, such as ``"digits"``. InputError
+    where the split does not exist, or is empty; IntegrityError where it is not finished.
     """
-    chosen = splits_of(name, revision=revision) if split is None else (split,)
-    opened = {each: load(name, each) for each in chosen}
+    place.require_complete(split)
+    chosen = place.splits if split is None else (split,)
+    opened = {each: load(place, each) for each in chosen}
     filled = {each: rows for each, rows in opened.items() if len(rows)}
     if not filled:
         raise InputError(
-            f"{', '.join(chosen)} of {name!r}: no {things}", next="generate some, or choose another split"
+            f"{', '.join(chosen)} of {place.name!r}: no {things}",
+            next="generate some, or choose another split",
         )
     return filled
 
@@ -121,22 +123,17 @@ class CheckedRow(Generic[T]):
     null_field: str = ""
 
 
-def shards_to_check(path: str, split: str | None, made_by: str) -> list[tuple[str, Shard]]:
-    """Return the files of a data set of meshes, each with its split; ``made_by`` writes such data sets.
+def shards_to_check(name: Name | Place, split: str | None, kind: DatasetKind) -> list[tuple[str, Shard]]:
+    """Return the files of a data set of meshes of a kind, each with its split.
 
     Raises InputError where there is none, IntegrityError where a shard is damaged or missing, or the run that
     makes the data set is under way or was interrupted: a check of the rest would pass for one of all.
     """
-    folder = folder_named(path) if split is None else None
-    so_far = None if folder is None else manifest_so_far(folder)
-    if so_far is not None and not so_far.complete:
-        raise IntegrityError(
-            f"the run that makes {path!r} is not finished", next="run the same command again, it continues"
-        )
-    splits = splits_of(path) if split is None else (split,)
-    shards = [(name, shard) for name in splits for shard in find_shards(path, name)]
+    place = open_place(name).require(kind, "validate").require_complete(split)
+    splits = place.splits if split is None else (split,)
+    shards = [(each, shard) for each in splits for shard in place.shards(each)]
     for _, shard in shards:
-        require_mesh_columns(shard.schema, path, made_by)
+        require_mesh_columns(shard.schema, place.name, kind.made_by)
     return shards
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Any, TypeAlias
 
-from tactile_toolkit.checked_fields import check_fields, integer, text
+from tactile_toolkit.checked_fields import check_fields, integer, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import listed
 
@@ -37,6 +37,8 @@ def parse_ids(text: str) -> list[int | tuple[int, int]]:
 SPLIT = text(metavar="NAME", help="Only this split; all by default.")
 ONE_SPLIT = text(metavar="NAME", help="Split to open; required if there are several.")
 REVISION = text(metavar="REV", help="Branch, tag or commit of a Hub data set.")
+CONFIG = text(metavar="NAME", help="Configuration, of a data set whose card has several.")
+INCOMPLETE = switch(False, help="Take the finished shards of a data set whose run is not finished.")
 IDS = text(name="--ids", metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids.")
 LABELS = text(metavar="3,7", read=listed, help="Only the objects of these classes.")
 LIMIT = integer(None, 1, optional=True, help="Only the first N rows of each split.")

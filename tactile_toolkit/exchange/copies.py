@@ -13,16 +13,12 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 import numpy as np
 
 from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.catalog.locate import (
-    file_fingerprint,
-    find_shards,
-    manifest_beside,
-    refuse_source,
-    splits_of,
-)
+from tactile_toolkit.catalog.locate import file_fingerprint, manifest_beside, refuse_source
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh.records import FACES, MESH, VERTICES, SolidDataset, flat_table
+from tactile_toolkit.places.layout import unknown_split
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.columns import class_names, column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.threads import in_threads
@@ -37,7 +33,7 @@ from tactile_toolkit.store.parquet import (
     open_checked,
     sha256_hex,
 )
-from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord, unknown_split
+from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -102,6 +98,7 @@ class _Source:
     spec: Mapping[str, Any] | None
     is_imported: bool
     shards: Mapping[str, tuple[Shard, ...]]
+    unfinished: str = ""
 
     @property
     def table(self) -> ShardedTable:
@@ -113,40 +110,41 @@ def _related_kinds(kind: DatasetKind) -> list[DatasetKind]:
     return [each for each in kinds() if each.package == kind.package]
 
 
-def _open_source(kind: DatasetKind, name: str) -> _Source:
-    shards = {split: find_shards(name, split) for split in splits_of(name)}
-    manifest = manifest_beside(next(iter(shards.values()))[0])
+def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source:
+    place = open_place(name).require(kind, command).require_complete()
+    manifest, shards = place.manifest, place.all_shards()
     if manifest is None:
-        return _Source(name, None, False, shards)
-    if manifest.kind not in [each.name for each in _related_kinds(kind)]:
-        kind.refuse_other(manifest, name)
+        return _Source(place.name, None, False, shards)
     if manifest.spec.get("operation") in ("export", "frames", "pairs"):
         raise InputError(
-            f"{name!r} was made by `{manifest.spec['operation']}` for other programs; expected {kind.nouns}",
+            f"{place.name!r} was made by `{manifest.spec['operation']}` for other programs; expected "
+            f"{kind.nouns}",
             next="give the data set that it was made of",
         )
     options = manifest.spec.get("options") or {}
     is_imported = manifest.spec.get("operation") == "import" or options.get("touches") == "imported"
-    return _Source(name, manifest.spec.get("source_spec", manifest.spec), is_imported, shards)
+    spec = manifest.spec.get("source_spec", manifest.spec)
+    return _Source(place.name, spec, is_imported, shards, place.unfinished)
 
 
-def merge_sets(kind: DatasetKind, names: Sequence[str], out: str, **run: Unpack[RunOptions]) -> Manifest:
+def merge_sets(
+    kind: DatasetKind, names: Sequence[Name | Place], out: str, **run: Unpack[RunOptions]
+) -> Manifest:
     """Make one data set of several, whose shards are copied byte for byte; ``run`` are options of ``build``.
 
     Raises InputError where they are of another kind, have other columns or classes, or an id in common.
     """
-    sources = [_open_source(kind, name) for name in names]
+    sources = [_open_source(kind, name, MERGE) for name in names]
+    listed = ", ".join(source.name for source in sources)
     schemas = [shards[0].schema for source in sources for shards in source.shards.values()]
     if not all(schema.equals(schemas[0], check_metadata=True) for schema in schemas):
-        raise InputError(
-            f"{', '.join(names)} have different columns or classes; expected data sets made alike"
-        )
+        raise InputError(f"{listed} have different columns or classes; expected data sets made alike")
     if "id" in schemas[0].names:
         ids = np.concatenate([source.table.column("id") for source in sources])
         values, counts = np.unique(ids, return_counts=True)
         if (counts > 1).any():
             raise InputError(
-                f"id {values[counts > 1][0]} stands twice in {', '.join(names)} ({(counts > 1).sum():,} such "
+                f"id {values[counts > 1][0]} stands twice in {listed} ({(counts > 1).sum():,} such "
                 "ids); expected each once",
                 next="`split` with --ids takes rows out of a data set",
             )
@@ -154,7 +152,7 @@ def merge_sets(kind: DatasetKind, names: Sequence[str], out: str, **run: Unpack[
 
 
 def divide(
-    kind: DatasetKind, name: str, fractions: Sequence[float], seed: int, chosen: Mapping[str, Any]
+    kind: DatasetKind, name: Name | Place, fractions: Sequence[float], seed: int, chosen: Mapping[str, Any]
 ) -> list[dict[str, NDArray[np.int64]]]:
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
@@ -162,12 +160,13 @@ def divide(
     without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose.choose_rows` takes for
     ``chosen``, and all others.
     """
-    datasets = {split: kind.load(name, split) for split in splits_of(name)}
+    place = open_place(name).require(kind, SPLIT).require_complete()
+    datasets = {split: kind.load(place, split) for split in place.splits}
     if not fractions:
         among = dict(chosen)
         only = among.pop("split", None)
         if only not in (None, *datasets):
-            raise unknown_split(only, tuple(datasets), name)
+            raise unknown_split(only, tuple(datasets), place.name)
         some = choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
         taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
         return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]
@@ -183,14 +182,14 @@ def divide(
 
 def write_part(
     kind: DatasetKind,
-    name: str,
+    name: Name | Place,
     rows: Mapping[str, NDArray[np.int64]],
     options: Mapping[str, Any],
     out: str,
     **run: Unpack[RunOptions],
 ) -> Manifest:
     """Write rows of a data set as one of the same kind; ``options`` are JSON values that say which."""
-    return _build(kind, [_open_source(kind, name)], rows, SPLIT, options, out, run)
+    return _build(kind, [_open_source(kind, name, SPLIT)], rows, SPLIT, options, out, run)
 
 
 def _build(
@@ -214,6 +213,7 @@ def _build(
         tasks += [_TakeRows(ShardName(split, index, len(parts)), *part) for index, part in enumerate(parts)]
     if not tasks:
         raise InputError(f"no row is left for {out!r}", next="choose a larger part")
+    options = {**options, **_unfinished(sources)}
     specs = [source.spec for source in sources]
     if any(source.is_imported for source in sources):
         options = {**options, "touches": "imported"}  # whose terms are those of their source
@@ -222,6 +222,12 @@ def _build(
     made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
     plan = _copy_plan(made, operation, options, found, source_spec, tasks, _style(shards[0]))
     return build(folder, plan, write_card=made.write_card, **run)
+
+
+def _unfinished(sources: Iterable[_Source | Place]) -> dict[str, str]:
+    """Return, for the specification of a copy, how much there was of the sources that were not finished."""
+    counts = [each.unfinished for each in sources if each.unfinished]
+    return {"unfinished": ", ".join(counts)} if counts else {}
 
 
 def _copy_plan(
@@ -275,7 +281,7 @@ class _WriteTable:
 
 
 def plan_tables(
-    kind: DatasetKind, name: str, choices: Choices, chosen: Mapping[str, Any], out: str
+    kind: DatasetKind, place: Place, choices: Choices, chosen: Mapping[str, Any], out: str
 ) -> BuildPlan:
     """Plan Parquet files of chosen rows of splits, which other libraries read.
 
@@ -296,9 +302,10 @@ def plan_tables(
         "labels": ",".join(chosen["labels"] or ()) or None,
         "limit": chosen["limit"],
         **({} if chosen["per_class"] is None else {"per_class": chosen["per_class"]}),
+        **_unfinished([place]),
     }
     every = [shard for found in shards.values() for shard in found]
-    refuse_source(DataFolder(out), name, every)
+    refuse_source(DataFolder(out), place.name, every)
     made = manifest_beside(every[0])
     source_spec = None if made is None else made.spec
     return _copy_plan(kind, EXPORT, options, shards, source_spec, tasks, _STYLE, "trimesh")

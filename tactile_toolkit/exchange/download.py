@@ -7,7 +7,7 @@ First everything is compared and nothing is changed (:func:`plan_download`); the
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import PurePosixPath
@@ -24,17 +24,18 @@ from tactile_toolkit.cards.facts import (
     viewer_files,
     with_head,
 )
-from tactile_toolkit.catalog.locate import hub_split, repository_named, repository_shards
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.hub.calls import not_cached
 from tactile_toolkit.hub.repository import HubRepository, open_repository
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.places.place import Place, repository_place
+from tactile_toolkit.places.published import repository_named
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import refuse_unknown_files
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, digest_like, read_record, write_record
-from tactile_toolkit.store.shards import shard_files
 
 # What is fitted to the splits that a folder gets.
 _METADATA_FILES = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
@@ -55,6 +56,8 @@ class DownloadPlan:
     ----------
     repository : HubRepository
         Where from.
+    held : dict of str to tuple of str
+        Files of each split of the repository.
     folder : DataFolder or None
         Where to; None for the Hub's own cache.
     splits : tuple of str
@@ -73,6 +76,7 @@ class DownloadPlan:
     """
 
     repository: HubRepository
+    held: Mapping[str, tuple[str, ...]]
     folder: DataFolder | None
     splits: tuple[str, ...]
     missing: tuple[HubFile, ...]
@@ -80,6 +84,12 @@ class DownloadPlan:
     is_done: bool
     record: DownloadRecord
     earlier: DownloadRecord | None
+
+    def require(self, kind: DatasetKind) -> None:
+        """Refuse a repository that is known to hold another kind; no file is fetched for that."""
+        place = Place(self.repository.repo_id, self.repository, self.held, self.repository.manifest)
+        if place.is_kind_stated:
+            place.require(kind, "download")
 
     @property
     def missing_bytes(self) -> int:
@@ -92,39 +102,48 @@ def plan_download(
     splits: Sequence[str] = (),
     *,
     revision: str | None = None,
+    config: str | None = None,
     out: str | None = None,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> DownloadPlan:
     """Find out what a download has to do; changes nothing in the target.
 
     ``name`` is a short name of a published set, or ``USER/NAME``; ``out`` a folder to fill instead of the
-    Hub's cache. No split named means all; splits that are in the folder already stay in step with them. A
+    Hub's cache; ``config`` a configuration, where the card has several. No split named means all; splits that
+    are in the folder already stay in step with them. A
     Hub in trouble is waited for; in place of one that stays silent the cache answers, but not for a folder.
     Raises InputError (not a repository, no such split, a user's own files in the folder),
     SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
     """
     named = repository_named(name, revision)
     repository = open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
-    return _plan(repository, splits, None if out is None else DataFolder(out))
+    place = repository_place(repository, repository.repo_id, config=config)
+    return _plan(repository, place.files, splits, None if out is None else DataFolder(out))
 
 
-def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder | None) -> DownloadPlan:
+def _plan(
+    repository: HubRepository,
+    held: Mapping[str, tuple[str, ...]],
+    splits: Sequence[str],
+    folder: DataFolder | None,
+) -> DownloadPlan:
+    """Compare a repository, with the files of each split that it holds, with what is here."""
     earlier = None if folder is None else _earlier_record(folder, repository)
     if folder is not None and repository.is_cache:  # which may list a part of the files only
         raise not_cached(repository.repo_id, "the present list of files")
     recorded = earlier.files if earlier else {}
-    manifest, shards = repository.manifest, repository_shards(repository)
+    manifest, place = repository.manifest, Place(repository.repo_id, repository, held)
     # Other tools write files of that name, too, which are not manifests.
     metadata = tuple(
         path for path in _METADATA_FILES if path in repository.remote and (path != MANIFEST_FILE or manifest)
     )
-    all_splits = manifest.splits if manifest else tuple(sorted({shard.split for shard in shards}))
-    wanted = {*splits, *(shard.split for shard in shard_files(recorded))} if splits else set(all_splits)
+    all_splits = place.splits
+    wanted = {*splits, *(each for each in all_splits if not recorded.keys().isdisjoint(held[each]))}
+    wanted = wanted if splits else set(all_splits)
     chosen = tuple(split for split in all_splits if split in wanted)
     paths = _accompanying_files(repository, chosen, metadata if folder is None else ())
-    # Of a repository without shards, the usual split is reported missing.
-    for split in dict.fromkeys([*chosen, *splits] or ["train"]):
-        paths += [file.path for file in hub_split(repository, shards, split)]
+    for split in dict.fromkeys([*chosen, *splits]):
+        paths += place.paths_of(split)
     names = names_inside(dict.fromkeys(paths), f"Hub data set {repository.repo_id!r}")
     files = {path: repository.file(path) for path in names}
 
@@ -147,7 +166,7 @@ def _plan(repository: HubRepository, splits: Sequence[str], folder: DataFolder |
     elif missing and repository.is_cache:
         raise not_cached(repository.repo_id, repr(missing[0].path))
     leftover = [path for path in recorded if path not in files]
-    return DownloadPlan(repository, folder, chosen, missing, leftover, is_done, record, earlier)
+    return DownloadPlan(repository, held, folder, chosen, missing, leftover, is_done, record, earlier)
 
 
 def _is_intact(folder: DataFolder, earlier: DownloadRecord | None, file: HubFile) -> bool:
@@ -230,7 +249,7 @@ def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambd
                 repository.on_wait(f"{error.what}; this download begins when that has ended")
                 stack.enter_context(folder.locked())
             if read_record(folder) != plan.earlier:  # another download was here, maybe of other splits
-                plan = _plan(repository, plan.splits, folder)
+                plan = _plan(repository, plan.held, plan.splits, folder)
             if not plan.is_done:
                 _execute(plan, folder, on_progress)
     return folder.address()
@@ -293,7 +312,8 @@ def _fitted_card(plan: DownloadPlan, folder: DataFolder, is_part: bool, card: st
     Shards and manifest must be in place.
     """
     # ``datasets.load_dataset(folder)`` fails over a split of the head that is not in the folder.
-    here = card_head(folder_facts(folder))
+    held = {split: plan.held[split] for split in plan.splits}
+    here = card_head(folder_facts(folder, place=Place(folder.address(), folder, held)))
     note = (
         f"\n> This folder holds {', '.join(f'`{split}`' for split in plan.splits)} of "
         f"`{plan.repository.repo_id}` (commit `{plan.record.commit[:12]}`); the text below describes "

@@ -18,12 +18,12 @@ from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, check_card, pictures_in, with_repo_name
 from tactile_toolkit.cards.facts import CROISSANT_FILE, configs, croissant_again, folder_facts, with_head
-from tactile_toolkit.catalog.locate import require_manifest
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.hub.calls import call_with_retry, page_of
 from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name, listing
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.places.place import folder_place
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import scratch_folder
 from tactile_toolkit.store.folder import DataFolder
@@ -154,7 +154,7 @@ def check_folder(kind: DatasetKind, folder: DataFolder, workers: int = 1) -> Ite
     if kind.check is not None:
         found: Iterable[Finding] = kind.check(folder, workers)
         return found
-    schema = kind.schema_of(require_manifest(kind, folder))
+    schema = kind.schema_of(folder_place(folder).require_manifest(kind))
     return verify(folder, schema, check_card=check_card, workers=workers).findings
 
 

@@ -17,13 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.catalog.choose import choose_rows, open_splits, short_name
-from tactile_toolkit.catalog.locate import require_kind
 from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import array_problem
 from tactile_toolkit.pictures.render import relief
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.dataset import RecordDataset
 
 if TYPE_CHECKING:
@@ -132,7 +132,7 @@ class Gallery:
 
 def gallery_of_rows(
     kind: DatasetKind,
-    name: str,
+    name: Name | Place,
     chosen: Chosen,
     title: str,
     facets: tuple[Facet, ...],
@@ -140,21 +140,18 @@ def gallery_of_rows(
     item: Callable[[Any, str, tuple[str, ...], Any], Item],
     rows_per_task: int,
     known: Callable[[Any, str], Sequence[Any]] = lambda rows, _: [None] * len(rows),
-    opened: Mapping[str, RecordDataset[Any]] | None = None,
 ) -> Gallery:
     """Plan a gallery of the rows that are chosen of some splits; see :class:`RowsTask` for ``item``.
 
-    ``known`` takes the chosen rows and their split, and says what is known of each beforehand. ``opened`` are
-    the splits, by default those that are chosen, as data of the kind.
+    ``known`` takes the chosen rows and their split, and says what is known of each beforehand.
 
     InputError: no such data set or split, or one of another kind. IntegrityError: it is damaged or
     unfinished. HubError: the repository cannot be reached or does not exist.
     """
     among = chosen.given()
     only = among.pop("split")
-    if opened is None:
-        opened = open_splits(name, only, kind.load, kind.nouns)
-        require_kind(kind, "gallery", name, opened.values())
+    place = open_place(name).require(kind, "gallery")
+    opened = open_splits(place, only, kind.load, kind.nouns)
     tasks: list[RowsTask] = []
     shown: dict[str, int] = {}
     for split, dataset, positions in choose_rows(opened.items(), **among):
@@ -164,7 +161,9 @@ def gallery_of_rows(
         for start in range(0, len(rows), rows_per_task):
             part = slice(start, start + rows_per_task)
             tasks.append(RowsTask(rows[part], split, item, tuple(given[part])))
-    heading = f"{title} · {short_name(name)}"
+    heading = f"{title} · {short_name(place.name)}"
+    if place.unfinished:
+        heading = f"{heading} (unfinished, {place.unfinished})"
     return Gallery(kind.name, heading, (kind.noun, kind.nouns), facets, measures, tuple(tasks), shown)
 
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 
 from tactile_toolkit.catalog.choose import choose_rows, open_splits
-from tactile_toolkit.catalog.locate import folder_named, require_kind
 from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.pictures.sheets import (
@@ -22,8 +21,8 @@ from tactile_toolkit.pictures.sheets import (
     sheet,
     with_scale_bar,
 )
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.wording import counted
 
 D = TypeVar("D", bound=RecordDataset[Any])
@@ -35,17 +34,16 @@ class MeshPreviews(Generic[D]):
     InputError where the split or id does not exist, the split is empty, or the data are of another kind.
     """
 
-    def __init__(self, kind: DatasetKind, name: str, spec: PreviewSpec) -> None:
-        self.things, self.stem = kind.nouns, file_stem(name)
+    def __init__(self, kind: DatasetKind, name: Name | Place, spec: PreviewSpec) -> None:
+        place = open_place(name).require(kind, "preview")
+        self.name, self.things, self.stem = place.name, kind.nouns, file_stem(place.name)
+        self.unfinished = place.unfinished
         among = spec.given()
-        datasets: dict[str, D] = open_splits(name, among.pop("split"), kind.load, kind.nouns)
-        require_kind(kind, "preview", name, datasets.values())
+        datasets: dict[str, D] = open_splits(place, among.pop("split"), kind.load, kind.nouns)
         if spec.ids:
             among["per_class"] = None
         self.chosen = choose_rows(datasets.items(), **among)
-        manifest = None if (folder := folder_named(name)) is None else read_manifest(folder)
-        # The specification in the manifest; empty where there is none.
-        self.made_by: Mapping[str, Any] = {} if manifest is None else manifest.spec
+        self.made_by = place.made_by
 
     def plan_sheets(self, draw: Callable[[D, str], Pixels]) -> list[PlannedPicture]:
         """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""
@@ -54,7 +52,10 @@ class MeshPreviews(Generic[D]):
             rows = dataset[found[np.argsort(dataset.labels[found], kind="stable")]]
             if len(rows):
                 what = f"{counted(len(rows), self.things)} of {split} from above"
-                drawing = partial(draw, rows, f"{self.stem}: {split}")
+                heading = f"{self.stem}: {split}"
+                if self.unfinished:
+                    heading = f"{heading} (unfinished, {self.unfinished})"
+                drawing = partial(draw, rows, heading)
                 planned.append(PlannedPicture(f"{self.stem}-{split}-sheet.png", what, drawing))
         return planned
 

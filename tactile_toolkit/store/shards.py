@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
-from pathlib import PurePosixPath
 from typing import Annotated, Any
 
 import msgspec
 
-from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store.folder import PENDING_FOLDER
-from tactile_toolkit.store.names import LARGEST, Count, Sha256, is_hidden
-from tactile_toolkit.wording import did_you_mean, natural_key, printable
+from tactile_toolkit.store.names import LARGEST, Count, Sha256
+from tactile_toolkit.wording import printable
 
 DAMAGED = "damaged"
 """Reason to leave an item out whose stored data is damaged."""
@@ -184,62 +182,3 @@ def add_up(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         else:
             total[name] = sum(values)
     return total
-
-
-@dataclass(frozen=True, slots=True)
-class ShardFile:
-    """A Parquet file and the split that it belongs to by its name."""
-
-    split: str
-    path: str
-
-
-def shard_files(paths: Iterable[str]) -> list[ShardFile]:
-    """Sort Parquet files by split: ``train-00000-of-00002.parquet``, or a split's bare name.
-
-    Files that are only numbered, as in the Hub's own conversions (``default/train/0000.parquet``), belong to
-    the split that their folder is called. The files of a split are in order of their numbers.
-    """
-    files = []
-    for path in paths:
-        file = PurePosixPath(path)
-        if file.suffix != ".parquet" or is_hidden(path) or file.parts[0] == "reports":
-            continue
-        shard = ShardName.parse(file.name)
-        if shard is not None:
-            split = shard.split
-        else:
-            split = re.split(r"[-.]", file.name)[0]
-            if split.isdigit() and file.parent.name not in ("", DATA_FOLDER):
-                split = file.parent.name
-        files.append(ShardFile(split, path))
-    return sorted(files, key=lambda file: (file.split, natural_key(file.path)))
-
-
-def files_of_split(files: list[ShardFile], split: str, where: str) -> list[ShardFile]:
-    """Return the files of one split.
-
-    Raises InputError when the split does not exist, and IntegrityError when some of its shards are absent:
-    a part of the rows must not pass for all.
-    """
-    chosen = [file for file in files if file.split == split]
-    if not chosen:
-        raise unknown_split(split, tuple(dict.fromkeys(file.split for file in files)), where)
-    names = [ShardName.parse(PurePosixPath(file.path).name) for file in chosen]
-    counts = {name.count for name in names if name is not None}
-    if len(counts) == 1 and None not in names and len(chosen) < max(counts):
-        raise IntegrityError(
-            f"{len(chosen)} of {max(counts)} shards of split {split!r} are in {where!r}, all were expected",
-            next="download or generate the data set again (with a network, if it is on the Hub)",
-        )
-    return chosen
-
-
-def unknown_split(split: str, known: tuple[str, ...], where: str) -> InputError:
-    """Return the error for a split that does not exist; ``known`` are those that do."""
-    if not known:
-        return InputError(
-            f"no Parquet files in {where!r}", next="give the folder or repository of a data set"
-        )
-    found = f"it has {', '.join(known)}{did_you_mean(split, known)}"
-    return InputError(f"no split {split!r} in {where!r}: {found}", next="choose one of them, or make it")

@@ -78,9 +78,6 @@ def test_errors_of_the_toolkit_are_a_line_and_an_exit_code():
 @pytest.mark.parametrize(
     "words",
     [
-        "mnist3d info NAME",
-        "mnist3d preview NAME",
-        "starstruck verify NAME",
         "starstruck generate --dry-run --out NAME",
         "env-assets info NAME",
         "env-assets wrench --dry-run --stl NAME.stl",

@@ -54,7 +54,7 @@ def test_a_run_without_a_finished_shard_says_so(tmp_path):
 
 
 def test_conversions_of_touches_name_themselves(tmp_path):
-    manifest = Manifest("touch-single", toolkit_version(), {"operation": "resize"}, SPLITS)
+    manifest = Manifest("realtouch", toolkit_version(), {"operation": "resize"}, SPLITS)
     write_manifest(DataFolder(str(tmp_path)), manifest)
     result = CliRunner().invoke(touches, ["info", str(tmp_path)])
     assert result.exit_code == 0, result.output

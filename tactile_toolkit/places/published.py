@@ -1,0 +1,73 @@
+"""The published data sets: by their short names, and what the Hub and its cache say of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.hub.repository import HubName, HubRepository, find_cached, hub_name, open_repository
+from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
+from tactile_toolkit.run.threads import in_threads
+from tactile_toolkit.wording import did_you_mean
+
+_LONGEST_SHOWN = 200
+_THREADS = 8
+
+
+def published_set(name: str) -> PublishedSet | None:
+    """Return a published set by its short name or its repository; None for any other name."""
+    entries = (entry for kind in kinds() for entry in kind.published)
+    return next((each for each in entries if name in (each.name, each.repo_id, *each.aliases)), None)
+
+
+def kind_of_published(name: str) -> DatasetKind | None:
+    """Return the kind of a published set by its short name or its repository; None for any other name."""
+    known = published_set(name)
+    return next((kind for kind in kinds() if known in kind.published), None)
+
+
+def repository_named(name: str, revision: str | None = None) -> HubName:
+    """Return the repository that a name, or the short name of a published set, means.
+
+    Raises InputError for other names, and for a part of a repository.
+    """
+    known = published_set(name)
+    named = named_on_hub(known.repo_id if known else name, revision)
+    if named.path:
+        raise InputError(
+            f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
+        )
+    return named
+
+
+def named_on_hub(name: str, revision: str | None) -> HubName:
+    """Return the repository, or the path in one, that a name means; InputError for any other name."""
+    named = hub_name(name, revision)
+    if named is None:
+        published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
+        lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))
+        shown = name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}..."
+        raise InputError(
+            f"{shown!r} does not exist; expected a folder, a Parquet file, a repository of the Hub "
+            f"(USER/NAME) or a published set{did_you_mean(name, published)}",
+            next=f"check the name (the published sets: {lists}), or make a data set",
+        )
+    return named
+
+
+def hub_states(
+    sets: Iterable[PublishedSet],
+) -> Iterator[tuple[HubRepository | None, HubRepository | None]]:
+    """Ask the Hub for all sets at once; yield what it says of each, and what its cache has.
+
+    None where the Hub gives no answer, and where nothing of the commit last looked at is in the cache.
+    """
+
+    def state(entry: PublishedSet) -> tuple[HubRepository | None, HubRepository | None]:
+        found = None
+        with suppress(ToolkitError):
+            found = open_repository(entry.repo_id)
+        return None if found is None or found.is_cache else found, find_cached(entry.repo_id)
+
+    return in_threads(state, sets, _THREADS)

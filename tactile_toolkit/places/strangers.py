@@ -1,0 +1,116 @@
+"""What a folder or file is that holds no data set, and which command takes it."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import PurePosixPath
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
+from tactile_toolkit.store.manifest import MANIFEST_FILE
+from tactile_toolkit.wording import counted
+
+_PARQUET_MARK = b"PAR1"
+_PICTURES = (
+    "avif bmp dib gif heic heif j2k jfif jp2 jpe jpeg jpg pgm png pnm ppm tga tif tiff webp".split()  # noqa: SIM905
+)
+_SOLIDS = ("3mf", "glb", "gltf", "obj", "off", "ply", "stl")
+_TABLES = ("arrow", "csv", "feather", "h5", "hdf5", "json", "jsonl", "npy", "npz", "tsv", "xlsx")
+_ARCHIVES = ("tar", "tgz", "zip")
+
+_PICTURE_STEP = (
+    "make digits of pictures with `mnist3d generate --source folder --images FOLDER`, or import touches with "
+    "`realtouch import FOLDER --format folder`"
+)
+_SOLID_STEP = "check meshes with `mnist3d validate FILE`, touch one with `tactile-sim render FILE`"
+_TAR_STEP = "import touches with `realtouch import FOLDER --format webdataset`"
+_ZARR_STEP = "import touches with `realtouch import FOLDER --format replay`"
+_PARQUET_STEP = "write the rows as Parquet files, or give the folder of a data set"
+
+# By the ending of a file: what it is, what several are, and the next step.
+_ENDINGS = {
+    **dict.fromkeys(_PICTURES, ("a picture", "pictures", _PICTURE_STEP)),
+    **dict.fromkeys(_SOLIDS, ("a mesh", "meshes", _SOLID_STEP)),
+    **dict.fromkeys(_TABLES, ("a table or an array", "tables or arrays", _PARQUET_STEP)),
+    **dict.fromkeys(_ARCHIVES, ("an archive", "archives", _TAR_STEP)),
+}
+# Files that only one kind of folder has: what it is, and the next step.
+_MARKS = {
+    ("dataset_dict.json", "state.json", "dataset_info.json"): (
+        "was written by `save_to_disk` of `datasets`",
+        "load it there (`datasets.load_from_disk`) and write each split with `to_parquet`",
+    ),
+    (".zgroup", ".zarray", ".zattrs", "zarr.json"): ("is a Zarr array or group", _ZARR_STEP),
+}
+_MOST_SHOWN = 3
+_MOST_LOOKED_AT = 10_000
+
+
+def is_parquet_file(folder: DataFolder, path: str) -> bool:
+    """Return whether a file begins as Parquet files do; an empty or cut one is taken for one by its name."""
+    if path.endswith(".parquet"):
+        return True
+    with folder.open(path) as stream:
+        return stream.read(len(_PARQUET_MARK)) == _PARQUET_MARK
+
+
+def not_a_set(folder: DataFolder, name: str, path: str = "") -> InputError:
+    """Return the error for a folder, or a file in it, that holds no data set; it names what is there."""
+    found, next_step = _file_in_words(path) if path else _folder_in_words(folder)
+    return InputError(f"{name!r} {found}; expected a data set, which is Parquet files", next=next_step)
+
+
+def _file_in_words(path: str) -> tuple[str, str]:
+    one, _, next_step = _ENDINGS.get(_ending(path), ("a file of another kind", "", _PARQUET_STEP))
+    return f"is {one}", next_step
+
+
+def _folder_in_words(folder: DataFolder) -> tuple[str, str]:
+    entries = folder.entries()
+    if not entries:
+        return "is empty", "make a data set there, or give another folder"
+    for marks, words in _MARKS.items():
+        if any(mark in entries for mark in marks):
+            return words
+    if folder.exists("meta/info.json"):
+        return "is a LeRobotDataset", "give the data set that it was exported from"
+    if PENDING_FOLDER in entries:
+        return (
+            f"is the folder of a run that was interrupted, and its {MANIFEST_FILE} is missing",
+            "run the same command again, it continues",
+        )
+    sets = [name for name, size in entries.items() if size is None and _is_set(folder, name)]
+    if sets:
+        shown = ", ".join(sets[:_MOST_SHOWN])
+        return f"holds {counted(len(sets), 'data sets')} ({shown})", f"give one of them, such as {sets[0]!r}"
+    return _contents_in_words(folder)
+
+
+def _is_set(folder: DataFolder, name: str) -> bool:
+    return not name.startswith(".") and folder.exists(f"{name}/{MANIFEST_FILE}")
+
+
+def _contents_in_words(folder: DataFolder) -> tuple[str, str]:
+    """Name the most frequent kind of file in a folder and one level below."""
+    files: list[str] = []
+    for name, size in folder.entries().items():
+        if size is not None:
+            files.append(name)
+        elif not name.startswith("."):
+            files += [f"{name}/{each}" for each in folder.names(name)]
+        if len(files) > _MOST_LOOKED_AT:
+            break
+    zarr = next((path for path in files if path.endswith((".zgroup", "zarr.json"))), None)
+    if zarr is not None:
+        return "holds Zarr arrays", _ZARR_STEP
+    counts = Counter(_ENDINGS[_ending(path)][1:] for path in files if _ending(path) in _ENDINGS)
+    if not counts:
+        shown = ", ".join(map(repr, sorted(folder.names())[:_MOST_SHOWN]))
+        return f"holds no Parquet files (found {shown})", "give the folder of a data set"
+    ((kind, next_step), count), *_ = counts.most_common()
+    first = next(path for path in files if _ENDINGS.get(_ending(path), ("", "", ""))[1] == kind)
+    return f"is a folder of {kind} ({count:,}, such as {first!r})", next_step
+
+
+def _ending(path: str) -> str:
+    return PurePosixPath(path).suffix[1:].lower()
