@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,7 +32,8 @@ _SHOWN = 6
 class Geometry:
     """How the objects of a kind are checked.
 
-    ``check`` takes places, a split or None, a limit or None, a number of processes, and ``on_progress``; it
+    ``check`` takes names, a split or None, a limit or None, a number of processes, ``opened``, which opens a
+    name, and ``on_progress``; it
     returns results with ``checked``, ``failed``, ``unreadable``, ``to_dict()`` and ``table()``.
     """
 
@@ -131,7 +133,7 @@ def verify(
         counts = f"{counted(result.files, 'files')}, {counted(result.rows, 'rows')}"
         sink.line(f"{folder}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
         if objects.geometry and checks is not None:
-            check_objects(sink, checks, [folder], objects.split, objects.limit, workers, document)
+            check_objects(sink, checks, [folder], Opening(), objects.split, objects.limit, workers, document)
         else:
             sink.document(document)
         return
@@ -167,17 +169,14 @@ def validate(
 
     Exit code 1 when one is not valid. For a folder, `verify --geometry` checks its files as well.
     """
-    from tactile_toolkit.mesh.files import FORMATS
-
-    files = [path for path in paths if Path(path).suffix.lower() in FORMATS]
-    places = [path if path in files else opening.open(sink, path) for path in paths]
-    check_objects(sink, checks, places, split, limit, workers)
+    check_objects(sink, checks, paths, opening, split, limit, workers)
 
 
 def check_objects(
     sink: Sink,
     geometry: Geometry,
-    paths: Sequence[str | Place],
+    paths: Sequence[str],
+    opening: Opening,
     split: str | None,
     limit: int | None,
     workers: int,
@@ -189,7 +188,9 @@ def check_objects(
     prepare_batch_process()
     chosen = None if split == "all" else split
     with sink.progress("checking", geometry.nouns) as update:
-        results = geometry.check(paths, chosen, limit, process_count(workers), on_progress=update)
+        opened = partial(opening.open, sink)
+        workers = process_count(workers)
+        results = geometry.check(paths, chosen, limit, workers, opened=opened, on_progress=update)
     documents = [result.to_dict() for result in results]
     sink.document(documents if verified is None else {**verified, "geometry": documents})
     for result in results:

@@ -90,8 +90,15 @@ def download(
     from tactile_toolkit.exchange.download import download as carry_out, plan_download
 
     _quiet_client(is_all=True)
-    plan = plan_download(name, split or (), revision=revision, config=config_name, out=out, on_wait=sink.info)
-    plan.require(kind)
+    plan = plan_download(
+        name,
+        split or (),
+        revision=revision,
+        config=config_name,
+        kind=kind,
+        out=out,
+        on_wait=sink.info,
+    )
     _print_download_plan(sink, name, plan)
     place = ""
     if not dry_run:

@@ -49,7 +49,7 @@ def load(
     from realtouch.opening import load as open_set
     from realtouch.summary import summarise
 
-    place = opening.open(sink, name)
+    place = opening.open(sink, name).require(KIND, "load")
     dataset = open_set(place, split)
     if check:
         _require_intact(sink, _verified(sink, place, split, quick=True), name)

@@ -21,6 +21,7 @@ from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
     from starstruck_gen.validate import Checked
+    from tactile_toolkit.places.place import Place
     from tactile_toolkit.store.manifest import Manifest
 
 
@@ -89,10 +90,15 @@ def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, ela
     print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
 
 
-def _check(paths: Sequence[Any], *options: Any, on_progress: Callable[[int, int], None]) -> list[Checked]:
+def _check(
+    paths: Sequence[str],
+    *options: Any,
+    opened: Callable[[str], Place],
+    on_progress: Callable[[int, int], None],
+) -> list[Checked]:
     from starstruck_gen.validate import validate_folder
 
-    return [validate_folder(path, *options, on_progress=on_progress) for path in paths]
+    return [validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
 
 
 _CHECKS = Geometry("scenes", _check)

@@ -13,13 +13,15 @@ from typing import Any
 from mnist3d.kind import KIND
 from tactile_toolkit.catalog.choose import check_rows, shards_to_check
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.files import FORMATS, read_mesh
+from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
 from tactile_toolkit.mesh.records import FACES, VERTICES
 from tactile_toolkit.places.place import Place, open_place
+from tactile_toolkit.places.strangers import is_parquet_file
 from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.store.names import normalize_uri
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.names import is_remote, normalize_uri
 
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", VERTICES, FACES)
@@ -103,26 +105,29 @@ def _inspect_row(row: Row, profile: PrintProfile) -> PrintReport:
 
 
 def validate_paths(
-    paths: Sequence[str | Place],
+    paths: Sequence[str],
     split: str | None = None,
     limit: int | None = None,
     workers: int = 1,
     *,
     profile: PrintProfile | None = None,
+    opened: Callable[[str], Place] = open_place,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Checked]:
     """Check data set folders and mesh files.
 
     Parameters
     ----------
-    paths : sequence of str or Place
-        Data sets, and STL, 3MF, PLY, OBJ or GLB files; one that cannot be read is reported so.
+    paths : sequence of str
+        Data sets by their names, and STL, 3MF, PLY, OBJ or GLB files; one that cannot be read is reported so.
     split, limit : optional
         Of folders only this split, and only the first so many rows of each.
     workers : int
         Processes that check rows of folders.
     profile : PrintProfile, optional
         Printer and material.
+    opened : callable
+        Says what the name of a data set stands for.
     on_progress : callable
         Called with meshes done and in all.
 
@@ -135,9 +140,9 @@ def validate_paths(
     """
     profile = profile or PrintProfile()
     # All names are looked at first: a typing error should not show after an hour of checking.
-    opened = [path if _is_mesh_file(path) else open_place(path) for path in paths]
+    found = [path if _is_single_file(path) else opened(path) for path in paths]
     results = []
-    for path in opened:
+    for path in found:
         if isinstance(path, Place):
             shards = shards_to_check(path, split, KIND)
             rows = check_rows(
@@ -161,7 +166,9 @@ def validate_paths(
     return results
 
 
-def _is_mesh_file(path: str | Place) -> bool:
-    return (
-        isinstance(path, str) and Path(path).suffix.lower() in FORMATS and Path(normalize_uri(path)).exists()
-    )
+def _is_single_file(path: str) -> bool:
+    """Return whether a path is a file of this machine that is not Parquet: it is read as a mesh."""
+    if is_remote(path):
+        return False
+    place = Path(normalize_uri(path))
+    return place.is_file() and not is_parquet_file(DataFolder(str(place.parent)), place.name)

@@ -28,8 +28,8 @@ from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.hub.calls import not_cached
 from tactile_toolkit.hub.repository import HubRepository, open_repository
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.places.place import Place, repository_place
-from tactile_toolkit.places.published import repository_named
+from tactile_toolkit.places.place import Place, repository_place, require_kind
+from tactile_toolkit.places.published import kind_of_published, repository_named
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import refuse_unknown_files
@@ -85,12 +85,6 @@ class DownloadPlan:
     record: DownloadRecord
     earlier: DownloadRecord | None
 
-    def require(self, kind: DatasetKind) -> None:
-        """Refuse a repository that is known to hold another kind; no file is fetched for that."""
-        place = Place(self.repository.repo_id, self.repository, self.held, self.repository.manifest)
-        if place.is_kind_stated:
-            place.require(kind, "download")
-
     @property
     def missing_bytes(self) -> int:
         """Size of the files to be fetched."""
@@ -103,21 +97,30 @@ def plan_download(
     *,
     revision: str | None = None,
     config: str | None = None,
+    kind: DatasetKind | None = None,
     out: str | None = None,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> DownloadPlan:
     """Find out what a download has to do; changes nothing in the target.
 
     ``name`` is a short name of a published set, or ``USER/NAME``; ``out`` a folder to fill instead of the
-    Hub's cache; ``config`` a configuration, where the card has several. No split named means all; splits that
+    Hub's cache; ``config`` a configuration, where the card has several; data of
+    another ``kind`` are refused, where that is known. No split named means all; splits that
     are in the folder already stay in step with them. A
     Hub in trouble is waited for; in place of one that stays silent the cache answers, but not for a folder.
     Raises InputError (not a repository, no such split, a user's own files in the folder),
     SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
     """
+    published = kind_of_published(name)
+    if kind is not None and published is not None:
+        require_kind(published, kind, name, "download")
     named = repository_named(name, revision)
     repository = open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
+    if out is not None and repository.is_cache:  # which may list a part of the files only
+        raise not_cached(repository.repo_id, "the present list of files")
     place = repository_place(repository, repository.repo_id, config=config)
+    if kind is not None and place.is_kind_stated:
+        place.require(kind, "download")
     return _plan(repository, place.files, splits, None if out is None else DataFolder(out))
 
 
@@ -129,8 +132,6 @@ def _plan(
 ) -> DownloadPlan:
     """Compare a repository, with the files of each split that it holds, with what is here."""
     earlier = None if folder is None else _earlier_record(folder, repository)
-    if folder is not None and repository.is_cache:  # which may list a part of the files only
-        raise not_cached(repository.repo_id, "the present list of files")
     recorded = earlier.files if earlier else {}
     manifest, place = repository.manifest, Place(repository.repo_id, repository, held)
     # Other tools write files of that name, too, which are not manifests.

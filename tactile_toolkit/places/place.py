@@ -19,6 +19,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.hub.calls import hub_failures, not_cached
 from tactile_toolkit.hub.repository import HubRepository, open_repository
 from tactile_toolkit.kind import DatasetKind, kinds
+from tactile_toolkit.mesh.records import FACES
 from tactile_toolkit.places.layout import (
     CARD_FILE,
     PARQUET,
@@ -175,20 +176,15 @@ class Place:
         InputError
             It holds another kind, or a manifest names one that is not installed.
         """
-        asked = f"{kind.command} {command}" if command else f"{kind.package}.load"
         unknown = self.manifest is not None and self._stated_kind is None
         if unknown:
             raise InputError(
-                f"{self.name!r} holds a data set of kind {self.spec_kind!r}; `{asked}` is for {kind.content}",
+                f"{self.name!r} holds a data set of kind {self.spec_kind!r}; expected {kind.content}",
                 next="install the package that made it",
             )
-        found = self.kind
-        if found is None or found.package == kind.package:
-            return self
-        next_step = f"use {found.package}.load({self.name!r})"
-        if command:
-            next_step = f"run `{found.command} {found.command_like(command)} {shlex.quote(self.name)}`"
-        raise InputError(f"{self.name!r} holds {found.content}; `{asked}` is for {kind.content}", next=next_step)
+        if self.kind is not None:
+            require_kind(self.kind, kind, self.name, command)
+        return self
 
     @property
     def spec_kind(self) -> str:
@@ -331,6 +327,12 @@ class Place:
         if not self._is_whole(split) and not (records and self.allow_incomplete):
             if not records and self.complete:
                 raise unknown_split(split, manifest.splits, self.name)
+            if self.complete:
+                raise IntegrityError(
+                    f"{MANIFEST_FILE} of {self.name!r} lists {len(records)} of "
+                    f"{counted(records[0].shard.count, 'shards')} of split {split!r}; expected all",
+                    next="download or generate the data set again",
+                )
             raise self._not_finished()
         small: dict[int, tuple[Shard, str]] = {}
         for file in small_files(manifest, split):
@@ -361,14 +363,33 @@ def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool
 
 
 def kind_of_rows(schema: Any) -> DatasetKind | None:
-    """Return the kind of rows by a column that only it has, or else by the classes of its published set."""
-    names = {name.partition(".")[0] for name in column_names(schema)}
+    """Return the kind of rows by a column that only it has, or else of meshes by their published classes."""
+    names = column_names(schema)
     for kind in kinds():
-        if names.intersection(kind.columns):
+        if any(name.partition(".")[0] in kind.columns for name in names):
             return kind
+    if FACES not in names:
+        return None
     classes = class_names(schema, ())
     known = (kind for kind in kinds() if kind.published and kind.class_names)
     return next((kind for kind in known if kind.class_names == classes), None)
+
+
+def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str = "") -> None:
+    """Refuse a data set of another kind: say what it is, and which command or function is for it.
+
+    Raises
+    ------
+    InputError
+        The two kinds are not opened alike.
+    """
+    if found.package == kind.package:
+        return
+    asked, next_step = f"{kind.package}.load", f"use {found.package}.load({name!r})"
+    if command:
+        asked = f"{kind.command} {command}"
+        next_step = f"run `{found.command} {found.command_like(command)} {shlex.quote(name)}`"
+    raise InputError(f"{name!r} holds {found.content}; `{asked}` is for {kind.content}", next=next_step)
 
 
 def open_place(
@@ -569,7 +590,7 @@ def repository_place(
         files = {split: tuple(each for each in found if each in {*paths}) for split, found in listed.items()}
         return Place(name, repository, files, manifest)
     found: Splits | None = None
-    if CARD_FILE in repository.remote and not path:
+    if paths and CARD_FILE in repository.remote and not path:
         card = repository.local_paths((CARD_FILE,))[0].read_bytes()
         found = splits_by_card(card, paths, config, name)
     if found is None:

@@ -246,9 +246,13 @@ def test_verify_reads_the_card_too(folders, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("command", "kind", "words"),
     [
-        ("mnist3d", "starstruck", "holds a data set of kind 'starstruck'; expected one of 'mnist3d'"),
-        ("realtouch", "mnist3d", "holds a data set of kind 'mnist3d'; expected one of 'realtouch'"),
-        ("starstruck", "synthetic", "no manifest.json in"),
+        ("mnist3d", "starstruck", "holds scenes; `mnist3d card` is for digits; next: run `starstruck card "),
+        ("realtouch", "mnist3d", "holds digits; `realtouch card` is for touches; next: run `mnist3d card "),
+        (
+            "starstruck",
+            "synthetic",
+            "holds touches; `starstruck card` is for scenes; next: run `realtouch card ",
+        ),
     ],
 )
 def test_a_folder_of_another_kind_is_refused(folders, tmp_path, capsys, command, kind, words):
@@ -264,7 +268,9 @@ def test_every_command_says_of_what_kind_a_folder_is(folders, capsys):
             for verb in ("info", "verify"):
                 assert call(command, verb, folders[kind]) == 2
                 said = capsys.readouterr()
-                assert f"holds a data set of kind {kind!r}" in said.err
+                content = {"mnist3d": "digits", "starstruck": "scenes"}[kind]
+                assert f"holds {content}; `{command} {verb}` is for" in said.err
+                assert f"; next: run `{kind} {verb} " in said.err
                 assert said.out == ""
 
 

@@ -88,7 +88,7 @@ def test_refusals_and_overwrite(folders, tmp_path, capsys):
     assert "is not part of a gallery or was changed since; nothing was changed" in capsys.readouterr().err
     assert call("mnist3d", "gallery", tmp_path / "absent", "--out", tmp_path / "new") == 2
     assert call("mnist3d", "gallery", folders["realtouch"], "--out", tmp_path / "new") == 2
-    assert "is not a data set of meshes" in capsys.readouterr().err
+    assert "holds touches; `mnist3d gallery` is for digits; next: run `realtouch " in capsys.readouterr().err
     for program, other in (("mnist3d", "starstruck"), ("starstruck", "mnist3d")):
         assert call(program, "gallery", folders[other], "--out", tmp_path / "new") == 2
         assert f"next: run `{other} gallery " in capsys.readouterr().err

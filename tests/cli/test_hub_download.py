@@ -22,8 +22,8 @@ from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.opening import SHORT_NAMES
 from starstruck_gen.make import GenerateSpec as StarstruckSpec
-from tactile_toolkit.catalog.locate import place_of, published_set
 from tactile_toolkit.kind import kinds
+from tactile_toolkit.places.published import published_set, repository_named
 from tests import command_line
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set
@@ -205,16 +205,16 @@ def test_a_data_set_of_another_kind_is_refused(server, tmp_path):
     out = tmp_path / "out"
     said = call(server, tmp_path, "starstruck", "download", DIGITS, "--out", out)
     assert said.code == 2
-    assert "holds a data set of kind 'mnist3d'; expected one of 'starstruck'; next: use `mnist3d`" in said.err
+    assert "holds digits; `starstruck download` is for scenes; next: run `mnist3d download" in said.err
     said = call(server, tmp_path, "mnist3d", "download", "real-single-64x64", "--out", out)
     assert said.code == 2
-    assert "next: realtouch download real-single-64x64" in said.err
+    assert "next: run `realtouch download real-single-64x64`" in said.err
     assert not out.exists()
     assert server.fetched == ["manifest.json"]
     assert call(server, tmp_path, "mnist3d", "download", DIGITS, "--out", out).code == 0
     said = call(server, tmp_path, "starstruck", "verify", out)
     assert said.code == 2
-    assert "holds a data set of kind 'mnist3d'; expected one of 'starstruck'" in said.err
+    assert "holds digits; `starstruck verify` is for scenes; next: run `mnist3d verify " in said.err
     assert len(said.err) < 300
 
 
@@ -256,7 +256,7 @@ def test_an_interrupted_download_is_called_one(server, tmp_path):
         f"the download is under way or was interrupted; {again}"
         in call(server, tmp_path, "mnist3d", "info", out).out
     )
-    for command, code in (("card", 2), ("verify", 3)):
+    for command, code in (("card", 3), ("verify", 3)):
         said = call(server, tmp_path, "mnist3d", command, out)
         assert said.code == code
         assert again in said.err
@@ -348,7 +348,7 @@ def test_someone_at_a_terminal_is_asked(server, tmp_path, reply, code):
     ("arguments", "code", "words"),
     [
         (("someone/nothing",), 4, "'someone/nothing' was not found, or is private"),
-        ((DIGITS, "--split", "train"), 2, "no split 'train' in 'someone/digits': it has holdout, test"),
+        ((DIGITS, "--split", "train"), 2, "no split 'train' in 'someone/digits': it has test, holdout"),
         ((DIGITS, "--revision", "v9"), 4, "the Hub refused reading Hub data set 'someone/digits' (404)"),
         (("mnist4d",), 2, "did you mean 'mnist3d'?"),
         ((DIGITS, "--out", "file"), 2, "a file"),
@@ -410,5 +410,7 @@ def test_short_names():
         assert published_set(entry.name) == published_set(entry.repo_id) == entry
         assert entry.citation.startswith("Schneider")
     assert published_set("someone/digits") is None
-    assert place_of("real-single") == place_of("real-single-320x240")
-    assert {place_of(name) for name in SHORT_NAMES} == {e.repo_id for e in TOUCH_KIND.published}
+    assert repository_named("real-single") == repository_named("real-single-320x240")
+    assert {repository_named(name).repo_id for name in SHORT_NAMES} == {
+        e.repo_id for e in TOUCH_KIND.published
+    }

@@ -296,5 +296,8 @@ def test_a_damaged_folder_is_not_sent(server, folder, tmp_path, capsys):
     assert call("starstruck", "upload", copy, NAME, "--yes") == 3
     assert "data/test-00000-of-00001.parquet is missing" in capsys.readouterr().err
     assert call("mnist3d", "upload", folder, NAME, "--yes") == 2
-    assert "expected one of 'mnist3d'" in capsys.readouterr().err
+    assert (
+        "holds scenes; `mnist3d upload` is for digits; next: run `starstruck upload "
+        in capsys.readouterr().err
+    )
     assert server.requests == []

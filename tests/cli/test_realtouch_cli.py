@@ -7,6 +7,9 @@ from pathlib import Path
 import pytest
 
 import realtouch
+from tactile_toolkit.hub.repository import HubRepository
+from tactile_toolkit.places.place import Place
+from tactile_toolkit.store.folder import DataFolder
 from tests import command_line
 from tests.realtouch import factories
 
@@ -40,7 +43,10 @@ def test_the_only_split_is_opened_and_another_kind_is_named(clips, tmp_path, cap
     made = ("generate", "--scenes", "test=2,train=0", "--split", "test", "-w", 1, "-q", "--out", scenes)
     assert command_line.call("starstruck", *made) == 0
     assert call("load", scenes) == 2
-    assert "is not a data set of touches" in capsys.readouterr().err
+    assert (
+        "holds scenes; `realtouch load` is for touches; next: run `starstruck show "
+        in capsys.readouterr().err
+    )
 
 
 def test_load_checks_and_prints_what_there_is(clips, capsys):
@@ -105,9 +111,14 @@ def test_what_is_fetched_is_told(capsys):
     from cli.output import Sink
     from cli.realtouch import announce_fetching
 
-    announce_fetching(Sink(), "real-seq", None)
-    announce_fetching(Sink(), "someone/touches", "test")
-    announce_fetching(Sink(), "./nothing-here", None)
+    def place(name: str, source: HubRepository | DataFolder) -> Place:
+        return Place(name, source, {"train": ("train.parquet",)})
+
+    repository = HubRepository("TimSchneider42/tactile-mnist-touch-real-seq-t256-320x240", None, "0" * 40, {})
+    announce_fetching(Sink(), place("real-seq", repository), None)
+    other = HubRepository("someone/touches", None, "0" * 40, {})
+    announce_fetching(Sink(), place("someone/touches", other), "test")
+    announce_fetching(Sink(), place("here", DataFolder("here")), None)
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 2
     assert "tactile-mnist-touch-real-seq" in told[0]

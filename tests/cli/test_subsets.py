@@ -86,7 +86,9 @@ def test_objects_are_taken_out_by_id(tmp_path, capsys):
         assert call("mnist3d", "split", folder, "--fractions", wrong, "--out", tmp_path / "none") == 2
         assert f"--fractions is '{wrong}'" in capsys.readouterr().err
     assert call("starstruck", "merge", folder, "--out", tmp_path / "none", *ALONE) == 2
-    assert "holds a data set of kind 'mnist3d'" in capsys.readouterr().err
+    assert (
+        "holds digits; `starstruck merge` is for scenes; next: run `mnist3d merge " in capsys.readouterr().err
+    )
     assert not (tmp_path / "none").exists()
 
 

@@ -71,7 +71,7 @@ except ToolkitError as error:
             "'someone/digits', 'test', revision='v9'",
             ("4 HubError", "(404): Invalid rev id: v9"),
         ),
-        ("'someone/digits', 'train'", ("2 InputError", "no split 'train'", "holdout, test")),
+        ("'someone/digits', 'train'", ("2 InputError", "no split 'train'", "test, holdout")),
     ],
 )
 def test_failures_are_named(repositories, tmp_path, arguments, words):

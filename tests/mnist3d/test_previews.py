@@ -308,9 +308,9 @@ def test_bad_input_is_named(folder, tmp_path):
         "absent": "does not exist",
         "cut.stl": "cut.stl",
         "empty.glb": "empty",
-        "note.txt": "ends in '.txt'",
+        "note.txt": "is a file of another kind; expected a data set",
         "bad.png": "bad.png",
-        "nothing": "no Parquet files",
+        "nothing": "is empty; expected a data set",
     }.items():
         with pytest.raises(InputError, match=words):
             plan_previews(str(tmp_path / name), PreviewSpec())

@@ -312,8 +312,9 @@ def test_what_cannot_be_converted_is_said(
         realtouch.frames(str(single_folder), out, "gif")
     with pytest.raises(InputError, match="the limit is 0"):
         realtouch.frames(str(single_folder), out, limit=0)
-    with pytest.raises(InputError, match="no Parquet files in"):
-        realtouch.frames(str(tmp_path), out)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="is empty; expected a data set"):
+        realtouch.frames(str(tmp_path / "empty"), out)
     assert not Path(out).exists()
 
 

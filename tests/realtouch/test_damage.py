@@ -337,5 +337,5 @@ def test_one_name_for_a_value_and_a_group_of_values_is_damage(
 
 
 def test_verify_needs_a_data_set(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="no Parquet files in"):
+    with pytest.raises(InputError, match="is empty; expected a data set"):
         realtouch.verify(str(tmp_path))

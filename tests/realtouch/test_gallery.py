@@ -105,24 +105,6 @@ def test_a_set_without_metadata_is_shown_too(single_rows, tmp_path):
     assert column(index_of(tmp_path / "site"), "Gel") == [["unknown"]] * 3
 
 
-def test_the_revision_asked_for_is_opened(seq_folder, monkeypatch):
-    asked = []
-    opened_set = realtouch.load(str(seq_folder), "train")
-
-    def splits(_name: str, *, revision: str | None) -> tuple[str, ...]:
-        asked.append(revision)
-        return ("train",)
-
-    def load(_name: str, _split: str, *, revision: str | None) -> object:
-        asked.append(revision)
-        return opened_set
-
-    monkeypatch.setattr("tactile_toolkit.catalog.choose.splits_of", splits)
-    monkeypatch.setattr("realtouch.gallery.load", load)
-    assert plan_gallery("someone/touches", revision="v2").size == len(opened_set)
-    assert asked == ["v2", "v2"]
-
-
 def test_a_damaged_picture_is_named_and_nothing_is_left(single_rows, tmp_path):
     def cut(row: dict, _index: int) -> None:
         row["sensor_image"] = [{"bytes": b"\xff\xd8 no jpeg", "path": "0.jpg"}, *row["sensor_image"][1:]]

@@ -213,7 +213,7 @@ def test_what_is_not_there_is_named(tmp_path: Path, single_folder: Path) -> None
         realtouch.load(str(tmp_path / "nowhere"))
     with pytest.raises(InputError, match="no split 'holdout'"):
         realtouch.load(single_folder, "holdout")
-    with pytest.raises(InputError, match="no file"):
+    with pytest.raises(InputError, match="does not exist; expected"):
         realtouch.load([tmp_path / "a.parquet"])
     with pytest.raises(InputError, match="on_error"):
         realtouch.load(single_folder, "train", on_error="ignore")
@@ -234,20 +234,14 @@ def test_short_names_reach_the_published_repositories(
 ) -> None:
     asked = []
 
-    def find(name: str, split: str, **options: object) -> tuple[()]:
-        asked.append((name, split, options))
-        raise InputError(name)
+    def find(repo_id: str, revision: str | None) -> object:
+        asked.append((repo_id, revision))
+        raise InputError(repo_id)
 
-    monkeypatch.setattr("realtouch.opening.find_shards", find)
+    monkeypatch.setattr("tactile_toolkit.places.place.open_repository", find)
     with pytest.raises(InputError, match="touch-real-seq"):
         realtouch.load("real-seq", revision="main", streaming=True)
-    assert asked == [
-        (
-            "TimSchneider42/tactile-mnist-touch-real-seq-t256-320x240",
-            None,
-            {"revision": "main", "streaming": True},
-        )
-    ]
+    assert asked == [("TimSchneider42/tactile-mnist-touch-real-seq-t256-320x240", "main")]
 
 
 def test_import_is_quick_and_light() -> None:

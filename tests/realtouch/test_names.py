@@ -12,8 +12,8 @@ import pytest
 import mnist3d
 import realtouch
 from realtouch.opening import SHORT_NAMES
-from tactile_toolkit.catalog.locate import place_of
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import HubError, InputError
+from tactile_toolkit.places.place import open_place
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
 
@@ -36,11 +36,14 @@ def test_local_data_of_a_short_name_comes_first(
     name: str, single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert place_of(name).startswith("TimSchneider42/")
-    Path(name).mkdir()
-    assert place_of(name).startswith("TimSchneider42/"), "a folder without data is none"
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_OFFLINE", True)
+    for _ in range(2):
+        with pytest.raises(HubError, match="TimSchneider42/"):
+            open_place(name)
+        Path(name).mkdir(exist_ok=True)  # a folder without data is none
     shutil.copytree(single_folder / "data", Path(name) / "data")
-    assert place_of(name) == name
+    assert open_place(name).folder is not None
     assert len(realtouch.load(name, "train")) == 3
     assert realtouch.verify(name).ok
 
@@ -50,9 +53,8 @@ def test_a_file_of_a_short_name_comes_first_in_every_room(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     for name, load in (("mnist3d", mnist3d.load), ("real-seq", realtouch.load)):
-        Path(name).write_bytes(b"no Parquet")
-        assert place_of(name) == name
-        with pytest.raises(Exception, match=f"'{name}' is damaged, an intact Parquet file was expected"):
+        Path(name).write_bytes(b"PAR1 and nothing else")
+        with pytest.raises(Exception, match=f"{name}' is damaged, an intact Parquet file was expected"):
             load(name)
 
 
@@ -115,7 +117,7 @@ def test_files_and_revisions_of_the_hub(
             f"['{SINGLE}/data/nothing.parquet'], streaming=True",
             "HubError Hub data set 'someone/single' has no",
         ),
-        (f"['{SINGLE}']", f"InputError no file '{SINGLE}'"),
+        (f"['{SINGLE}']", f"InputError '{SINGLE}' is no file"),
         ("'someone/single@v9'", "HubError the Hub refused reading Hub data set 'someone/single' (404)"),
         (
             "'someone/single@main', revision='v9'",

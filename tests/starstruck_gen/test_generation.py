@@ -327,7 +327,7 @@ def test_validate_finds_what_is_wrong(whole, tmp_path, change, finding):
 def test_validate_refuses_what_holds_no_scenes(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         validate_folder(str(tmp_path / "nowhere"))
-    with pytest.raises(InputError, match="no Parquet files in"):
+    with pytest.raises(InputError, match="is empty; expected a data set"):
         validate_folder(str(tmp_path))
 
 

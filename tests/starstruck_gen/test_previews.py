@@ -118,7 +118,7 @@ def test_the_usual_pictures_are_sheets_of_all_splits(folder):
 def test_bad_input_is_named(folder, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder"):
         plan_previews(str(tmp_path / "absent"), PreviewSpec())
-    with pytest.raises(InputError, match="no Parquet files"):
+    with pytest.raises(InputError, match="is empty; expected a data set"):
         plan_previews(str(tmp_path), PreviewSpec())
     with pytest.raises(InputError, match="no split 'holdout'"):
         plan_previews(str(folder), PreviewSpec(split="holdout"))

@@ -117,7 +117,7 @@ def interrupted(tmp_path):
 
 
 def test_unfinished_run_is_refused_and_a_finished_split_can_be_checked(interrupted):
-    with pytest.raises(IntegrityError, match=r"'.*' is not finished; next: run the same"):
+    with pytest.raises(IntegrityError, match=r"'.*' is not finished .2 of 3 shards.; next: run the same"):
         validate_folder(str(interrupted))
     assert validate_folder(interrupted, "test").checked == 4
 

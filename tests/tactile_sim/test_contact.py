@@ -17,9 +17,9 @@ from realtouch.gallery import plan_gallery
 from realtouch.previews import CONTACT, draw_grid
 from tactile_sim.card import sheet_png
 from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.pictures.sheets import png_bytes
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
@@ -203,7 +203,7 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
     place = table.schema.get_field_index("sensor_image")
     column = pa.array(images, table.schema.field(place).type)
     pq.write_table(table.set_column(place, table.schema.field(place), column), data / file.name)
-    depth = Domain(ShardedTable(find_shards(str(tmp_path), "depth")), True, (32, 24))
+    depth = Domain(ShardedTable(open_place(str(tmp_path)).shards("depth")), True, (32, 24))
     for row, text in (
         (0, f"{file.name}', row 0: a picture of 24 x 32 pixels; expected .32, 24. as in the manifest"),
         (1, f"{file.name}', row 1: expected a grey PNG .*next: run `tactile-sim verify`"),

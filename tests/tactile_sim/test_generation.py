@@ -268,7 +268,8 @@ def test_plans_that_cannot_be_are_refused(values):
 def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder"):
         TouchMaking.of(tmp_path / "nothing", SPEC)
-    with pytest.raises(InputError, match=r"is a single mesh; expected a data set"):
+    (tmp_path / "part.stl").touch()
+    with pytest.raises(InputError, match=r"is a mesh; expected a data set, .*`tactile-sim render FILE`"):
         TouchMaking.of(tmp_path / "part.stl", SPEC)
     with pytest.raises(InputError, match="unknown split 'dev'"):
         plan_build(TouchMaking.of(scenes, SPEC), ["dev"])

@@ -8,11 +8,11 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit.cards.card import Card
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.making import Layout, Making, Recipe
 from tactile_toolkit.mesh.records import MeshRow, SolidDataset, mesh_schema, open_solids
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.rows import column, meanings, row
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import Skipped
@@ -99,4 +99,4 @@ def write_card(folder, manifest):
 
 
 def load(name, split="train"):
-    return open_solids(find_shards(name, split), name, SolidDataset, KIND)
+    return open_solids(open_place(name).shards(split), name, SolidDataset, KIND)

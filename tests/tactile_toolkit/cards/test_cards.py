@@ -300,7 +300,7 @@ def test_a_template_without_a_value_is_an_error():
 
 
 def test_a_folder_without_rows_has_no_facts(tmp_path):
-    with pytest.raises(InputError, match=r"no Parquet files in .*; next:"):
+    with pytest.raises(InputError, match=r"is empty; expected a data set"):
         folder_facts(DataFolder(str(tmp_path)))
 
 

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 from huggingface_hub import constants
 
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.download import download, plan_download
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
@@ -55,7 +55,7 @@ def test_a_split_in_a_folder_is_a_data_set_of_its_own(server, tmp_path):
     result = verify(DataFolder(str(out)), SCHEMA)
     assert result.ok, result.findings
     assert result.rows == 9
-    assert len(find_shards(str(out), "test")) == 2
+    assert len(open_place(str(out)).shards("test")) == 2
     assert folder_bytes(out)[shards[0]] == folder_bytes(server.root / NAME)[shards[0]]
 
 
@@ -253,7 +253,7 @@ def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
     assert not (out / "data" / "train-00002-of-00004.parquet").exists()
     assert not verify(DataFolder(str(out)), SCHEMA).ok
     with pytest.raises(IntegrityError, match="not finished"):
-        find_shards(str(out), "train")
+        open_place(str(out)).shards("train")
     server.faults.clear()
     assert "data/train-00002-of-00004.parquet" in fetch(server, tmp_path, script(NAME, "train", out=out))[1]
     assert verify(DataFolder(str(out)), SCHEMA).ok

@@ -52,8 +52,8 @@ def sent_objects(server: HubServer) -> list[str]:
 
 def shards_read(server: HubServer, home: Path) -> list[str]:
     script = (
-        "from tactile_toolkit.catalog.locate import find_shards\n"
-        f"print(*(shard.path for shard in find_shards({NAME!r}, 'train', streaming=True)))"
+        "from tactile_toolkit.places.place import open_place\n"
+        f"print(*(shard.path for shard in open_place({NAME!r}).shards('train', streaming=True)))"
     )
     return run_here(script, settings(server, home), home).stdout.split()
 

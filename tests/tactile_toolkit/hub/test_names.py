@@ -8,10 +8,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.catalog.locate import find_files, find_shards, repository_named, splits_of
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.hub.repository import HubName, hub_name
-from tactile_toolkit.store.shards import shard_files
+from tactile_toolkit.places.layout import splits_by_name
+from tactile_toolkit.places.place import open_place
+from tactile_toolkit.places.published import repository_named
 
 
 @pytest.mark.parametrize(
@@ -63,15 +64,14 @@ def test_numbered_files_belong_to_the_split_of_their_folder():
         "test/0000.parquet",
         "default/train/0001.parquet",
         "default/train/0000.parquet",
-        "data/0000.parquet",
     ]
-    assert [(file.split, file.path) for file in shard_files([*paths, "data/dev-00000-of-00001.parquet"])] == [
-        ("0000", "data/0000.parquet"),
-        ("dev", "data/dev-00000-of-00001.parquet"),
-        ("test", "test/0000.parquet"),
-        ("train", "default/train/0000.parquet"),
-        ("train", "default/train/0001.parquet"),
-    ]
+    assert splits_by_name(paths, "here") == {
+        "test": ("test/0000.parquet",),
+        "train": ("default/train/0000.parquet", "default/train/0001.parquet"),
+    }
+    assert splits_by_name([*paths, "data/dev-00000-of-00001.parquet"], "here") == {
+        "dev": ("data/dev-00000-of-00001.parquet",)
+    }, "shards in data decide"
 
 
 def test_a_local_copy_of_the_conversion_branch_has_its_splits(tmp_path):
@@ -79,8 +79,8 @@ def test_a_local_copy_of_the_conversion_branch_has_its_splits(tmp_path):
         place = tmp_path / f"{part}.parquet"
         place.parent.mkdir(parents=True, exist_ok=True)
         pq.write_table(pa.table({"id": [1]}), place)
-    assert set(splits_of(str(tmp_path))) == {"train", "test"}
-    shards = find_shards(str(tmp_path), "test")
+    assert set(open_place(str(tmp_path)).splits) == {"train", "test"}
+    shards = open_place(str(tmp_path)).shards("test")
     assert [Path(shard.path).relative_to(tmp_path).as_posix() for shard in shards] == [
         "default/test/0000.parquet",
         "default/test/0001.parquet",
@@ -89,14 +89,12 @@ def test_a_local_copy_of_the_conversion_branch_has_its_splits(tmp_path):
 
 @pytest.mark.parametrize("name", ["~nobody-of-that-name/x", "x" * 5000, "a\0b", "nowhere"])
 def test_names_that_no_place_can_have_are_refused(name):
-    for ask in (lambda: find_shards(name, "train"), lambda: splits_of(name)):
+    for names in (name, [name]):
         with pytest.raises(InputError, match="does not exist; expected a folder, a Parquet file") as caught:
-            ask()
+            open_place(names)
         assert len(str(caught.value)) < 500
-    with pytest.raises(InputError, match="no file '"):
-        find_files([name])
 
 
 def test_no_files_are_no_data_set():
     with pytest.raises(InputError, match="no files given"):
-        find_files([])
+        open_place([])

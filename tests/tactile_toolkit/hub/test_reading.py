@@ -129,9 +129,9 @@ def test_a_stream_stays_at_the_commit_that_it_began_with(server, tmp_path):
 
 STREAM = """
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.catalog.locate import find_files
+from tactile_toolkit.places.place import open_place
 try:
-    (shard,) = find_files([{address!r}], streaming=True)
+    (shard,) = open_place([{address!r}]).shards(streaming=True)
     {meanwhile}
     print(len(shard))
 except ToolkitError as error:

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.cache import cache_folder
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.read.columns import ragged_column
 from tactile_toolkit.read.dataset import Record, RecordDataset
 from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
@@ -52,7 +52,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 def opened(folder: Path) -> ToyDataset:
-    return ToyDataset(ShardedTable(find_shards(str(folder), "train")), label_names=("a", "b", "c"))
+    return ToyDataset(ShardedTable(open_place(str(folder)).shards("train")), label_names=("a", "b", "c"))
 
 
 @pytest.fixture
@@ -277,17 +277,17 @@ def test_unfinished_split_is_refused(tmp_path):
     with pytest.raises(RuntimeError):
         build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)), InlineRunner())
     with pytest.raises(IntegrityError, match=r"not finished \(3 shards.*same command"):
-        find_shards(str(tmp_path), "train")
+        open_place(str(tmp_path)).shards("train")
 
 
 def test_no_such_place_or_split(folder, tmp_path):
     with pytest.raises(InputError, match=r"no split 'holdout'.*it has train, test"):
-        find_shards(str(folder), "holdout")
+        open_place(str(folder)).shards("holdout")
     with pytest.raises(InputError, match="does not exist; expected a folder"):
-        find_shards(str(tmp_path / "nowhere"), "train")
+        open_place(str(tmp_path / "nowhere")).shards("train")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError, match="no Parquet files in"):
-        find_shards(str(tmp_path / "empty"), "train")
+    with pytest.raises(InputError, match="is empty; expected a data set"):
+        open_place(str(tmp_path / "empty")).shards("train")
 
 
 def test_folder_without_manifest_is_found_by_names(folder, tmp_path):
@@ -296,10 +296,10 @@ def test_folder_without_manifest_is_found_by_names(folder, tmp_path):
     for index in range(2):
         name = f"test-{index:05d}-of-00002.parquet"
         (data / name).write_bytes((folder / "data" / name).read_bytes())
-    assert sum(len(shard) for shard in find_shards(str(tmp_path), "test")) == 9
+    assert sum(len(shard) for shard in open_place(str(tmp_path)).shards("test")) == 9
     (data / "test-00001-of-00002.parquet").unlink()
-    with pytest.raises(IntegrityError, match="1 of 2 shards of split 'test'"):
-        find_shards(str(tmp_path), "test")
+    with pytest.raises(IntegrityError, match="1 of 2 files of split 'test'"):
+        open_place(str(tmp_path)).shards("test")
 
 
 @given(
@@ -333,7 +333,7 @@ def test_damaged_cache_is_made_again(dataset, folder):
     (unpacked,) = cache_folder().rglob("*.arrow")
     unpacked.write_bytes(unpacked.read_bytes()[:100])
     BLOCKS.clear()
-    again = ToyDataset(ShardedTable(find_shards(str(folder), "train")))
+    again = ToyDataset(ShardedTable(open_place(str(folder)).shards("train")))
     np.testing.assert_array_equal(again[1].points, points(1))
     assert unpacked.stat().st_size > 100
 

@@ -418,7 +418,7 @@ def test_the_only_split_is_opened(tmp_path: Path, every_set: dict[str, Any]) -> 
         realtouch.load(tmp_path / "two")
     assert len(realtouch.load(tmp_path / "two", "train")) == 1
     (tmp_path / "none").mkdir()
-    with pytest.raises(InputError, match="no Parquet files in"):
+    with pytest.raises(InputError, match="is empty; expected a data set"):
         mnist3d.load(str(tmp_path / "none"))
     digits, scenes = every_set["digits"], every_set["scenes"]
     assert (len(digits), len(scenes)) == (10, 12)

@@ -32,8 +32,8 @@ READS = {
     "rows": (
         "tactile_toolkit.read.parquet",
         """
-from tactile_toolkit.catalog.locate import find_shards
-for shard in find_shards(sys.argv[1], "train"):
+from tactile_toolkit.places.place import open_place
+for shard in open_place(sys.argv[1]).shards("train"):
     groups = range(shard.metadata.num_row_groups)
     assert sum(len(part.table) for group in groups for part in shard.blocks(group)) == len(shard)
     assert len(shard.block(0, 0).table)

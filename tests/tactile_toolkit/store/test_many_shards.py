@@ -9,14 +9,15 @@ import pytest
 
 from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, card_head, configs, folder_facts, head_text
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.places.layout import parquet_paths
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import inspect_job
 from tactile_toolkit.store.manifest import write_manifest
-from tactile_toolkit.store.shards import ShardName, ShardRecord, shard_files
+from tactile_toolkit.store.shards import ShardName, ShardRecord
 from tests.tactile_toolkit.toy import ToyTask, toy_plan
 
 COUNT = 100_001
@@ -51,7 +52,7 @@ def test_files_are_in_order_of_their_numbers():
     names = [f"data/{ShardName('train', index, 1_000_001)}.parquet" for index in counts]
     numbered = [f"default/train/{index:04d}.parquet" for index in (*counts, 9_999, 10_000)]
     mixed = random.Random(0).sample([*names, *numbered], len(names) + len(numbered))
-    found = [file.path for file in shard_files(mixed)]
+    found = parquet_paths(mixed)
     assert found[: len(names)] == names
     assert found[len(names) :] == [
         f"default/train/{index:04d}.parquet" for index in sorted((*counts, 9_999, 10_000))
@@ -72,7 +73,7 @@ def test_more_shards_than_five_digits_count_are_planned_and_read(tmp_path):
         for task in tasks
     ]
     write_manifest(folder, plan.new_manifest().with_shards(records))
-    shards = find_shards(str(tmp_path), "train")
+    shards = open_place(str(tmp_path)).shards("train")
     assert len(shards) == COUNT
     assert [shard.read()["id"].to_pylist() for shard in (shards[0], *shards[-2:])] == [
         [0],

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.cards.card import check_card
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
@@ -161,7 +161,7 @@ def test_a_wild_manifest_is_refused_and_nothing_is_touched(finished, tmp_path, f
     with pytest.raises(IntegrityError, match=words):
         verify(DataFolder(str(finished)))
     with pytest.raises(IntegrityError, match=words):
-        find_shards(str(finished), "train")
+        open_place(str(finished)).shards("train")
     with pytest.raises(IntegrityError, match=words):
         build(DataFolder(str(finished)), toy_plan(), InlineRunner())
     assert folder_bytes(tmp_path) == before

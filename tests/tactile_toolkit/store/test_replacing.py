@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError, ToolkitError
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.run.processes import Finish, InlineRunner, Part, ProcessRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
@@ -112,7 +112,7 @@ def test_readers_wait_for_a_replacement_that_was_begun(finished, tmp_path, monke
         with pytest.raises(KeyboardInterrupt):
             make(finished, other_plan(), overwrite=True)
     assert not read_manifest(DataFolder(str(finished))).complete
-    assert len(find_shards(str(finished), "test")) == 2
+    assert len(open_place(str(finished)).shards("test")) == 2
     assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import StorageError
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
@@ -44,7 +44,7 @@ def opened(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[int], li
 
     with monkeypatch.context() as patch:
         patch.setattr(Shard, "_opened", noted)
-        dataset = RecordDataset(ShardedTable(find_shards(str(folder), "train")), label_names="abc")
+        dataset = RecordDataset(ShardedTable(open_place(str(folder)).shards("train")), label_names="abc")
         return dataset.labels.tolist(), dataset.ids.tolist(), seen
 
 
@@ -60,7 +60,7 @@ def test_labels_come_from_few_files_and_are_those_of_the_shards(
     assert (ids, labels) == (IDS, [number % 3 for number in IDS])
     assert seen == {Path(path).name for path in FILES}
     assert pq.read_schema(tmp_path / "set" / FILES[0]).names == ["id", "label"], "no lists"
-    table = ShardedTable(find_shards(str(tmp_path / "set"), "train"))
+    table = ShardedTable(open_place(str(tmp_path / "set")).shards("train"))
     assert pickle.loads(pickle.dumps(table)).column("id").tolist() == IDS
     assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
 

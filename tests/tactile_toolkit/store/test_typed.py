@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
@@ -96,7 +96,7 @@ def test_a_manifest_that_agrees_with_itself_and_not_with_the_files(toy_set: Path
     values["splits"]["train"]["rows"] -= 1
     (tmp_path / "data").symlink_to(toy_set / "data")
     (tmp_path / MANIFEST_FILE).write_text(json.dumps(values))
-    shards = find_shards(str(tmp_path), "train")
+    shards = open_place(str(tmp_path)).shards("train")
     with pytest.raises(IntegrityError, match=r"rows; expected \d by the manifest"):
         _ = shards[0].metadata
 
@@ -107,8 +107,8 @@ def test_a_shard_that_the_manifest_lacks_is_named(toy_set: Path, tmp_path: Path)
     fewer = replace(manifest, shards=(manifest.shards[0], *manifest.shards[2:]))
     (tmp_path / "data").symlink_to(toy_set / "data")
     (tmp_path / MANIFEST_FILE).write_text(fewer.to_json())
-    with pytest.raises(IntegrityError, match=r"4 shards of split 'train' are there, manifest\.json lists 3"):
-        find_shards(str(tmp_path), "train")
+    with pytest.raises(IntegrityError, match=r"manifest\.json of .* lists 3 of 4 shards"):
+        open_place(str(tmp_path)).shards("train")
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_what_this_user_may_not_read_is_not_called_damaged(
 
     monkeypatch.setattr(Path, "open", refuse)
     with pytest.raises(InputError, match="cannot be read: permission denied"):
-        _ = find_shards(str(toy_set), "train")[0].metadata
+        _ = open_place(str(toy_set)).shards("train")[0].metadata
 
 
 @pytest.mark.skipif(
@@ -166,7 +166,7 @@ def test_a_folder_that_this_user_may_not_read(toy_set: Path, tmp_path: Path) -> 
     os.seteuid(65534)
     try:
         for ask in (
-            lambda: find_shards(str(base / "set"), "train"),
+            lambda: open_place(str(base / "set")).shards("train"),
             lambda: verify(DataFolder(str(base / "set"))),
         ):
             with pytest.raises(InputError, match=r"set.* cannot be read: permission denied"):

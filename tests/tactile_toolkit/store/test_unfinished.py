@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import pytest
 
+from mnist3d.kind import KIND
 from tactile_toolkit.catalog.choose import shards_to_check
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run.processes import InlineRunner
@@ -17,7 +18,7 @@ from tests.tactile_toolkit.toy import toy_plan
 @pytest.fixture
 def folder(tmp_path):
     place = DataFolder(str(tmp_path / "set"))
-    build(place, toy_plan(), InlineRunner())
+    build(place, replace(toy_plan(), kind=KIND.name), InlineRunner())
     return place
 
 
@@ -35,9 +36,9 @@ def _interrupted(folder, kept):
 def test_interrupted_run_is_refused_though_another_split_is_finished(folder, finished):
     _interrupted(folder, lambda record: record.shard.split in finished)
     with pytest.raises(IntegrityError, match="is not finished"):
-        shards_to_check(folder.url, None, "toy")
+        shards_to_check(folder.url, None, KIND)
 
 
 def test_folder_without_a_data_set_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no Parquet files"):
-        shards_to_check(str(tmp_path), None, "toy")
+    with pytest.raises(InputError, match="is empty; expected a data set"):
+        shards_to_check(str(tmp_path), None, KIND)
