@@ -220,10 +220,11 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
 
     opened = open_place(folder).require(kind, "card").require_complete()
     # Touches may be of the publisher, who writes no manifest.
+    kind = opened.kind or kind
     manifest = opened.require_manifest(kind) if kind.needs_manifest else opened.manifest
     place = DataFolder(folder)
     with specification_read(place.address()):
-        (opened.kind or kind).write_card(place, manifest)
+        kind.write_card(place, manifest)
     findings = check_card(place)
     if findings:
         raise IntegrityError(f"{findings[0].file} of {folder!r}: {findings[0].problem}")

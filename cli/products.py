@@ -83,7 +83,13 @@ class Pictures:
 
 
 def preview_touches(
-    *, name: str = TOUCH_SET, opening: Opening, spec: TouchPreviewSpec, pictures: Pictures, sink: Sink
+    *,
+    kind: DatasetKind,
+    name: str = TOUCH_SET,
+    opening: Opening,
+    spec: TouchPreviewSpec,
+    pictures: Pictures,
+    sink: Sink,
 ) -> None:
     """Write pictures of touches as PNG, without a screen; a grid alone goes to touches.png.
 
@@ -92,7 +98,7 @@ def preview_touches(
     """
     from realtouch.previews import plan_previews
 
-    plan = plan_previews(opening.open(sink, name), spec)
+    plan = plan_previews(opening.open(sink, name).require(kind, "preview"), spec)
     pictures.write(sink, plan, "previews" if spec.kinds else "touches.png")
 
 
@@ -156,6 +162,7 @@ def gallery_of_meshes(
 
 def gallery_of_touches(
     *,
+    kind: DatasetKind,
     name: str = TOUCH_SET,
     opening: Opening,
     chosen: Chosen,
@@ -172,7 +179,12 @@ def gallery_of_touches(
     """
     from realtouch.gallery import plan_gallery
 
-    _make_page(sink, plan_gallery(opening.open(sink, name), chosen, touches=touches), out, job)
+    _make_page(
+        sink,
+        plan_gallery(opening.open(sink, name).require(kind, "gallery"), chosen, touches=touches),
+        out,
+        job,
+    )
 
 
 _ROWS_SHOWN = 20

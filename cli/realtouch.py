@@ -318,7 +318,7 @@ def _add(name: str, options_of: type, function: Callable[..., Manifest], nouns: 
         place = out or former_out
         if place is None:
             raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
-        opened = opening.open(sink, source)
+        opened = opening.open(sink, source).require(KIND, name)
         make = partial(function, opened, place, **_arguments(options), split=split, limit=limit)
         announce_fetching(sink, opened, split)
         kind = replace(KIND, nouns=nouns)

@@ -64,6 +64,7 @@ KIND = DatasetKind(
     check=lazy("realtouch.verification:check_folder"),
     columns=("sensor_image", "sensor_video"),
     splits=("train", "test"),
+    needs=("sensor_image", "sensor_video"),
     lacks=("validate",),
     needs_manifest=False,
     loader=_loader,

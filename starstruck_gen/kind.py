@@ -17,7 +17,6 @@ KIND = DatasetKind(
     class_names=("1", "2", "3"),  # Tactile MNIST paper, section Starstruck
     columns=("star_count",),
     splits=("train", "test"),
-    lacks=("load",),
     published=(tactile_mnist_set("starstruck", "starstruck", "3,300 scenes with one to three stars"),),
     plan_previews=lazy("starstruck_gen.previews:plan_previews"),
     plan_gallery=lazy("starstruck_gen.gallery:plan_gallery"),

@@ -23,6 +23,7 @@ KIND = DatasetKind(
     made_by="tactile-sim generate",
     card_template="tactile_sim.md",
     write_card=lazy("tactile_sim.card:write_card"),
-    lacks=("validate", "export", "load"),
+    needs=("sensor_image", "sensor_video"),
+    lacks=("validate", "export"),
     loader=_loader,
 )

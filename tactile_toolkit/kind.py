@@ -17,6 +17,24 @@ from typing import Any
 EXPORT, MERGE, SPLIT = "export", "merge", "split"
 """Operations, in a manifest, that made a copy: for other libraries, of several data sets, of some rows."""
 
+SHARED_COMMANDS = (
+    *(
+        "info",
+        "verify",
+        "validate",
+        "show",
+        "preview",
+        "card",
+        "upload",
+        "download",
+        "list",
+        "merge",
+        "split",
+    ),
+    *("cache", "gallery", "export"),
+)
+"""Commands that all command lines have, but for what a kind lacks."""
+
 _PAPER = "Schneider et al., Tactile MNIST: Benchmarking Active Tactile Perception, 2025"
 _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
 
@@ -24,6 +42,11 @@ _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
 def is_export(manifest: Any) -> bool:
     """Return whether a manifest is that of a copy for other libraries, with columns of their own."""
     return manifest is not None and manifest.spec.get("operation") == EXPORT
+
+
+def is_for_others(manifest: Any) -> bool:
+    """Return whether a manifest is that of files for other programs, without the rows of its kind."""
+    return manifest is not None and manifest.spec.get("operation") in (EXPORT, "frames", "pairs")
 
 
 def is_copy(manifest: Any) -> bool:
@@ -120,6 +143,8 @@ class DatasetKind:
         Classes of the published data set, in order.
     columns : tuple of str
         Columns that only rows of this kind have, by which they are recognised without a manifest.
+    needs : tuple of str
+        Columns of which every such data set has one.
     splits : tuple of str
         Splits that such data sets have, in order.
     lacks : tuple of str
@@ -151,6 +176,7 @@ class DatasetKind:
     loader: Callable[[Any], str] | None = None
     class_names: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
+    needs: tuple[str, ...] = ("mesh.faces",)
     splits: tuple[str, ...] = ()
     lacks: tuple[str, ...] = ()
     published: tuple[PublishedSet, ...] = ()
@@ -174,7 +200,7 @@ class DatasetKind:
 
     def command_like(self, command: str) -> str:
         """Return a command of this kind by its name, or the one that prints rows where it has none such."""
-        return "show" if command in self.lacks else command
+        return command if command in SHARED_COMMANDS and command not in self.lacks else "show"
 
     def schema_of(self, manifest: Any) -> Any:
         """Return the Arrow schema of every shard of a data set; None where it follows from a source."""

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 import numpy as np
 
 from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.catalog.locate import file_fingerprint, manifest_beside, refuse_source
+from tactile_toolkit.catalog.locate import file_fingerprint, refuse_source
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh.records import FACES, MESH, VERTICES, SolidDataset, flat_table
@@ -112,15 +112,10 @@ def _related_kinds(kind: DatasetKind) -> list[DatasetKind]:
 
 def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source:
     place = open_place(name).require(kind, command).require_complete()
-    manifest, shards = place.manifest, place.all_shards()
+    manifest = place.manifest
+    shards = {split: place.shards(split, kind=kind) for split in place.splits}
     if manifest is None:
         return _Source(place.name, None, False, shards)
-    if manifest.spec.get("operation") in ("export", "frames", "pairs"):
-        raise InputError(
-            f"{place.name!r} was made by `{manifest.spec['operation']}` for other programs; expected "
-            f"{kind.nouns}",
-            next="give the data set that it was made of",
-        )
     options = manifest.spec.get("options") or {}
     is_imported = manifest.spec.get("operation") == "import" or options.get("touches") == "imported"
     spec = manifest.spec.get("source_spec", manifest.spec)
@@ -306,9 +301,7 @@ def plan_tables(
     }
     every = [shard for found in shards.values() for shard in found]
     refuse_source(DataFolder(out), place.name, every)
-    made = manifest_beside(every[0])
-    source_spec = None if made is None else made.spec
-    return _copy_plan(kind, EXPORT, options, shards, source_spec, tasks, _STYLE, "trimesh")
+    return _copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")
 
 
 def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:

@@ -10,6 +10,7 @@ import functools
 import os
 import shlex
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,7 +19,7 @@ from typing import Any, TypeAlias
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.hub.calls import hub_failures, not_cached
 from tactile_toolkit.hub.repository import HubRepository, open_repository
-from tactile_toolkit.kind import DatasetKind, kinds
+from tactile_toolkit.kind import DatasetKind, is_for_others, kinds
 from tactile_toolkit.mesh.records import FACES
 from tactile_toolkit.places.layout import (
     CARD_FILE,
@@ -126,11 +127,10 @@ class Place:
         if self.complete or self.manifest is None:
             return ""
         counts = {record.split: record.shard.count for record in self.manifest.shards}
-        known = sum(counts.values()) if {*counts} == {*self.manifest.split_order} else 0
-        done = len(self.manifest.shards)
-        if known > done:
+        known, done = sum(counts.values()), len(self.manifest.shards)
+        if {*counts} == {*self.manifest.split_order}:
             return f"{done:,} of {counted(known, 'shards')}"
-        return f"{counted(done, 'shards')} so far"
+        return f"{done:,} of {known:,} or more shards"
 
     @cached_property
     def kind(self) -> DatasetKind | None:
@@ -184,7 +184,30 @@ class Place:
             )
         if self.kind is not None:
             require_kind(self.kind, kind, self.name, command)
+        else:
+            self._require_columns(kind, command)
         return self
+
+    def _require_columns(self, kind: DatasetKind, command: str) -> None:
+        """Refuse rows of no kind that have not what a kind needs; damaged files are left to their readers."""
+        with suppress(IntegrityError):
+            names = column_names(self._first_shard().schema)
+            if not any(name in names for name in kind.needs):
+                shown = ", ".join(names[:_COLUMNS_SHOWN])
+                more = "" if len(names) <= _COLUMNS_SHOWN else " and others"
+                raise InputError(
+                    f"{self.name!r} holds rows of no kind of this toolkit (columns {shown}{more}); "
+                    f"`{_asked(kind, command)}` is for {kind.content}",
+                    next=f"look at a row with `{kind.command} show {shlex.quote(self.name)}`",
+                )
+
+    def _refuse_files_for_others(self) -> None:
+        if is_for_others(self.manifest):
+            raise InputError(
+                f"{self.name!r} was made by `{self.spec['operation']}` for other programs; expected a data "
+                "set with rows of its kind",
+                next="give the data set that it was made of, or open this one with `datasets`",
+            )
 
     @property
     def spec_kind(self) -> str:
@@ -274,6 +297,7 @@ class Place:
         """
         if kind is not None and self.is_kind_stated:
             self.require(kind)
+            self._refuse_files_for_others()
         chosen = self.split(split)
         found = self._found.get((chosen, streaming))
         if found is None:
@@ -385,11 +409,14 @@ def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str 
     """
     if found.package == kind.package:
         return
-    asked, next_step = f"{kind.package}.load", f"use {found.package}.load({name!r})"
+    asked, next_step = _asked(kind, command), f"use {found.package}.load({name!r})"
     if command:
-        asked = f"{kind.command} {command}"
         next_step = f"run `{found.command} {found.command_like(command)} {shlex.quote(name)}`"
     raise InputError(f"{name!r} holds {found.content}; `{asked}` is for {kind.content}", next=next_step)
+
+
+def _asked(kind: DatasetKind, command: str) -> str:
+    return f"{kind.command} {command}" if command else f"{kind.package}.load"
 
 
 def open_place(
@@ -552,7 +579,10 @@ def _walked(folder: DataFolder) -> list[str]:
                 f"{folder.address()!r} holds more than {_MOST_FOLDERS:,} folders; expected a data set",
                 next="give the folder of one data set",
             )
-        for name, size in folder.entries(inside).items():
+        entries = folder.entries(inside)
+        if inside and MANIFEST_FILE in entries:
+            continue  # a data set of its own
+        for name, size in entries.items():
             path = f"{inside}/{name}" if inside else name
             if size is not None:
                 files.append(path)

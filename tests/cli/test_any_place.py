@@ -1,0 +1,276 @@
+"""Every command on folders of every kind: one answer for a situation, no traceback, nothing false."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from cli.shared import _COMMANDS
+from tactile_toolkit.kind import SHARED_COMMANDS, DatasetKind, kinds
+from tests.command_line import call
+from tests.realtouch import factories
+from tests.tactile_toolkit.toy import folder_bytes
+
+READS = ("info", "verify", "validate", "preview", "card", "merge", "split", "gallery", "export")
+CONTENT = {
+    "digits": ("mnist3d", "digits"),
+    "scenes": ("starstruck", "scenes"),
+    "wrench": ("env-assets", "wrenches"),
+    "single": ("realtouch", "touches"),
+    "seq": ("realtouch", "touches"),
+    "synthetic": ("tactile-sim", "synthetic touches"),
+    "imported": ("realtouch", "touches"),
+    "copied": ("mnist3d", "digits"),
+}
+PROGRAMS = ("mnist3d", "starstruck", "realtouch", "tactile-sim", "env-assets")
+RELATED = {"realtouch", "tactile-sim"}
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    root = tmp_path_factory.mktemp("sets")
+
+    def run(*words: object) -> None:
+        assert call(*map(str, words), "-w", "1", "-q") == 0
+
+    run(
+        *("mnist3d", "generate", "--split", "test", "--per-class", 1, "--vertices", 1500),
+        "--out",
+        root / "digits",
+    )
+    run("starstruck", "generate", "--scenes", "test=3,train=6", "--out", root / "scenes")
+    assert call("env-assets", "wrench", "--out", str(root / "wrench"), "-q") == 0
+    rounds = [factories.make_round(number, 3, (64, 48)) for number in range(3)]
+    singles = factories.single_rows(rounds)
+    factories.write_set(root / "single", {"train": singles[:2], "test": singles[2:]}, "single")
+    factories.write_set(root / "seq", {"train": factories.seq_rows(rounds)}, "seq")
+    press = ("--rounds", 1, "--touches", 2, "--optics", "depth")
+    run("tactile-sim", "generate", root / "digits", *press, "--out", root / "synthetic")
+    run("realtouch", "export", root / "single", "--format", "webdataset", "--out", root / "tars")
+    run("realtouch", "import", root / "tars", "--format", "webdataset", "--out", root / "imported")
+    run("mnist3d", "merge", root / "digits", "--out", root / "copied")
+    run("mnist3d", "export", root / "digits", "--format", "flat", "--out", root / "flat")
+    run(
+        "starstruck",
+        "generate",
+        "--scenes",
+        "test=3,train=6000",
+        "--part",
+        "1/3",
+        "--out",
+        root / "unfinished",
+    )
+    return root
+
+
+def options_of(command: str, out: Path) -> tuple[str, ...]:
+    written = ("--out", str(out), "-w", "1")
+    return {
+        "validate": ("--limit", "1", "-w", "1"),
+        "preview": ("--out", str(out), "--dry-run"),
+        "merge": written,
+        "split": ("--fractions", "0.5,0.5", *written),
+        "gallery": ("--dry-run", "--out", str(out)),
+        "export": ("--format", "flat", "--limit", "1", *written),
+    }.get(command, ())
+
+
+def commands_of(program: str) -> list[str]:
+    kind = next(each for each in kinds() if each.command == program)
+    return [command for command in READS if command not in kind.lacks]
+
+
+def asked(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
+    capsys.readouterr()
+    code = call(*words)
+    return code, capsys.readouterr().err
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("program", PROGRAMS)
+@pytest.mark.parametrize("name", CONTENT)
+def test_a_command_works_or_says_what_the_data_are(sets, tmp_path, capsys, name, program):
+    owner, content = CONTENT[name]
+    place = Path(shutil.copytree(sets / name, tmp_path / name))
+    before = folder_bytes(place)
+    own = program == owner or {program, owner} <= RELATED
+    for command in commands_of(program):
+        words = options_of(command, tmp_path / "out")
+        if command == "preview" and own and name in ("single", "imported"):
+            words = (*words, "--split", "test")
+        code, said = asked(capsys, program, command, str(place), *words)
+        if (program, command) == ("tactile-sim", "verify") and name in ("single", "seq"):
+            assert "no manifest.json and no record of a download" in said
+        elif own and not (name == "wrench" and command == "split"):  # of one row, half is none
+            assert code == 0, (command, said)
+        elif not own:
+            assert code == 2, (command, said)
+            assert f"holds {content}; `{program} {command}` is for " in said
+            assert said.count("\n") == 1
+            assert folder_bytes(place) == before
+            assert not (tmp_path / "out").exists()
+            advised = shlex.split(re.findall(r"next: run `(.*)`", said)[0])
+            assert advised[0] == owner
+            assert advised[2] == str(place)
+            assert call(*advised[:2], "--help") == 0, "the command that is advised exists"
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_rows_of_any_kind_are_shown(sets, program, capsys):
+    for name in (*CONTENT, "flat", "unfinished"):
+        assert call(program, "show", str(sets / name)) == 0
+    assert "note: " in capsys.readouterr().err, "an unfinished set is called so"
+
+
+@pytest.mark.parametrize("program", PROGRAMS)
+def test_an_unfinished_set_is_refused_unless_it_is_allowed(sets, tmp_path, capsys, program):
+    place = str(sets / "unfinished")
+    for command in commands_of(program):
+        code, said = asked(capsys, program, command, place, *options_of(command, tmp_path / "out"))
+        if program != "starstruck":
+            assert code == 2
+            assert f"holds scenes; `{program} {command}` is for " in said
+        elif command not in ("info", "verify"):
+            assert code == 3
+            assert (
+                "is not finished (2 of 6 or more shards); next: run the same command again, it contin" in said
+            )
+        assert not (tmp_path / "out").exists()
+    if program == "starstruck":
+        for command in ("merge", "split", "export", "gallery", "preview"):
+            words = (*options_of(command, tmp_path / command), "--allow-incomplete")
+            code, said = asked(capsys, program, command, place, *words)
+            assert code == 0, said
+            assert f"note: {place} is unfinished: 2 of 6 or more shards" in said
+        for made in (tmp_path / "merge", tmp_path / "split" / "part-1", tmp_path / "export"):
+            assert call("starstruck", "info", str(made)) == 0
+            assert '"unfinished": "2 of 6 or more shards"' in (made / "manifest.json").read_text()
+
+
+def save_to_disk(folder: Path) -> None:
+    import datasets
+
+    datasets.disable_progress_bars()
+    datasets.Dataset.from_dict({"id": [1, 2]}).save_to_disk(str(folder))
+
+
+def pictures(folder: Path) -> None:
+    for name in ("a.png", "b.PNG", "c.jpeg"):
+        (folder / name).write_bytes(b"a picture")
+
+
+def solids_in_classes(folder: Path) -> None:
+    for name in ("mug", "fork"):
+        (folder / name).mkdir()
+        (folder / name / "part.stl").write_bytes(b"solid")
+
+
+def write(*names: str) -> Callable[[Path], None]:
+    def write_them(folder: Path) -> None:
+        for name in names:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            (folder / name).write_bytes(b"content")
+
+    return write_them
+
+
+STRANGERS = {
+    "nothing": (lambda _: None, "is empty"),
+    "saved": (save_to_disk, "was written by `save_to_disk` of `datasets`"),
+    "pictures": (pictures, "is a folder of pictures (3, such as 'a.png')"),
+    "solids": (solids_in_classes, "is a folder of meshes (2, such as 'fork/part.stl')"),
+    "tars": (write("train-000000.tar"), "is a folder of archives (1, such as 'train-000000.tar')"),
+    "zarr": (write(".zgroup", "data/.zgroup"), "is a Zarr array or group"),
+    "around zarr": (write("b.zarr/.zgroup"), "holds Zarr arrays"),
+    "lerobot": (write("meta/info.json", "data/chunk-000/x.txt"), "is a LeRobotDataset"),
+    "interrupted": (
+        write(".pending/train-00000-of-00002.json"),
+        "is the folder of a run that was interrupted, and its manifest.json is missing",
+    ),
+    "notes": (write("notes.txt"), "holds no Parquet files (found 'notes.txt')"),
+}
+
+
+@pytest.mark.parametrize("stranger", STRANGERS)
+def test_what_is_no_data_set_is_called_what_it_is(tmp_path, capsys, stranger):
+    make, words = STRANGERS[stranger]
+    folder = tmp_path / stranger
+    folder.mkdir()
+    make(folder)
+    before, answers = folder_bytes(folder), set()
+    for program in PROGRAMS:
+        for command in (*commands_of(program), "show"):
+            code, said = asked(capsys, program, command, str(folder), *options_of(command, tmp_path / "out"))
+            assert code == 2
+            answers.add(said)
+    assert len(answers) == 1, "one answer for one situation"
+    assert f"{str(folder)!r} {words}" in (answer := answers.pop())
+    assert "; expected a data set, which is Parquet files; next: " in answer
+    assert folder_bytes(folder) == before
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("a.png", "a picture"),
+        ("part.STL", "a mesh"),
+        ("x.tar", "an archive"),
+        ("t.csv", "a table or an array"),
+    ],
+)
+def test_a_file_is_called_what_it_is(tmp_path, capsys, name, words):
+    (tmp_path / name).write_bytes(b"content")
+    for program in ("starstruck", "realtouch", "env-assets"):
+        code, said = asked(capsys, program, "show", str(tmp_path / name))
+        assert code == 2
+        assert f"{name}' is {words}; expected a data set, which is Parquet files" in said
+
+
+def test_a_folder_of_data_sets_names_them(sets, capsys):
+    code, said = asked(capsys, "starstruck", "info", str(sets))
+    assert code == 2
+    assert "has files of split 'train' in " in said, "two of them have no manifest"
+    for name in ("single", "seq"):
+        shutil.move(sets / name, sets.parent / name)
+    code, said = asked(capsys, "starstruck", "info", str(sets))
+    for name in ("single", "seq"):
+        shutil.move(sets.parent / name, sets / name)
+    assert code == 2
+    assert "holds 9 data sets (copied, digits, flat); expected" in said
+
+
+def test_rows_of_no_kind_are_refused(tmp_path, capsys):
+    pq.write_table(pa.table({"x": np.arange(3), "y": ["a", "b", "c"]}), tmp_path / "train.parquet")
+    for program in PROGRAMS:
+        for command in commands_of(program):
+            words = options_of(command, tmp_path / "out")
+            code, said = asked(capsys, program, command, str(tmp_path), *words)
+            assert code == 2
+            assert "holds rows of no kind of this toolkit (columns x, y); " in said
+
+
+def test_files_for_other_programs_are_no_source(sets, tmp_path, capsys):
+    for command in ("merge", "split", "gallery", "preview", "export"):
+        words = options_of(command, tmp_path / "out")
+        code, said = asked(capsys, "mnist3d", command, str(sets / "flat"), *words)
+        assert code == 2
+        assert "was made by `export` for other programs; expected a data set with rows of its kind" in said
+
+
+def test_the_shared_commands_are_those_that_kinds_know():
+    assert {*SHARED_COMMANDS} == {*_COMMANDS}
+    known: list[DatasetKind] = list(kinds())
+    for kind in known:
+        assert {*kind.lacks} <= {*SHARED_COMMANDS}
+        for command in (*SHARED_COMMANDS, "select", "frames"):
+            assert call(kind.command, kind.command_like(command), "--help") == 0
