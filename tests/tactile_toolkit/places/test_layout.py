@@ -1,0 +1,223 @@
+"""Splits of folders: as `datasets.load_dataset` finds them, or refused where it would guess."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from mnist3d.kind import KIND
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.places.layout import splits_by_card, splits_by_name
+from tactile_toolkit.places.place import Place, open_place
+
+
+def folder_of(root: Path, files: dict[str, int], card: str = "") -> Path:
+    """Write Parquet files with so many rows each, whose ids are unique, and a data card."""
+    first = 0
+    for name, rows in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table({"id": range(first, first + rows)}), root / name)
+        first += rows
+    if card:
+        (root / "README.md").write_text(card)
+    return root
+
+
+def ids_of(place: Place) -> dict[str, list[int]]:
+    return {
+        split: [row for shard in place.shards(split) for row in shard.column("id").to_pylist()]
+        for split in place.splits
+    }
+
+
+def ids_in_datasets(folder: Path, cache: Path, config: str | None = None) -> dict[str, list[int]]:
+    import datasets
+
+    datasets.disable_progress_bars()
+    loaded = datasets.load_dataset(str(folder), config, cache_dir=str(cache))
+    return {split: sorted(rows["id"]) for split, rows in loaded.items()}
+
+
+def card(*configs: str) -> str:
+    return "---\nlicense: mit\nconfigs:\n" + "\n".join(configs) + "\n---\n# A card\n"
+
+
+SPLITS_NAMED = card(
+    "- config_name: default",
+    "  data_files:",
+    "  - {split: train, path: monday.parquet}",
+    "  - {split: test, path: 'tues*.parquet'}",
+)
+TWO = (
+    "- config_name: small\n  data_files: [{split: train, path: 'small/train-*'}]",
+    "- config_name: large\n  data_files: [{split: train, path: 'large/train-*'}]",
+)
+TWO_FILES = {"small/train-00000-of-00001.parquet": 2, "large/train-00000-of-00001.parquet": 3}
+
+ALIKE = {
+    "splits by the card": ({"monday.parquet": 3, "tuesday.parquet": 2}, SPLITS_NAMED),
+    "one folder by the card": (
+        {"rounds/a.parquet": 3, "rounds/b.parquet": 2, "old/a.parquet": 1},
+        card("- config_name: default\n  data_files: 'rounds/*.parquet'"),
+    ),
+    "any depth": (
+        {"a/b/c/x.parquet": 3, "a/y.parquet": 2, "z.parquet": 1},
+        card("- config_name: default\n  data_files: [{split: train, path: 'a/**/*.parquet'}]"),
+    ),
+    "a folder of data": (
+        {"some/train.parquet": 3, "some/test.parquet": 2, "other/train.parquet": 1},
+        card("- config_name: default\n  data_dir: some"),
+    ),
+    "the default of two": (TWO_FILES, card(TWO[0], TWO[1] + "\n  default: true")),
+    "the one called default": (
+        TWO_FILES,
+        card(TWO[0], TWO[1].replace("config_name: large", "config_name: default")),
+    ),
+    "patterns in a list": (
+        {"a.parquet": 3, "b.parquet": 2, "c.parquet": 1},
+        card("- config_name: default\n  data_files: ['b.parquet', 'a.parquet']"),
+    ),
+    "shards in data": (
+        {"data/train-00000-of-00002.parquet": 3, "data/train-00001-of-00002.parquet": 2, "old/x.parquet": 1},
+        "",
+    ),
+    "any split in data": ({"data/monday-00000-of-00001.parquet": 3}, ""),
+    "shards with a digest": (
+        {"data/train-00000-of-00001-1a2b3c.parquet": 3, "data/test-00000-of-00001-4d5e6f.parquet": 2},
+        "",
+    ),
+    "folders": ({"train/a.parquet": 3, "train/2024/b.parquet": 2, "testing/a.parquet": 1}, ""),
+    "words in folders": ({"my train/a.parquet": 3, "dev-set/a.parquet": 2}, ""),
+    "files": ({"training.parquet": 3, "val.parquet": 2, "eval-1.parquet": 1}, ""),
+    "words in files": ({"touches-train.parquet": 3, "touches_test_0.parquet": 2}, ""),
+    "numbered": ({"default/train/0000.parquet": 3, "default/train/0001.parquet": 2}, ""),
+}
+
+
+@pytest.mark.parametrize("situation", ALIKE)
+def test_splits_are_those_of_load_dataset(situation, tmp_path):
+    files, text = ALIKE[situation]
+    folder = folder_of(tmp_path / "set", files, text)
+    found = {split: sorted(rows) for split, rows in ids_of(open_place(folder)).items()}
+    assert found == ids_in_datasets(folder, tmp_path / "cache")
+
+
+def test_several_configurations_need_a_choice(tmp_path):
+    folder = folder_of(tmp_path / "set", TWO_FILES, card(*TWO))
+    with pytest.raises(
+        InputError, match=r"has the configurations small, large; expected one of them; .*config="
+    ) as e:
+        open_place(folder)
+    assert "--config-name small" in str(e.value)
+    for config in ("small", "large"):
+        assert ids_of(open_place(folder, config=config)) == ids_in_datasets(folder, tmp_path / config, config)
+    with pytest.raises(InputError, match=r"no configuration 'smal' in .* did you mean 'small'"):
+        open_place(folder, config="smal")
+    (folder / "README.md").unlink()
+    with pytest.raises(InputError, match="has files of split 'train' in 'large' and 'small'"):
+        open_place(folder)
+    assert ids_of(open_place(folder / "small")) == {"train": [0, 1]}
+    with pytest.raises(InputError, match=r"has no configurations, 'small' was asked for|has files of split"):
+        open_place(folder, config="small")
+
+
+@pytest.mark.parametrize(
+    "files",
+    [
+        ("train-00000-of-00001.parquet", "old/train-00000-of-00001.parquet"),
+        ("train.parquet", "train/0000.parquet"),
+        ("a/test/0000.parquet", "b/test/0000.parquet"),
+        ("x/one.parquet", "y/two.parquet"),
+    ],
+)
+def test_files_of_one_split_in_two_folders_are_refused(files):
+    with pytest.raises(
+        InputError, match=r"has files of split '(train|test)' in '[^']+' and '[^']+', and no README"
+    ):
+        splits_by_name(files, "here")
+
+
+def test_own_splits_and_names_without_a_keyword_stay():
+    names = ("train", "holdout", "printed_train", "printed_test", "monday")
+    assert splits_by_name([f"{name}.parquet" for name in names], "here") == {
+        name: (f"{name}.parquet",) for name in sorted(names)
+    }
+    assert [*splits_by_name([f"default/{name}/0000.parquet" for name in names], "here")] == sorted(names)
+    assert {*KIND.splits} >= {"holdout", "printed_train"}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "\ufeff---\r\nconfigs:\r\n- config_name: default\r\n  data_files: x.parquet\r\n---\r\n",
+        "---\nconfigs: [{config_name: default, data_files: x.parquet}]\n---",
+    ],
+)
+def test_marks_and_ends_of_lines_do_not_hide_a_card(text):
+    assert splits_by_card(text.encode(), ["x.parquet", "y.parquet"], None, "here") == {
+        "train": ("x.parquet",)
+    }
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# no head",
+        "---\nconfigs: [\n---\n",
+        "---\nlicense: mit\n---\nconfigs: below",
+        "---\nconfigs: &a [*a, *a]\n--- no end",
+        "---\nconfigs:\n---\n",
+    ],
+)
+def test_a_card_that_says_nothing_leaves_the_names(text):
+    assert splits_by_card(text.encode(), ["x.parquet"], None, "here") is None
+
+
+@pytest.mark.parametrize(
+    "data_files",
+    [
+        "../x.parquet",
+        "/etc/*",
+        "https://evil/x.parquet",
+        "hf://datasets/a/b/x.parquet",
+        "data/../../x.parquet",
+        "C:\\\\x.parquet",
+        "[{split: '../train', path: x.parquet}]",
+        "[{split: train, path: 3}]",
+        "[{split: [], path: x.parquet}]",
+        "{train: {a: b}}",
+        "7",
+    ],
+)
+def test_what_leads_out_of_the_folder_or_cannot_be_read_is_refused(data_files):
+    text = f"---\nconfigs:\n- config_name: default\n  data_files: {data_files}\n---\n"
+    with pytest.raises(InputError, match=r"^README\.md of 'here'.*; next: "):
+        splits_by_card(text.encode(), ["x.parquet"], None, "here")
+
+
+def test_a_split_of_the_card_without_files_is_named(tmp_path):
+    folder = folder_of(tmp_path, {"monday.parquet": 3}, SPLITS_NAMED)
+    place = open_place(folder)
+    assert place.splits == ("train",)
+    with pytest.raises(IntegrityError, match="has 0 of 1 file of split 'test'; expected all"):
+        place.shards("test")
+
+
+def test_a_pattern_of_many_stars_ends(tmp_path):
+    text = f"---\nconfigs:\n- config_name: default\n  data_files: '{'*a' * 60}b'\n---\n"
+    assert splits_by_card(text.encode(), ["a" * 140 + ".parquet"], None, "here") == {"train": ()}
+
+
+def test_a_data_set_in_a_folder_is_not_of_that_folder(tmp_path):
+    folder_of(tmp_path, {"train.parquet": 2, "copy/data/train-00000-of-00001.parquet": 2})
+    (tmp_path / "copy" / "manifest.json").write_text("{}")
+    assert ids_of(open_place(tmp_path)) == {"train": [0, 1]}
+    shutil.rmtree(tmp_path / "copy")
+    (tmp_path / ".hidden").mkdir()
+    pq.write_table(pa.table({"id": [7]}), tmp_path / ".hidden" / "train.parquet")
+    (tmp_path / "._train.parquet").write_bytes(b"of a Mac")
+    assert ids_of(open_place(tmp_path)) == {"train": [0, 1]}
