@@ -19,8 +19,8 @@ from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, kind_of, require_ty
 from tactile_toolkit.catalog.locate import manifest_beside
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.source import ChosenGroups, RowSource
+from tactile_toolkit.read.parquet import ChosenGroups, Shard
+from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind

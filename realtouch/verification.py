@@ -171,7 +171,7 @@ def _verify_index(
 
 def _damage_in_file(folder: DataFolder, path: str, sha256: str | None, *, decode: bool) -> Iterator[Damage]:
     """Compare a file with its checksum, if one is given, and look at its images; yield what is wrong."""
-    if sha256 is not None and not is_unchanged(folder, path, sha256, reads=True):
+    if sha256 is not None and not is_unchanged(folder, path, sha256):
         problem = f"its sha256 differs from the index, which has {sha256}"
         yield Damage(path, None, None, "", problem if folder.exists(path) else "is missing")
         return

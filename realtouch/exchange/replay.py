@@ -69,7 +69,7 @@ class _WriteBuffer:
             self._write(made, shards)
             made.seek(0)
             digest = hashlib.file_digest(made, "sha256").hexdigest()
-            if not is_unchanged(folder, _FILE, digest, reads=True):
+            if not is_unchanged(folder, _FILE, digest):
                 folder.write(_FILE, lambda stream: _copy(made, stream))
         return {_FILE: digest}
 

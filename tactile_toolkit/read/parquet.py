@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import os
 import re
 import struct
@@ -18,7 +19,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import accumulate, chain, groupby
+from itertools import accumulate, chain, groupby, pairwise
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
@@ -38,9 +39,9 @@ from tactile_toolkit.read.columns import (
 )
 from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import locked, readable, resource_shortage
+from tactile_toolkit.store.files import locked, resource_shortage
 from tactile_toolkit.store.folder import VERSION_KEYS, split_uri
-from tactile_toolkit.store.parquet import SOURCE_DIGEST, open_checked
+from tactile_toolkit.store.parquet import SOURCE_DIGEST, named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
 _BLOCK_BYTES = 64 << 20
@@ -49,8 +50,6 @@ _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
 # takes about 20 times.
 _MOST_EXPANSION = 500
-
-_TAIL_BYTES = 8  # of a Parquet file, behind its footer
 
 _FEW_SHARDS = 8
 _READERS = 16  # most of them wait, for a disk or a network
@@ -437,30 +436,25 @@ class Shard:
         return stream, (self.path, *versions), facts["size"]
 
     @contextlib.contextmanager
-    def _as_stored(self) -> Iterator[tuple[IO[bytes], int]]:
-        """Open the bytes of the file, with their number; IntegrityError unless it is the one met first."""
+    def stored(self) -> Iterator[IO[bytes]]:
+        """Open the bytes of the file; IntegrityError unless it is the one that was met first."""
         known = self.identity
         with self._named_damage():
-            stream, identity, size_bytes = self._stream()
+            stream, identity, _ = self._stream()
             with stream:
                 self._require_same(identity, known)
-                yield stream, size_bytes
-
-    def content(self) -> bytes:
-        """Read the bytes of the file; IntegrityError where it was replaced after it was met first."""
-        with self._as_stored() as (stream, _):
-            return stream.read()
+                yield stream
 
     def fingerprint(self) -> dict[str, Any]:
         """Return JSON values that identify the rows; the footer holds the size of every column.
 
         The file is noted: another one that takes its place is refused from here on.
         """
-        with self._as_stored() as (stream, size_bytes):
+        with self.stored() as stream:
             # A Parquet file ends in the length of its footer and four letters.
-            stream.seek(size_bytes - _TAIL_BYTES)
+            size_bytes = stream.seek(-8, io.SEEK_END) + 8
             footer_bytes = int.from_bytes(stream.read(4), "little")
-            stream.seek(max(0, size_bytes - _TAIL_BYTES - footer_bytes))
+            stream.seek(-8 - footer_bytes, io.SEEK_END)
             footer = stream.read(footer_bytes)
         digest = hashlib.sha256(footer).hexdigest()
         name = self.path.rpartition("/")[2]
@@ -492,20 +486,50 @@ class Shard:
 
     @contextlib.contextmanager
     def _named_damage(self) -> Iterator[None]:
-        import pyarrow as pa
+        with named_damage(self.path), self.failures():
+            yield
 
-        try:
-            with readable(self.path), self.failures():
-                yield
-        except GeneratorExit:  # a pass left in its middle, maybe at exit, when Arrow's names are gone
-            raise
-        except FileNotFoundError as error:
-            raise IntegrityError(
-                f"{self.path!r} is missing", next="generate or download the data set again"
-            ) from error
-        except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-            problem = f" is damaged, an intact Parquet file was expected ({error})"
-            raise IntegrityError.in_file(self.path, problem) from error
+
+class ChosenGroups:
+    """Some row groups of a file, such as those that can be read; the rows of the others are not there."""
+
+    small = None
+
+    def __init__(self, shard: Shard, groups: Sequence[int]) -> None:
+        self.shard = shard
+        self.groups = groups
+        self.path, self.set_name, self.origin = shard.path, shard.set_name, shard.origin
+        self.schema, self.class_names = shard.schema, shard.class_names
+        self.identity = (*shard.identity, *groups)
+        sizes = [stop - start for start, stop in pairwise(shard.group_starts)]
+        self.group_starts = [0, *accumulate(sizes[group] for group in groups)]
+
+    @property
+    def part_sizes(self) -> Sequence[int]:
+        """Rows of the parts that training mixes: all together."""
+        return (len(self),)
+
+    def __len__(self) -> int:
+        return self.group_starts[-1]
+
+    def locate(self, row: int) -> tuple[Rows, int]:
+        """Return the rows of the file among which a row lies, and its index in them."""
+        index = bisect_right(self.group_starts, row) - 1
+        first = self.shard.group_starts[self.groups[index]]
+        return self.shard.locate(first + row - self.group_starts[index])
+
+    def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Decode the blocks of the row groups one after another."""
+        for group in self.groups:
+            yield from self.shard.blocks(group, columns)
+
+    def column(self, name: str) -> Any:
+        """Read one column as an Arrow array."""
+        return RowGroup(self.shard.read([name], self.groups), self.path).arrow(name)
+
+    def unpack(self, index: int) -> int:
+        """Unpack a row group into the cache."""
+        return self.shard.unpack(self.groups[index])
 
 
 def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource]) -> Iterator[T]:
@@ -513,7 +537,7 @@ def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource])
     return in_threads(function, shards, 1 if len(shards) < _FEW_SHARDS else _READERS)
 
 
-def _small_column(small: tuple[Shard, str] | None, shards: Sequence[RowSource], name: str) -> Any:
+def _small_column(small: tuple[RowSource, str] | None, shards: Sequence[RowSource], name: str) -> Any:
     """Read a column of some shards from their file of small columns; None where it is to be asked of them."""
     # What is wrong with it costs speed only; `verify` names it.
     with contextlib.suppress(IntegrityError):

@@ -163,8 +163,15 @@ def named_damage(address: str) -> Iterator[None]:
     try:
         with readable(address):
             yield
+    except GeneratorExit:  # a pass left in its middle, maybe at exit, when Arrow's names are gone
+        raise
+    except FileNotFoundError as error:
+        raise IntegrityError(
+            f"{address!r} is missing", next="generate or download the data set again"
+        ) from error
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise IntegrityError(f"{address!r} is not an intact Parquet file: {error}") from error
+        problem = f" is damaged, an intact Parquet file was expected ({error})"
+        raise IntegrityError.in_file(address, problem) from error
 
 
 def open_parquet(folder: DataFolder, path: str) -> Any:
@@ -289,7 +296,7 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
         return folder.write(path, write)
     except IntegrityError as error:
         raise IntegrityError(
-            f"{error}; nothing was changed", next="run the same command again with --check"
+            f"{error.what}; nothing was changed", next="run the same command again with --check"
         ) from error
 
 
