@@ -208,7 +208,6 @@ class MadeScenes:
     """The rows of a split, each made when it is asked for: a source of rows without a file."""
 
     path = ""
-    small = None
 
     def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
         self.spec = spec

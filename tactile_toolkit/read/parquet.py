@@ -493,8 +493,6 @@ class Shard:
 class ChosenGroups:
     """Some row groups of a file, such as those that can be read; the rows of the others are not there."""
 
-    small = None
-
     def __init__(self, shard: Shard, groups: Sequence[int]) -> None:
         self.shard = shard
         self.groups = groups
@@ -537,7 +535,7 @@ def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource])
     return in_threads(function, shards, 1 if len(shards) < _FEW_SHARDS else _READERS)
 
 
-def _small_column(small: tuple[RowSource, str] | None, shards: Sequence[RowSource], name: str) -> Any:
+def _small_column(small: tuple[Shard, str] | None, shards: Sequence[RowSource], name: str) -> Any:
     """Read a column of some shards from their file of small columns; None where it is to be asked of them."""
     # What is wrong with it costs speed only; `verify` names it.
     with contextlib.suppress(IntegrityError):
@@ -638,7 +636,9 @@ class ShardedTable:
 
     def _arrays(self, name: str) -> Iterator[Any]:
         """Yield the Arrow arrays of one column in order, from few files where the data set has such."""
-        for small, neighbours in groupby(self.shards, key=lambda shard: shard.small):
+        for small, neighbours in groupby(
+            self.shards, key=lambda each: each.small if isinstance(each, Shard) else None
+        ):
             shards = list(neighbours)
             column = _small_column(small, shards, name)
             if column is not None:

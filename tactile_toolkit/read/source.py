@@ -36,10 +36,6 @@ class RowSource(Protocol):
         """Folder and split: sources of which these are equal have one schema."""
 
     @property
-    def small(self) -> tuple[RowSource, str] | None:
-        """File of small columns and what it must state that it was made of; None where there is none."""
-
-    @property
     def group_starts(self) -> Sequence[int]:
         """First row of each row group, and the number of rows at the end."""
 
