@@ -33,11 +33,11 @@ from realtouch.kind import KIND
 from realtouch.poses import bad_pose
 from realtouch.spec import ImportColumns
 from tactile_toolkit.catalog.locate import refuse_source
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.places.place import Name, Place
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.build import RunOptions, build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.job import BuildPlan
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
@@ -227,7 +227,9 @@ def _plan(
             size = require_intact(content) if isinstance(content, bytes) else None
         if size is not None:
             break
-    work = _ImportTouches(layout, columns, names, size, _schema(columns, names))
+    held = Counter(item.path for item in items)
+    versions = {path: _version(path) for path, count in held.items() if count > 1}
+    work = _ImportTouches(layout, columns, names, size, _schema(columns, names), versions)
     tasks: list[ShardTask[NamedItem]] = []
     for each, found in rounds.items():
         parts = _divided(found)
@@ -342,6 +344,12 @@ def _schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
     return with_features(pa.schema(fields), names)
 
 
+def _version(path: str) -> tuple[object, ...] | None:
+    """Return what changes whenever a file is replaced; ``#`` ends its name where an array of it is meant."""
+    folder, name = split_uri(path.partition("#")[0])
+    return folder.version(name)
+
+
 def _noted(contents: Iterable[bytes | Exception], digest: Any) -> Iterator[bytes | Exception]:
     """Yield contents, and add each to a digest."""
     for content in contents:
@@ -355,13 +363,17 @@ def _noted(contents: Iterable[bytes | Exception], digest: Any) -> Iterator[bytes
 
 @dataclass(frozen=True, eq=False)
 class _ImportTouches:
-    """Picklable: reads the images of some rounds and checks what is said of them."""
+    """Picklable: reads the images of some rounds and checks what is said of them.
+
+    ``versions`` are those of files that hold several images, when places of these in them were read.
+    """
 
     layout: str
     columns: ImportColumns
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
+    versions: Mapping[str, tuple[object, ...] | None]
 
     def digest(self, touches: Sequence[NamedItem]) -> str:
         """Read the images of touches and return the checksum of all."""
@@ -391,6 +403,10 @@ class _ImportTouches:
             if made:
                 of_touch = {each: [touch[each] for touch in made] for each in made[0]}
                 rows.append({"id": name, **of_touch, **{each: made[0][each] for each in _OF_ROUND}})
+        for path in self.versions.keys() & {item.path for _, item in touches}:
+            if _version(path) != self.versions[path]:
+                problem = "was replaced or changed while it was imported: images would be taken for others"
+                raise IntegrityError(f"{path!r} {problem}", next="run the same command with --overwrite")
         counted = {printable(name): count for name, count in others.most_common(_MOST_FIELDS)}
         statistics = {NOT_IMPORTED: dict(sorted(counted.items()))} if counted else None
         table = pa.Table.from_pylist(rows, self.schema)
