@@ -35,7 +35,7 @@ from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
+from tactile_toolkit.store.parquet import ParquetStyle, is_unchanged, sha256_hex
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
 from tactile_toolkit.store.task import ShardContent, ShardTask
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
@@ -393,11 +393,7 @@ def table_of(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
 
 def write_changed(folder: DataFolder, path: str, content: bytes) -> str:
     """Write a file only where it differs: a run over a finished set changes nothing. Return its checksum."""
-    if not folder.exists(path) or folder.read_bytes(path) != content:
+    sha256 = sha256_hex(content)
+    if not is_unchanged(folder, path, sha256):
         folder.write_bytes(path, content)
-    return sha256_hex(content)
-
-
-def is_unchanged(folder: DataFolder, path: str, sha256: str) -> bool:
-    """Return whether a file is there with some content."""
-    return folder.exists(path) and file_sha256(folder, path) == sha256
+    return sha256

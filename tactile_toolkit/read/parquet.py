@@ -501,11 +501,7 @@ class ChosenGroups:
         self.identity = (*shard.identity, *groups)
         sizes = [stop - start for start, stop in pairwise(shard.group_starts)]
         self.group_starts = [0, *accumulate(sizes[group] for group in groups)]
-
-    @property
-    def part_sizes(self) -> Sequence[int]:
-        """Rows of the parts that training mixes: all together."""
-        return (len(self),)
+        self.part_sizes = (len(self),)
 
     def __len__(self) -> int:
         return self.group_starts[-1]

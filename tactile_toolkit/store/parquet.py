@@ -233,6 +233,11 @@ def file_sha256(folder: DataFolder, path: str) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
+def is_unchanged(folder: DataFolder, path: str, sha256: str) -> bool:
+    """Return whether there is a file with some content."""
+    return folder.exists(path) and file_sha256(folder, path) == sha256
+
+
 def _paths(schema: Any) -> list[str]:
     """Return the paths of a schema's columns in a file, by which pyarrow takes them."""
     import pyarrow.parquet as pq
@@ -284,7 +289,7 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
     stored = {f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)}
     pending = {record.shard for record in records if record.shard.report_path in stored}
     known = manifest.files.get(path)
-    if known and not pending and folder.exists(path) and file_sha256(folder, path) == known:
+    if known and not pending and is_unchanged(folder, path, known):
         return known
 
     def write(stream: IO[bytes]) -> str:
@@ -396,7 +401,7 @@ def write_small_columns(folder: DataFolder, manifest: Manifest) -> dict[str, str
 
 
 def _is_current(folder: DataFolder, file: SmallFile, checksum: str) -> bool:
-    is_whole = folder.exists(file.path) and file_sha256(folder, file.path) == checksum
+    is_whole = is_unchanged(folder, file.path, checksum)
     metadata = open_parquet(folder, file.path).schema_arrow.metadata if is_whole else None
     return bool((metadata or {}).get(SOURCE_DIGEST) == file.made_of.encode())
 

@@ -16,6 +16,7 @@ import starstruck_gen
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.exchange.copies import divide, merge_sets, plan_tables, write_part
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.store.build import Progress, build
 from tactile_toolkit.store.folder import DataFolder
 from tests.realtouch import factories
@@ -44,7 +45,7 @@ def divided(source: str, out: str, **run: Any) -> None:
 
 def flat(source: str, out: str, **run: Any) -> None:
     choices = [("train", starstruck_gen.load(source), np.arange(3))]
-    build(DataFolder(out), plan_tables(SCENES, source, choices, ALL, out), **run)
+    build(DataFolder(out), plan_tables(SCENES, open_place(source), choices, ALL, out), **run)
 
 
 def resized(source: str, out: str, **run: Any) -> None:
