@@ -23,7 +23,7 @@ from realtouch.video import MAX_CLIP_FRAMES
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import NestedColumn
 from tactile_toolkit.read.dataset import Row, checked_index
-from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind
 
@@ -45,7 +45,7 @@ _CONTACT_START, _CONTACT_END = "touch_start_time_rel", "touch_end_time_rel"
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 
 
-def stored_rows(shards: Iterable[Shard], columns: Sequence[str] | None = None) -> Iterator[TouchRow]:
+def stored_rows(shards: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[TouchRow]:
     """Yield all rows of some files, with all columns or those named; a block of them is in memory."""
     for shard in shards:
         for group in shard.all_blocks(columns):

@@ -17,8 +17,7 @@ from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
 from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
 from realtouch.media import SensorImages, room_for
 from realtouch.rounds import (
-    GroupWithoutMedia,
-    RowWithoutMedia,
+    RowsWithoutMedia,
     Touch,
     TouchRound,
     TouchSeqRound,
@@ -33,6 +32,7 @@ from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions, with_origins
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, Kind
@@ -53,7 +53,7 @@ class TouchDataset(RecordDataset[R]):
         As for :class:`tactile_toolkit.read.dataset.RecordDataset`.
     skipped : sequence of (int or None, Damage)
         Damage that was found and is left out, each with the number of its row in the table: rounds by
-        the data set itself, single touches by :meth:`touches`. None stands for a file left out as a whole.
+        the data set itself, single touches by :meth:`touches`. None stands for a file or row group left out.
     """
 
     things = "rounds"
@@ -104,10 +104,7 @@ class TouchDataset(RecordDataset[R]):
 
     @property
     def _stored_counts(self) -> NDArray[np.int64]:
-        def counts(shard: Shard) -> list[NDArray[np.int64]]:
-            return [stored_touch_counts(shard, index) for index in range(shard.metadata.num_row_groups)]
-
-        return self._table.per_shard("touches", counts)
+        return self._table.per_shard("touches", lambda source: [stored_touch_counts(source)])
 
     def has_column(self, name: str) -> bool:
         """Return whether the data set has a column, by dotted name."""
@@ -152,11 +149,11 @@ class TouchDataset(RecordDataset[R]):
     ) -> NDArray[np.float64]:
         """Join what is known of the touches of each stored row, of a few columns."""
 
-        def of_shard(shard: Shard) -> list[NDArray[np.float64]]:
-            rule = ContactHeight.of(shard.types)
-            return [known(row, rule) for row in stored_rows([shard], columns)]
+        def of_source(source: RowSource) -> list[NDArray[np.float64]]:
+            rule = ContactHeight.of(column_types(source.schema))
+            return [known(row, rule) for row in stored_rows([source], columns)]
 
-        values = self._table.per_shard(key, of_shard)
+        values = self._table.per_shard(key, of_source)
         if len(values) != self.touch_starts[-1]:
             raise IntegrityError(
                 f"{len(values):,} poses of touches for {self.touch_starts[-1]:,} touches; expected one each",
@@ -166,8 +163,8 @@ class TouchDataset(RecordDataset[R]):
 
     def contact_rules(self) -> list[ContactHeight]:
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
-        shards = self._table.shards
-        of_rows = [rule for shard in shards for rule in [ContactHeight.of(shard.types)] * len(shard)]
+        rules = [(ContactHeight.of(column_types(each.schema)), len(each)) for each in self._table.shards]
+        of_rows = [rule for rule, count in rules for _ in range(count)]
         return [of_rows[row] for row in self._row_numbers.tolist()]
 
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
@@ -176,17 +173,14 @@ class TouchDataset(RecordDataset[R]):
         # Through the stored rows in their order: each block is read once, whatever the order of the view.
         wanted = set(self._row_numbers.tolist())
         media = MEDIA_COLUMN[self.kind]
-        for shard in self._table.shards:
-            columns = [name for name in shard.schema.names if name != media]
-            for index in range(shard.metadata.num_row_groups):
-                for block, group in enumerate(shard.blocks(index, columns)):
-                    rows = GroupWithoutMedia(
-                        group.table, group.path, group.first_row, shard=shard, index=index, block=block
-                    )
-                    for row in range(len(group.table)):
-                        if number + row in wanted:
-                            yield number + row, self.record_class(RowWithoutMedia(rows, row))
-                    number += len(group.table)
+        for source in self._table.shards:
+            columns, start = [name for name in source.schema.names if name != media], number
+            for block in source.all_blocks(columns):
+                rows = RowsWithoutMedia(block, source, number - start)
+                for row in range(len(block.table)):
+                    if number + row in wanted:
+                        yield number + row, self.record_class(TouchRow(rows, row))
+                number += len(block.table)
 
     def _each(self) -> Iterator[tuple[int, R]]:
         places: dict[int, list[int]] = {}
@@ -550,7 +544,7 @@ class Touches(RecordDataset[Touch], Generic[R]):
         order = np.lexsort((self.touch_indices, turns))
         return StoredParts(np.unique(np.searchsorted(turns[order], rounds.starts)), order)
 
-    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[RowSource, int]]:
         return self.dataset._row_groups(np.unique(self.round_positions[chosen]))
 
     def _description(self) -> list[str]:
@@ -604,7 +598,7 @@ def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
 
 
 def dataset_of(
-    shards: Sequence[Shard],
+    shards: Sequence[RowSource],
     rows: NDArray[np.int64] | None = None,
     skipped: Sequence[tuple[int | None, Damage]] = (),
 ) -> TouchSeqDataset | TouchSingleDataset:

@@ -6,7 +6,6 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -19,8 +18,9 @@ from realtouch.media import SensorImages, TouchClip
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, kind_of, require_types
 from tactile_toolkit.catalog.locate import manifest_beside
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.read.columns import RowGroup
-from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.columns import column_types
+from tactile_toolkit.read.parquet import ChosenGroups, Shard
+from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind
@@ -68,7 +68,7 @@ def _require_agreement(shard: Shard, kind: Kind, files: Sequence[Shard]) -> None
         )
 
 
-def stated_class_names(shards: Iterable[Shard]) -> tuple[str, ...] | None:
+def stated_class_names(shards: Iterable[RowSource]) -> tuple[str, ...] | None:
     """Return the names of the classes as the first file that states any does; None where none does."""
     return next((shard.class_names for shard in shards if shard.class_names is not None), None)
 
@@ -85,18 +85,18 @@ def modal_touch_count(shards: Sequence[Shard]) -> int | None:
     for shard in shards:
         for index in range(shard.metadata.num_row_groups):
             with suppress(IntegrityError):
-                counts.update(stored_touch_counts(shard, index).tolist())
+                counts.update(stored_touch_counts(ChosenGroups(shard, [index])).tolist())
     modal, rounds = counts.most_common(1)[0] if counts else (0, 0)
     return modal if 2 * rounds > counts.total() else None
 
 
-def stored_touch_counts(shard: Shard, index: int) -> NDArray[np.int64]:
-    """Return T of every row of a row group, shape (rows,), int64; reads nothing where the schema fixes it."""
-    name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in shard.types)
-    data_type = shard.types[name]
-    if pa.types.is_fixed_size_list(data_type):
-        return np.full(shard.metadata.row_group(index).num_rows, data_type.list_size, np.int64)
-    counts = [group.nested(name).lengths(0) for group in shard.blocks(index, [name])]
+def stored_touch_counts(source: RowSource) -> NDArray[np.int64]:
+    """Return T of every row, shape (rows,), int64; reads nothing where the schema fixes it."""
+    types = column_types(source.schema)
+    name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in types)
+    if pa.types.is_fixed_size_list(types[name]):
+        return np.full(len(source), types[name].list_size, np.int64)
+    counts = [block.nested(name).lengths(0) for block in source.all_blocks([name])]
     return np.concatenate(counts or [np.zeros(0, np.int64)])
 
 
@@ -234,67 +234,38 @@ def _describe(size: tuple[int, ...]) -> str:
     return f"{size[1]} x {size[0]} pixels"
 
 
-@dataclass(frozen=True)
-class PartialShard(Shard):
-    """A Parquet file whose unreadable row groups count as rows without values when columns are read.
-
-    Rows keep their numbers, so that the others are found and named as in the entire file. A user of one
-    asks for no row of the groups in ``lost`` by itself.
-    """
-
-    lost: frozenset[int] = frozenset()
-
-    def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Any:
-        """Decode row groups, all columns or those named; nulls stand for those that cannot be read."""
-        wanted = range(self.metadata.num_row_groups) if groups is None else groups
-        return pa.concat_tables([super().read(columns, []), *(self._group(each, columns) for each in wanted)])
-
-    def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
-        """Decode the blocks of a row group; one of nulls where it cannot be read."""
-        if index in self.lost:
-            yield RowGroup(self._group(index, columns), self.path, self.group_starts[index])
-        else:
-            yield from super().blocks(index, columns)
-
-    def _group(self, index: int, columns: Sequence[str] | None) -> Any:
-        if index not in self.lost:
-            return super().read(columns, [index])
-        schema = super().read(columns, []).schema
-        rows = self.metadata.row_group(index).num_rows
-        return pa.table([pa.nulls(rows, field.type) for field in schema], schema=schema)
-
-
 def find_damage(
     shards: Sequence[Shard], expected_touches: int | None
-) -> tuple[list[Shard], NDArray[np.int64], list[tuple[int | None, Damage]]]:
+) -> tuple[list[RowSource], NDArray[np.int64], list[tuple[int | None, Damage]]]:
     """Check every round of some files, of which each must have ``expected_touches``, where that is said.
 
-    Returns the files, those with row groups that cannot be read as :class:`PartialShard`; the rows of all
-    files that are not lost; and all damage, each with the number of its row. A row is lost when it cannot be
-    read or something is wrong with the round as a whole (a column, its number of touches); a round with
-    damaged touches stays.
+    Returns the row groups of each file that can be read; which of their rows are not lost; and all damage,
+    each with the number of its row among them, None for row groups that cannot be read. A row is lost when
+    something is wrong with the round as a whole (a column, its number of touches); a round with damaged
+    touches stays.
     """
-    found: list[tuple[int | None, Damage]] = []
-    files: list[Shard] = []
-    lost = np.zeros(sum(map(len, shards)), bool)
+    found: list[tuple[int, Damage]] = []
+    sources: list[RowSource] = []
+    gone = np.zeros(sum(map(len, shards)), bool)  # rows of row groups that cannot be read
+    lost = gone.copy()
     names = stated_class_names(shards)
     start = 0
     for shard in shards:
-        unreadable = set()
+        starts = shard.group_starts
+        groups = list(range(len(starts) - 1))
         for row, damage in checked_rows([shard], expected_touches, names):
             if row is None:
-                index = shard.group_starts.index(int(damage[0].row or 0))
-                unreadable.add(index)
-                lost[start + shard.group_starts[index] : start + shard.group_starts[index + 1]] = True
+                group = starts.index(int(damage[0].row or 0))
+                groups.remove(group)
+                gone[start + starts[group] : start + starts[group + 1]] = True
             for one in damage:
-                row_number = start + int(one.row or 0)
-                found.append((row_number, one))
-                lost[row_number] |= one.touch is None
-        if unreadable:
-            shard = PartialShard(shard.path, shard.rows, shard.failures, lost=frozenset(unreadable))
-        files.append(shard)
+                found.append((start + int(one.row or 0), one))
+                lost[found[-1][0]] |= one.touch is None
+        sources.append(shard if len(groups) == len(starts) - 1 else ChosenGroups(shard, groups))
         start += len(shard)
-    return files, np.flatnonzero(~lost), found
+    numbers = np.cumsum(~gone) - 1
+    numbered = [(None if gone[row] else int(numbers[row]), one) for row, one in found]
+    return sources, numbers[~(lost | gone)], numbered
 
 
 def unreadable_file(path: str, error: ToolkitError) -> Damage:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import cached_property, partial
 from typing import TYPE_CHECKING, Any, Self
 
@@ -30,9 +29,9 @@ from realtouch.media import (
 from realtouch.poses import Poses, PoseSequences
 from realtouch.schema import flat_row, take_touches
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.read.columns import RowGroup, column_names
+from tactile_toolkit.read.columns import RowGroup, Rows, column_names
 from tactile_toolkit.read.dataset import Record, positions
-from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.touch.jpeg import Pixels
 
 if TYPE_CHECKING:
@@ -41,44 +40,34 @@ if TYPE_CHECKING:
 _MOST_THREADS = 4
 
 
-@dataclass(frozen=True, eq=False)
-class GroupWithoutMedia(RowGroup):
-    """Rows of which images or clips were not read; ``shard``, ``index`` and ``block`` say where those are."""
+class RowsWithoutMedia(Rows):
+    """A block of rows of which images or clips were not read; these are opened where they are asked for.
 
-    shard: Shard = field(kw_only=True)
-    index: int = field(kw_only=True)
-    block: int = field(kw_only=True)
+    ``number`` is that of the first of them in the source.
+    """
+
+    def __init__(self, read: RowGroup, source: RowSource, number: int) -> None:
+        super().__init__(read.path, read.first_row)
+        self._read = read
+        self._source = source
+        self._number = number
+
+    @cached_property
+    def table(self) -> Any:
+        """The rows with all columns: the whole block is read."""
+        return self._source.locate(self._number)[0].table
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Columns by dotted name, those not read yet included."""
-        return column_names(self.shard.schema)
+        return column_names(self._source.schema)
 
     def arrow(self, name: str) -> Any:
         """Return a column, opening the complete rows where it was left out."""
         try:
-            return super().arrow(name)
+            return self._read.arrow(name)
         except KeyError:
-            # One round's pictures were asked for after all: its block is read whole.
-            return self.whole().arrow(name)
-
-    def whole(self) -> RowGroup:
-        """Return the same rows with all their columns."""
-        return self.shard.block(self.index, self.block)
-
-
-class RowWithoutMedia(TouchRow):
-    """A row of a :class:`GroupWithoutMedia`; pickles with all its columns."""
-
-    __slots__ = ()
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return _whole_row(self).__reduce__()
-
-
-def _whole_row(row: TouchRow) -> TouchRow:
-    """Return a row of which all columns are in its table."""
-    return TouchRow(row.group.whole(), row.index) if isinstance(row.group, GroupWithoutMedia) else row
+            return super().arrow(name)
 
 
 class TouchRound(Record):
@@ -128,7 +117,7 @@ class TouchRound(Record):
 
     def with_touches(self, touches: Sequence[int]) -> Self:
         """Return a round of some of the touches, in the order given; a copy of their stored bytes."""
-        row = _whole_row(self._row)
+        row = self._row
         table = flat_row(row)
         chosen = take_touches(table, touches, self.touch_count)
         return type(self)(TouchRow(RowGroup(chosen, row.path, row.number), 0))

@@ -9,7 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 
 from realtouch.columns import Damage, TouchRow, stored_rows
-from realtouch.convert.plan import files_of, is_unchanged
+from realtouch.convert.plan import files_of
 from realtouch.integrity import (
     agreeing_files,
     checked_rows,
@@ -27,7 +27,7 @@ from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import typed
 from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.parquet import open_parquet
+from tactile_toolkit.store.parquet import is_unchanged, open_parquet
 from tactile_toolkit.store.shards import Finding
 from tactile_toolkit.store.verify import verify as verify_files
 from tactile_toolkit.touch.jpeg import decode_image, image_size
@@ -171,7 +171,7 @@ def _verify_index(
 
 def _damage_in_file(folder: DataFolder, path: str, sha256: str | None, *, decode: bool) -> Iterator[Damage]:
     """Compare a file with its checksum, if one is given, and look at its images; yield what is wrong."""
-    if sha256 is not None and not is_unchanged(folder, path, sha256, reads=True):
+    if sha256 is not None and not is_unchanged(folder, path, sha256):
         problem = f"its sha256 differs from the index, which has {sha256}"
         yield Damage(path, None, None, "", problem if folder.exists(path) else "is missing")
         return

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from array import array
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cached_property
 from typing import Any, Literal, overload
 
@@ -21,9 +20,9 @@ from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.records import FACES, VERTICES, RecordStream, SolidRecord, open_solids
 from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.columns import RaggedColumn, RowGroup, column_names
+from tactile_toolkit.read.columns import RaggedColumn, RowGroup, Rows, column_names
 from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.wording import counted, is_integer, plain_number
 
@@ -205,24 +204,25 @@ _MADE_TOGETHER = 4096  # rows that training mixes as those of a shard
 _KNOWN = ("id", "label", "star_count", "seed")
 
 
-class SceneShard(Shard):
-    """The rows of a split, each made when it is asked for; pickles as the four values that make them."""
+class MadeScenes:
+    """The rows of a split, each made when it is asked for: a source of rows without a file."""
 
-    spec: SceneSpec
-    split: str
-    size: int
-    seed: int
+    path = ""
 
     def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
-        # There is no file: all that others ask of one is answered below.
-        super().__init__("", size)
-        self.__dict__.update(spec=spec, split=split, size=size, seed=seed)
-        self.__dict__.update(identity=(spec, split, size, seed), group_starts=array("q", [0, size]))
+        self.spec = spec
+        self.split = split
+        self.size = size
+        self.seed = seed
+        self.identity = (spec, split, size, seed)
+        self.origin = self.set_name = (f"seed {seed}", split)
+        self.class_names = spec.class_names
+        self.group_starts = (0, size)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return type(self), (self.spec, self.split, self.size, self.seed)
 
-    @property
+    @cached_property
     def schema(self) -> Any:
         """Arrow schema of the rows."""
         return scene_schema(self.spec.class_names)
@@ -232,23 +232,28 @@ class SceneShard(Shard):
         """Rows of the parts that training mixes."""
         return [min(_MADE_TOGETHER, self.size - row) for row in range(0, self.size, _MADE_TOGETHER)]
 
-    @property
-    def origin(self) -> tuple[str, str]:
-        """The seed, in place of a name, and the split."""
-        return f"seed {self.seed}", self.split
+    def __len__(self) -> int:
+        return self.size
 
-    def unpack(self, _index: int) -> bool:
+    def unpack(self, _index: int) -> int:
         """Return that nothing is unpacked."""
-        return False
+        return 0
 
-    def locate(self, row: int) -> tuple[RowGroup, int]:
-        """Return a row as a group of its own; nothing of it is made yet."""
-        return LazyRow(self, row), 0
+    def locate(self, row: int) -> tuple[Rows, int]:
+        """Return a row alone; nothing of it is made yet."""
+        return MadeScene(self, row), 0
+
+    def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Make all rows, some at once."""
+        start = 0
+        for count in self.part_sizes:
+            table = self.made(start, count)
+            yield RowGroup(table if columns is None else table.select(columns), first_row=start)
+            start += count
 
     def made(self, start: int, count: int) -> Any:
         """Make some rows at once, as an Arrow table."""
-        rows = make_rows(self.spec, self.split, self.seed, start, count)
-        return table_of(rows, scene_schema(self.spec.class_names))
+        return table_of(make_rows(self.spec, self.split, self.seed, start, count), self.schema)
 
     def column(self, name: str) -> Any:
         """Return one column of all rows, of those that need no scene."""
@@ -269,31 +274,28 @@ class SceneShard(Shard):
         raise KeyError(name)
 
 
-class LazyRow(RowGroup):
-    """One row that looks like a stored one; scene and mesh are made on first use."""
+class MadeScene(Rows):
+    """One row, of which scene and mesh are made on first use."""
 
-    _origin: SceneShard
-
-    def __init__(self, origin: SceneShard, row: int) -> None:
-        # The base's fields would be set through its frozen constructor, which wants the table at once.
-        self.__dict__.update(_origin=origin, path="", first_row=row, _views={})
+    def __init__(self, source: MadeScenes, row: int) -> None:
+        super().__init__("", row)
+        self._source = source
 
     @cached_property
     def table(self) -> Any:
         """The row as an Arrow table, for pickling."""
-        origin = self._origin
-        return origin.made(self.first_row, 1)
+        return self._source.made(self.first_row, 1)
 
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Columns by dotted name."""
-        return column_names(self._origin.schema)
+        return column_names(self._source.schema)
 
     # Not cached properties, whose locks would cost a twentieth of a scene and its mesh.
     @property
     def _scene(self) -> Scene:
-        shard, row = self._origin, self.first_row
-        return self.once("scene", lambda: sample_scenes(shard.spec, shard.split, shard.seed, row, 1)[0])
+        source, row = self._source, self.first_row
+        return self.once("scene", lambda: sample_scenes(source.spec, source.split, source.seed, row, 1)[0])
 
     def _built(self) -> SceneMeshes:
         meshes = build_meshes([self._scene.placements])
@@ -311,7 +313,7 @@ class LazyRow(RowGroup):
     def flat(self, name: str) -> NDArray[Any]:
         """Return a plain column of one value."""
         if name in _KNOWN:
-            return self._origin.known(name, range(self.first_row, self.first_row + 1))
+            return self._source.known(name, range(self.first_row, self.first_row + 1))
         # Filled by index: numpy would spread a list over an array of its own.
         values = np.empty(1, dtype=object)
         values[0] = getattr(self._scene, name)
@@ -357,7 +359,7 @@ class SceneDataset(SceneMeshDataset):
             found = f"size is {size!r} and seed is {seed!r}"
             raise InputError(f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0")
         scene_seed(seed, split, 0)  # refuses an unknown split
-        super().__init__(ShardedTable((SceneShard(spec, split, size, seed),)), label_names=spec.class_names)
+        super().__init__(ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names)
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one plain column, shape (len,); all but id, label, star count and seed make the scenes.

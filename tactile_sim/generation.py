@@ -211,13 +211,13 @@ class TouchMaking(making.Making):
 
     def refuse_sources(self, source: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
         """Refuse to write into the source, as it is called (InputError)."""
-        shards = (shard for each in self.source.values() for shard in each._table.shards)
+        shards = (shard for each in self.source.values() for shard in each._table.files)
         refuse_source(DataFolder(os.fspath(out)), os.fspath(source), shards)
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and source, each split for itself: a folder can be filled split by split."""
         source = {
-            split: list(map(content_fingerprint, each._table.shards)) for split, each in self.source.items()
+            split: list(map(content_fingerprint, each._table.files)) for split, each in self.source.items()
         }
         return {"operation": "generate", "options": self.spec.to_dict(), "source": source}
 

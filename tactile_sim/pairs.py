@@ -24,10 +24,11 @@ from tactile_sim.plan import content_fingerprint, key_of, open_split, plan_round
 from tactile_sim.pressing import Pressable, Sensor, center_view, full_view, render_touch
 from tactile_sim.spec import WINDOWS, PairsSpec, TouchPlan
 from tactile_toolkit import making
-from tactile_toolkit.catalog.locate import file_fingerprint, refuse_source
+from tactile_toolkit.catalog.locate import refuse_source
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.places.place import Name, Place, open_place
+from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.rows import column, plain_schema, row
 from tactile_toolkit.store.build import RunOptions
@@ -211,7 +212,7 @@ class PairsMaking(making.Making):
     objects: SolidDataset[Any] = field(repr=False)
     real: str
     split: str
-    names: tuple[str, ...] = field(repr=False)
+    touches: RecordDataset[Any] = field(repr=False)
     kind = replace(KIND, nouns="pictures")
 
     @classmethod
@@ -223,13 +224,13 @@ class PairsMaking(making.Making):
         touches = KIND.load(real, split)
         if spec.min_height_m is None:
             spec = replace(spec, min_height_m=max(rule.min_height_m for rule in touches.contact_rules()))
-        return cls(spec, solids, real, split, tuple(touches.touches().label_names))
+        return cls(spec, solids, real, split, touches.touches())
 
     def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
         """Refuse to write into a source; ``objects`` is what that of the depth is called (InputError)."""
         folder = DataFolder(os.fspath(out))
-        refuse_source(folder, objects, self.objects._table.shards)
-        refuse_source(folder, self.real, open_place(self.real).shards(self.split))
+        refuse_source(folder, objects, self.objects._table.files)
+        refuse_source(folder, self.real, self.touches._table.files)
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and sources."""
@@ -238,14 +239,14 @@ class PairsMaking(making.Making):
             "options": self.spec.to_dict(),
             "split": self.split,
             "source": {
-                "depth": list(map(content_fingerprint, self.objects._table.shards)),
-                "real": list(map(file_fingerprint, open_place(self.real).shards(self.split))),
+                "depth": list(map(content_fingerprint, self.objects._table.files)),
+                "real": [each.fingerprint() for each in self.touches._table.files],
             },
         }
 
     def items(self) -> Mapping[str, Any]:
         """Return both splits; reads poses, no picture. InputError where there are too few touches."""
-        return {"depth": range(self.spec.count), "real": _draw(self._touches(), self.spec, self.real)}
+        return {"depth": range(self.spec.count), "real": _draw(self.touches, self.spec, self.real)}
 
     def layout(self) -> making.Layout:
         """Return how rows are stored: pictures do not compress again."""
@@ -258,7 +259,7 @@ class PairsMaking(making.Making):
 
     def schema(self, split: str) -> Any:
         """Return the Arrow schema of a shard, with the classes of the source."""
-        return pair_schema(self.objects.label_names if split == "depth" else self.names)
+        return pair_schema(self.objects.label_names if split == "depth" else self.touches.label_names)
 
     def make(self, split: str, items: Sequence[Any]) -> Iterator[PairRow | Skipped]:
         """Yield the rows of a split."""
@@ -286,16 +287,13 @@ class PairsMaking(making.Making):
 
     def _real(self, items: Sequence[tuple[int, bool]]) -> Iterator[PairRow]:
         """Decode, scale and encode touches."""
-        touches, kind = self._touches(), self.spec.image_format
+        kind = self.spec.image_format
         for number, contact in items:
-            touch = touches[number]
+            touch = self.touches[number]
             (picture,) = scaled(touch.image[None], self.spec.size_px)
             key = f"{touch.round_id}-{touch.touch_index}"
             image = {"bytes": encode_image(picture, kind), "path": f"{key}.{IMAGE_SUFFIX[kind]}"}
             yield PairRow(key, touch.label, touch.object_id, contact, image)
-
-    def _touches(self) -> Any:
-        return KIND.load(self.real, self.split).touches()
 
     def statistics(self, rows: Sequence[PairRow]) -> Mapping[str, int]:
         """Count touches, and those that met the object."""

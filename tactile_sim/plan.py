@@ -17,8 +17,6 @@ from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
 from tactile_toolkit.places.place import Place
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.store.folder import split_uri
-from tactile_toolkit.store.parquet import file_sha256
 from tactile_toolkit.touch.schema import CLASS_NAMES
 
 REACH_M = (0.0385, 0.0405)
@@ -163,5 +161,6 @@ def on_object(
 
 def content_fingerprint(shard: Shard) -> dict[str, Any]:
     """Return JSON values that identify a file by all of its bytes, for sources of moderate size."""
-    folder, name = split_uri(shard.path)
-    return {"file": name, "rows": len(shard), "sha256": file_sha256(folder, name)}
+    with shard.stored() as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
+    return {"file": shard.path.rpartition("/")[2], "rows": len(shard), "sha256": digest}

@@ -7,7 +7,8 @@ import time
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Unpack
 
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -22,10 +23,11 @@ from tactile_toolkit.store.build import (
     require_rows,
 )
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan, Job, ShardContent, inspect_job, manifest_so_far
+from tactile_toolkit.store.job import BuildPlan, Job, inspect_job, manifest_so_far
 from tactile_toolkit.store.manifest import Manifest, without_collecting
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
+from tactile_toolkit.store.task import ShardContent, ShardTask
 
 # What workers need to start and import their libraries.
 _START_S = 1.5
@@ -105,29 +107,15 @@ class Making(ABC):
         return None
 
 
-@dataclass(frozen=True, eq=False)
-class Task:
-    """The task of one shard. ``items`` may be a view of those of the whole split; pickled are these alone."""
-
-    making: Making = field(repr=False)
-    shard: ShardName
-    items: Sequence[Any] = field(repr=False)
-
-    @property
-    def size(self) -> int:
-        """How many items it works on."""
-        return len(self.items)
-
-    def make(self) -> ShardContent:
-        """Make the rows; items that give none are listed instead."""
-        rows: list[Any] = []
-        skipped: list[Skipped] = []
-        for each in self.making.make(self.shard.split, self.items):
-            (skipped if isinstance(each, Skipped) else rows).append(each)
-        with without_collecting():
-            table = table_of(rows, self.making.schema(self.shard.split))
-        report, statistics = self.making.report(self.shard, rows), self.making.statistics(rows)
-        return ShardContent(table, tuple(skipped), report, statistics)
+def make_shard(making: Making, shard: ShardName, items: Sequence[Any]) -> ShardContent:
+    """Make the rows of a shard; items that give none are listed instead."""
+    rows: list[Any] = []
+    skipped: list[Skipped] = []
+    for each in making.make(shard.split, items):
+        (skipped if isinstance(each, Skipped) else rows).append(each)
+    with without_collecting():
+        table = table_of(rows, making.schema(shard.split))
+    return ShardContent(table, tuple(skipped), making.report(shard, rows), making.statistics(rows))
 
 
 def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan:
@@ -162,9 +150,9 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
     return replace(plan, former=former)
 
 
-def _tasks(making: Making, items: Mapping[str, Any], layout: Layout) -> tuple[Task, ...]:
+def _tasks(making: Making, items: Mapping[str, Any], layout: Layout) -> tuple[ShardTask[Any], ...]:
     return tuple(
-        Task(making, shard, each[rows.start : rows.stop])
+        ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, making))
         for split, each in items.items()
         for shard, rows in shard_ranges(
             split,
@@ -279,7 +267,7 @@ def forecast(
 
 def _sample(making: Making, plan: BuildPlan) -> tuple[int, float, float]:
     """Make the first few items; return how many rows they gave, and bytes and seconds of an item."""
-    first: Any = plan.tasks[0]
+    first = plan.tasks[0]
     replace(first, items=first.items[:1]).make()  # pays for imports and for what is kept in memory
     few = replace(first, items=first.items[: making.layout().sampled])
     start_s = time.perf_counter()

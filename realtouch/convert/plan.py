@@ -23,7 +23,6 @@ from realtouch.dataset import dataset_of
 from realtouch.kind import KIND
 from realtouch.schema import flat_schema, kind_of, require_types
 from tactile_toolkit.catalog.locate import (
-    file_fingerprint,
     manifest_beside,
     refuse_source,
 )
@@ -34,10 +33,11 @@ from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import RunOptions, build
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan, ShardContent
+from tactile_toolkit.store.job import BuildPlan
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
+from tactile_toolkit.store.parquet import ParquetStyle, is_unchanged, sha256_hex
 from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
+from tactile_toolkit.store.task import ShardContent, ShardTask
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
 
 # What a worker may hold, unpacked.
@@ -109,7 +109,8 @@ class Source:
         reading 28 GB to plan a conversion would cost minutes.
         """
         return {
-            split: list(in_threads(file_fingerprint, found, _READERS)) for split, found in self.shards.items()
+            split: list(in_threads(Shard.fingerprint, found, _READERS))
+            for split, found in self.shards.items()
         }
 
 
@@ -173,58 +174,51 @@ class Conversion:
 
 
 @dataclass(frozen=True, eq=False)
-class _ConvertShard:
-    """Picklable: make one shard of a conversion.
+class _ConvertRows:
+    """Picklable: makes shards of a conversion.
 
-    ``paths`` are the files of the source that hold its rows, ``start`` is the number of their first row.
+    ``shards`` are the files of the source that hold the rows, ``start`` is the number of their first row.
     """
 
-    shard: ShardName
-    paths: tuple[str, ...] = field(repr=False)
+    shards: Sequence[Shard]
     start: int
-    choices: Sequence[RowChoice] = field(repr=False)
-    step: Step = field(repr=False)
-    schema: pa.Schema = field(repr=False)
-    pack: Pack | None = field(default=None, repr=False)
+    step: Step
+    schema: pa.Schema
+    pack: Pack | None
 
-    @property
-    def size(self) -> int:
-        """How many rows it works on."""
-        return len(self.choices)
-
-    def make(self) -> ShardContent:
-        """Convert the rows; damaged ones are left out and listed."""
+    def __call__(self, shard: ShardName, choices: Sequence[RowChoice]) -> ShardContent:
+        """Convert rows; damaged ones are left out and listed."""
         tables, skipped = [self.schema.empty_table()], []
         files: dict[str, bytes] = {}
-        for choice, row in self._rows():
+        for choice, row in self._rows(choices):
             try:
                 if choice.is_repeated:
-                    problem = f"{row.value('id')!r} stands in an earlier round of split {self.shard.split!r}"
+                    problem = f"{row.value('id')!r} stands in an earlier round of split {shard.split!r}"
                     raise row.damaged("id", f"{problem} too; expected ids that differ")
                 # Here for all steps: one that copies a column would pass on what it never looked at.
                 row.require_touches()
-                made, beside = self.step.apply(row, choice, self.shard.split)
+                made, beside = self.step.apply(row, choice, shard.split)
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
                 tables.append(made.cast(self.schema))
                 files |= beside
             except IntegrityError as error:
                 message = str(error)
-                for path in self.paths:  # as the manifest names them: their folder may be private
-                    message = message.replace(path, path.rpartition("/")[2])
+                for each in self.shards:  # as the manifest names them: their folder may be private
+                    message = message.replace(each.path, each.path.rpartition("/")[2])
                 skipped.append(Skipped(choice.row, DAMAGED, message))
         kept = pa.concat_tables(tables)
         if self.pack is not None:
-            kept, packed = self.pack(self.shard, kept, skipped)
+            kept, packed = self.pack(shard, kept, skipped)
             files |= packed
         return ShardContent(kept.combine_chunks(), tuple(skipped), files=files)
 
-    def _rows(self) -> Iterator[tuple[RowChoice, TouchRow]]:
+    def _rows(self, choices: Sequence[RowChoice]) -> Iterator[tuple[RowChoice, TouchRow]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
         # TouchRow groups without a chosen row are not read at all.
-        wanted = {choice.row: choice for choice in self.choices}
+        wanted = {choice.row: choice for choice in choices}
         first, last = min(wanted), max(wanted)
         start = self.start
-        for shard in map(Shard, self.paths):
+        for shard in self.shards:
             for index, group_start in enumerate(shard.group_starts[:-1]):
                 if start + shard.group_starts[index + 1] <= first or start + group_start > last:
                     continue
@@ -255,9 +249,8 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         chunks = [choices[start : start + size] for start in range(0, len(choices), size)]
         for index, chunk in enumerate(chunks):
             first, last = (bisect_right(starts, chunk[end].row) - 1 for end in (0, -1))
-            paths = tuple(shard.path for shard in shards[first : last + 1])
-            name = ShardName(split, index, len(chunks))
-            tasks.append(_ConvertShard(name, paths, starts[first], chunk, step, schema, conversion.pack))
+            work = _ConvertRows(shards[first : last + 1], starts[first], step, schema, conversion.pack)
+            tasks.append(ShardTask(ShardName(split, index, len(chunks)), chunk, work))
     if not tasks:
         raise InputError(
             f"nothing is left of {source.name!r} after {conversion.operation!r}", next="choose fewer filters"
@@ -282,7 +275,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         tuple(tasks),
         ParquetStyle(per_group, compression_level=3, encodings=encodings, values_per_page=per_page),
         extra_dirs=conversion.extra_dirs,
-        is_current=_are_current,
+        files_of=files_of,
         libraries=("numpy", "pillow", "pyarrow", "simplejpeg"),
         write_files=conversion.write_files,
     )
@@ -374,10 +367,6 @@ def files_of(folder: DataFolder, record: ShardRecord) -> dict[str, str]:
     return found
 
 
-def _are_current(folder: DataFolder, record: ShardRecord, reads: bool) -> bool:
-    return all(is_unchanged(folder, *file, reads) for file in files_of(folder, record).items())
-
-
 def checksums(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
     """Return the checksum of each file that the shards name, for the manifest."""
     return {path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record).items()}
@@ -404,11 +393,7 @@ def table_of(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
 
 def write_changed(folder: DataFolder, path: str, content: bytes) -> str:
     """Write a file only where it differs: a run over a finished set changes nothing. Return its checksum."""
-    if not folder.exists(path) or folder.read_bytes(path) != content:
+    sha256 = sha256_hex(content)
+    if not is_unchanged(folder, path, sha256):
         folder.write_bytes(path, content)
-    return sha256_hex(content)
-
-
-def is_unchanged(folder: DataFolder, path: str, sha256: str, reads: bool) -> bool:
-    """Return whether a file is there and, where it is to be read, unchanged."""
-    return folder.exists(path) and (not reads or file_sha256(folder, path) == sha256)
+    return sha256

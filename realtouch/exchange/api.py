@@ -6,15 +6,18 @@ A format is one module. Its ``plan`` plans an export, of source, rows, frame of 
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
 import re
 import struct
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from importlib import import_module
+from itertools import groupby
+from operator import itemgetter
 from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Literal, Unpack, get_args
@@ -30,15 +33,16 @@ from realtouch.kind import KIND
 from realtouch.poses import bad_pose
 from realtouch.spec import ImportColumns
 from tactile_toolkit.catalog.locate import refuse_source
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.places.place import Name, Place
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.build import RunOptions, build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan, ShardContent, first_style
+from tactile_toolkit.store.folder import DataFolder, split_uri
+from tactile_toolkit.store.job import BuildPlan
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet, sha256_hex
-from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
+from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.store.task import ShardContent, ShardTask
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
 from tactile_toolkit.wording import printable
 
@@ -128,8 +132,8 @@ _ORIENTATION = 0x0112
 _TURNED = range(2, 9)
 _MOST_FIELDS = 100
 
-Rounds = tuple[tuple[str, tuple[Item, ...]], ...]
-"""The touches of some rounds, each with its name."""
+NamedItem = tuple[str, Item]
+"""The name of a round, and a touch of it."""
 
 
 def import_images(
@@ -223,13 +227,14 @@ def _plan(
             size = require_intact(content) if isinstance(content, bytes) else None
         if size is not None:
             break
-    schema = _schema(columns, names)
-    tasks: dict[str, _ImportShard] = {}
+    held = Counter(item.path for item in items)
+    versions = {path: _version(path) for path, count in held.items() if count > 1}
+    work = _ImportTouches(layout, columns, names, size, _schema(columns, names), versions)
+    tasks: list[ShardTask[NamedItem]] = []
     for each, found in rounds.items():
         parts = _divided(found)
         for index, part in enumerate(parts):
-            shard = ShardName(each, index, len(parts))
-            tasks[str(shard)] = _ImportShard(shard, part, layout, columns, names, size, schema)
+            tasks.append(ShardTask(ShardName(each, index, len(parts)), part, work, work.digest))
     listing = [(item.name, item.start, item.size, item.values) for item in items]
     spec = {
         "operation": "import",
@@ -256,34 +261,23 @@ def _plan(
         values_per_page=max(1, _PAGE_BYTES // image_bytes),
     )
 
-    def plan_in(style: ParquetStyle) -> BuildPlan:
-        def is_current(_folder: DataFolder, record: ShardRecord, _reads: bool) -> bool:
-            # Names and sizes would not show whether the source still gives the same: images are read again.
-            content = tasks[str(record.shard)].make()
-            same = sha256_hex(encode_parquet(content.table, style)) == record.sha256
-            return same and content.skipped == record.skipped
-
-        every, libraries = tuple(tasks.values()), ("numpy", "pyarrow")
-        return BuildPlan(
-            KIND.name, spec, tuple(rounds), every, style, is_current=is_current, libraries=libraries
-        )
-
-    return replace(plan_in(style), former=plan_in(first_style(style)))
+    return BuildPlan(KIND.name, spec, tuple(rounds), tuple(tasks), style, libraries=("numpy", "pyarrow"))
 
 
-def _divided(rounds: Mapping[str, Sequence[Item]]) -> list[Rounds]:
+def _divided(rounds: Mapping[str, Sequence[Item]]) -> list[list[NamedItem]]:
     """Divide rounds into shards that a worker can hold."""
-    shards: list[list[tuple[str, tuple[Item, ...]]]] = [[]]
-    touches = size_bytes = 0
+    shards: list[list[NamedItem]] = [[]]
+    size_bytes = 0
     for name, items in rounds.items():
-        more, more_bytes = len(items), sum(item.size for item in items)
-        is_full = touches + more > _TOUCHES_PER_SHARD or size_bytes + more_bytes > _SHARD_BYTES
+        more_bytes = sum(item.size for item in items)
+        touches = len(shards[-1]) + len(items)
+        is_full = touches > _TOUCHES_PER_SHARD or size_bytes + more_bytes > _SHARD_BYTES
         if is_full and shards[-1]:
             shards.append([])
-            touches = size_bytes = 0
-        shards[-1].append((name, tuple(items)))
-        touches, size_bytes = touches + more, size_bytes + more_bytes
-    return [tuple(shard) for shard in shards]
+            size_bytes = 0
+        shards[-1] += [(name, item) for item in items]
+        size_bytes += more_bytes
+    return shards
 
 
 def _class_names(items: Sequence[Item], column: str | None) -> tuple[str, ...]:
@@ -350,49 +344,73 @@ def _schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
     return with_features(pa.schema(fields), names)
 
 
-@dataclass(frozen=True, eq=False)
-class _ImportShard:
-    """Picklable: read the images of some rounds and check what is said of them."""
+def _version(path: str) -> tuple[object, ...] | None:
+    """Return what changes whenever a file is replaced; ``#`` ends its name where an array of it is meant."""
+    folder, name = split_uri(path.partition("#")[0])
+    return folder.version(name)
 
-    shard: ShardName
-    rounds: Rounds = field(repr=False)
+
+def _noted(contents: Iterable[bytes | Exception], digest: Any) -> Iterator[bytes | Exception]:
+    """Yield contents, and add each to a digest."""
+    for content in contents:
+        if isinstance(content, Exception):
+            digest.update(b"unreadable\n")
+        else:
+            digest.update(b"%d\n" % len(content))
+            digest.update(content)
+        yield content
+
+
+@dataclass(frozen=True, eq=False)
+class _ImportTouches:
+    """Picklable: reads the images of some rounds and checks what is said of them.
+
+    ``versions`` are those of files that hold several images, when places of these in them were read.
+    """
+
     layout: str
     columns: ImportColumns
-    names: tuple[str, ...] = field(repr=False)
+    names: tuple[str, ...]
     image_size: tuple[int, int] | None
-    schema: pa.Schema = field(repr=False)
+    schema: pa.Schema
+    versions: Mapping[str, tuple[object, ...] | None]
 
-    @property
-    def size(self) -> int:
-        """How many touches it works on."""
-        return sum(len(items) for _, items in self.rounds)
+    def digest(self, touches: Sequence[NamedItem]) -> str:
+        """Read the images of touches and return the checksum of all."""
+        found = hashlib.sha256()
+        deque(_noted(_images((item for _, item in touches), self.layout), found), maxlen=0)
+        return found.hexdigest()
 
-    def make(self) -> ShardContent:
-        """Read the touches; those that cannot be used are left out and listed."""
+    def __call__(self, shard: ShardName, touches: Sequence[NamedItem]) -> ShardContent:
+        """Read touches; those that cannot be used are left out and listed."""
         rows, skipped = [], []
         used = {*self.columns.names(), self.columns.image}
         used |= {NUMBERED} if self.columns.label == f"{NUMBERED}_name" else set()
         others = Counter[str]()
-        contents = _images((item for _, items in self.rounds for item in items), self.layout)
-        for name, items in self.rounds:
-            touches: list[dict[str, Any]] = []
-            for item in items:
+        digest = hashlib.sha256()
+        contents = _noted(_images((item for _, item in touches), self.layout), digest)
+        for name, of_round in groupby(touches, key=itemgetter(0)):
+            made: list[dict[str, Any]] = []
+            for _, item in of_round:
                 try:
                     touch = self._touch(item, contents)
-                    if touches and any(touch[each] != touches[0][each] for each in _OF_ROUND):
+                    if made and any(touch[each] != made[0][each] for each in _OF_ROUND):
                         raise ItemError("round", "another label or object than the first touch of its round")
-                    touches.append(touch)
+                    made.append(touch)
                     others.update(name for name in item.fields if name not in used)
                 except ItemError as error:
                     skipped.append(Skipped(item.number, error.reason, f"{item.name!r}: {error.message}"))
-            if touches:
-                of_round = {each: touches[0][each] for each in _OF_ROUND}
-                of_touch = {each: [touch[each] for touch in touches] for each in touches[0]}
-                rows.append({"id": name, **of_touch, **of_round})
+            if made:
+                of_touch = {each: [touch[each] for touch in made] for each in made[0]}
+                rows.append({"id": name, **of_touch, **{each: made[0][each] for each in _OF_ROUND}})
+        for path in self.versions.keys() & {item.path for _, item in touches}:
+            if _version(path) != self.versions[path]:
+                problem = "was replaced or changed while it was imported: images would be taken for others"
+                raise IntegrityError(f"{path!r} {problem}", next="run the same command with --overwrite")
         counted = {printable(name): count for name, count in others.most_common(_MOST_FIELDS)}
         statistics = {NOT_IMPORTED: dict(sorted(counted.items()))} if counted else None
         table = pa.Table.from_pylist(rows, self.schema)
-        return ShardContent(table, tuple(skipped), statistics=statistics)
+        return ShardContent(table, tuple(skipped), statistics=statistics, source_digest=digest.hexdigest())
 
     def _touch(self, item: Item, contents: Iterator[bytes | Exception]) -> dict[str, Any]:
         """Return what the columns hold of a touch; ItemError where it cannot be used."""

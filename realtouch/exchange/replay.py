@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import Choices, Conversion, Source, is_unchanged
+from realtouch.convert.plan import Choices, Conversion, Source
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
 from realtouch.exchange.items import Item, decoded
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
@@ -33,6 +33,7 @@ from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.parquet import is_unchanged
 from tactile_toolkit.touch.jpeg import encode_image
 
 _FOLDER = "replay"
@@ -69,7 +70,7 @@ class _WriteBuffer:
             self._write(made, shards)
             made.seek(0)
             digest = hashlib.file_digest(made, "sha256").hexdigest()
-            if not is_unchanged(folder, _FILE, digest, reads=True):
+            if not is_unchanged(folder, _FILE, digest):
                 folder.write(_FILE, lambda stream: _copy(made, stream))
         return {_FILE: digest}
 

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read.parquet import Shard
@@ -25,23 +23,6 @@ def specification_read(where: str) -> Iterator[None]:
     except (KeyError, TypeError, AttributeError) as error:
         problem = f"its specification is not that of this kind of data set ({type(error).__name__}: {error})"
         raise damaged(where, problem) from error
-
-
-def file_fingerprint(shard: Shard) -> dict[str, Any]:
-    """Return JSON values that identify the rows of a file; its footer holds the size of every column."""
-    folder, name = split_uri(shard.path)
-    with folder.open(name) as stream:
-        # A Parquet file ends in the length of its footer and four letters.
-        size = stream.seek(-8, 2) + 8
-        footer_bytes = int.from_bytes(stream.read(4), "little")
-        stream.seek(-8 - footer_bytes, 2)
-        footer = stream.read(footer_bytes)
-    return {
-        "file": name,
-        "rows": len(shard),
-        "bytes": size,
-        "footer_sha256": hashlib.sha256(footer).hexdigest(),
-    }
 
 
 def manifest_beside(shard: Shard) -> Manifest | None:

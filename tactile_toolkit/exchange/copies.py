@@ -5,15 +5,16 @@ from __future__ import annotations
 import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import accumulate, pairwise
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import accumulate, chain, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 import numpy as np
 
 from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.catalog.locate import file_fingerprint, refuse_source
+from tactile_toolkit.catalog.locate import refuse_source
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh.records import FACES, MESH, VERTICES, SolidDataset, flat_table
@@ -23,17 +24,17 @@ from tactile_toolkit.read.columns import class_names, column_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.build import RunOptions, build
-from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.job import BuildPlan, ShardContent
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.job import BuildPlan
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import (
     ParquetStyle,
     encode_parquet,
-    named_damage,
     open_checked,
     sha256_hex,
 )
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
+from tactile_toolkit.store.task import ShardContent, ShardTask
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -53,32 +54,21 @@ _VIEWER_STYLE = replace(_STYLE, compression_level=19)
 _MOST_AT_ONCE = 8
 
 
-@dataclass(frozen=True, eq=False)
-class _TakeRows:
-    """Picklable: a shard of another data set as it is, or some of its rows, by their positions in order."""
+def _copy_file(source: Shard, _shard: ShardName, _rows: range) -> ShardContent:
+    """Return a shard as it is; IntegrityError where a page or the footer does not match its checksum."""
+    with source.stored() as stream:
+        content = stream.read()
+        table = open_checked(io.BytesIO(content)).read(use_threads=False)
+    return ShardContent(table, encoded=content)
 
-    shard: ShardName
-    source: Shard = field(repr=False)
-    rows: NDArray[np.int64] | None = field(repr=False)
 
-    @property
-    def size(self) -> int:
-        """How many rows it has."""
-        return len(self.source) if self.rows is None else len(self.rows)
+def _take_rows(source: Shard, _shard: ShardName, rows: NDArray[np.int64]) -> ShardContent:
+    """Return some rows of a shard, by their positions in order."""
+    import pyarrow as pa
 
-    def make(self) -> ShardContent:
-        """Read them; IntegrityError where a page or the footer does not match its checksum."""
-        import pyarrow as pa
-
-        if self.rows is None:
-            folder, name = split_uri(self.source.path)
-            content = folder.read_bytes(name)
-            with named_damage(self.source.path):
-                table = open_checked(io.BytesIO(content)).read(use_threads=False)
-            return ShardContent(table, encoded=content)
-        groups = enumerate(_in_parts(self.rows, self.source.group_starts))
-        tables = [self.source.read(groups=[index]).take(rows) for index, rows in groups]
-        return ShardContent(pa.concat_tables(tables).combine_chunks())
+    groups = enumerate(_in_parts(rows, source.group_starts))
+    tables = [source.read(groups=[index]).take(rows) for index, rows in groups]
+    return ShardContent(pa.concat_tables(tables).combine_chunks())
 
 
 def _in_parts(rows: NDArray[np.int64], starts: Sequence[int]) -> list[NDArray[np.int64]]:
@@ -198,14 +188,15 @@ def _build(
 ) -> Manifest:
     folder, tasks, found = DataFolder(out), [], {}
     for source in sources:
-        refuse_source(folder, source.name, source.table.shards)
+        refuse_source(folder, source.name, source.table.files)
     for split in dict.fromkeys(split for source in sources for split in source.shards):
         shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
-        parts: list[tuple[Shard, Any]] = [(shard, None) for shard in shards]
+        parts: list[tuple[Any, Any]] = [(range(len(shard)), partial(_copy_file, shard)) for shard in shards]
         if rows is not None:
             held = _in_parts(rows[split], list(accumulate(map(len, shards), initial=0)))
-            parts = [(shard, part) for shard, part in zip(shards, held, strict=True) if len(part)]
-        tasks += [_TakeRows(ShardName(split, index, len(parts)), *part) for index, part in enumerate(parts)]
+            taken = zip(held, shards, strict=True)
+            parts = [(part, partial(_take_rows, shard)) for part, shard in taken if len(part)]
+        tasks += [ShardTask(ShardName(split, index, len(parts)), *part) for index, part in enumerate(parts)]
     if not tasks:
         raise InputError(f"no row is left for {out!r}", next="choose a larger part")
     options = {**options, **_unfinished(sources)}
@@ -215,7 +206,8 @@ def _build(
     # Several that were made in different ways have no specification in common.
     source_spec = specs[0] if all(spec == specs[0] for spec in specs) else None
     made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
-    plan = _copy_plan(made, operation, options, found, source_spec, tasks, _style(shards[0]))
+    style = _style([*shards, *chain.from_iterable(found.values())])
+    plan = _copy_plan(made, operation, options, found, source_spec, tasks, style)
     return build(folder, plan, write_card=made.write_card, **run)
 
 
@@ -239,16 +231,23 @@ def _copy_plan(
     spec = {
         "operation": operation,
         "options": options,
-        "source": {split: list(map(file_fingerprint, found)) for split, found in shards.items()},
+        "source": {split: [each.fingerprint() for each in found] for split, found in shards.items()},
         "source_spec": source_spec,
     }
     libraries = ("numpy", "pyarrow", *libraries)
     return BuildPlan(kind.name, spec, tuple(shards), tuple(tasks), style, libraries=libraries)
 
 
-def _style(shard: Shard) -> ParquetStyle:
-    """Return the layout of a shard, but for its compression: row groups, and columns without a dictionary."""
-    group = shard.metadata.row_group(0)
+def _style(shards: Iterable[Shard]) -> ParquetStyle:
+    """Return the layout of the first shard with rows, but for its compression.
+
+    Row groups, and columns without a dictionary.
+    """
+    footers = (shard.metadata for shard in shards)
+    groups = (footer.row_group(index) for footer in footers for index in range(footer.num_row_groups))
+    group = next((each for each in groups if each.num_rows), None)
+    if group is None:
+        return ParquetStyle(1)
     columns = [group.column(index) for index in range(group.num_columns)]
     encodings = [
         (each.path_in_schema, next(name for name in each.encodings if name != "RLE"))
@@ -258,21 +257,8 @@ def _style(shard: Shard) -> ParquetStyle:
     return ParquetStyle(group.num_rows, encodings=tuple(encodings))
 
 
-@dataclass(frozen=True)
-class _WriteTable:
-    """Picklable: one table of chosen rows."""
-
-    shard: ShardName
-    rows: RecordDataset[SolidRecord] = field(repr=False)
-
-    @property
-    def size(self) -> int:
-        """How many rows it has."""
-        return len(self.rows)
-
-    def make(self) -> ShardContent:
-        """Make its rows."""
-        return ShardContent(flat_table(self.rows))
+def _flat_rows(_shard: ShardName, rows: Any) -> ShardContent:
+    return ShardContent(flat_table(rows))
 
 
 def plan_tables(
@@ -285,11 +271,11 @@ def plan_tables(
     """
     tasks, shards = [], {}
     for split, rows, places in choices:
-        shards[split] = list(rows._table.shards)
+        shards[split] = rows._table.files
         starts = range(0, len(places), _ROWS_PER_FILE)
         for index, start in enumerate(starts):
             part = rows[places[start : start + _ROWS_PER_FILE]]
-            tasks.append(_WriteTable(ShardName(split, index, len(starts)), part))
+            tasks.append(ShardTask(ShardName(split, index, len(starts)), part, _flat_rows))
     ids = [each if isinstance(each, tuple) else (each,) for each in chosen["ids"] or ()]
     options = {
         "layout": "flat",

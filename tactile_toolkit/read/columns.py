@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, TypeVar
 
@@ -250,22 +250,21 @@ def _first_null(array: Any, name: str) -> str:
     return _first_null(array.flatten(), name) if list_depth(array.type)[0] else ""
 
 
-@dataclass(frozen=True, eq=False)
-class RowGroup:
-    """One unpacked row group, or a block of a large one: columns as numpy views of mapped memory.
+class Rows:
+    """Some rows that lie together: columns as numpy views, each built on its first use.
 
-    ``table`` has one chunk per column; ``path`` and ``first_row`` say where the rows are from, for messages.
-    ``mapped_bytes`` of them lie in a mapped file of the cache, so that holding on to them costs little; 0
-    where they lie in memory.
+    ``table`` holds all columns, one chunk each; a subclass sets it, or makes it on first use. ``path`` and
+    ``first_row`` say where the rows are from, for messages.
     """
 
     table: Any
-    path: str = ""
-    first_row: int = 0
-    mapped_bytes: int = 0
-    _ragged: dict[str, RaggedColumn] = field(default_factory=dict, repr=False)
-    _flat: dict[str, NDArray[Any]] = field(default_factory=dict, repr=False)
-    _views: dict[str, Any] = field(default_factory=dict, repr=False)
+
+    def __init__(self, path: str = "", first_row: int = 0) -> None:
+        self.path = path
+        self.first_row = first_row
+        self._ragged: dict[str, RaggedColumn] = {}
+        self._flat: dict[str, NDArray[Any]] = {}
+        self._views: dict[str, Any] = {}
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -324,6 +323,19 @@ class RowGroup:
         table = self.table if name in self.table.column_names else self.flat_table
         column = table.column(name)
         return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
+
+
+class RowGroup(Rows):
+    """One unpacked row group, or a block of a large one.
+
+    ``mapped_bytes`` of it lie in a mapped file of the cache, so that holding on to them costs little; 0 where
+    they lie in memory.
+    """
+
+    def __init__(self, table: Any, path: str = "", first_row: int = 0, mapped_bytes: int = 0) -> None:
+        super().__init__(path, first_row)
+        self.table = table
+        self.mapped_bytes = mapped_bytes
 
 
 # --- what `datasets` stores of the features of a data set ---------------------------------------------

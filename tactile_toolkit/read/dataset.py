@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.read.columns import RowGroup, column_types, table_bytes
+from tactile_toolkit.read.columns import RowGroup, Rows, column_types, table_bytes
 from tactile_toolkit.read.order import StoredParts
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.wording import class_name, counted, is_integer, plain_number, printable
 
 T = TypeVar("T")
@@ -34,7 +35,7 @@ class Row:
 
     __slots__ = ("group", "index")
 
-    def __init__(self, group: RowGroup, index: int) -> None:
+    def __init__(self, group: Rows, index: int) -> None:
         self.group = group
         self.index = index
 
@@ -626,7 +627,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         order = np.argsort(self._row_numbers, kind="stable")
         return StoredParts(np.unique(np.searchsorted(self._row_numbers[order], starts)), order)
 
-    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[RowSource, int]]:
         rows = self._rows
         numbers = np.unique(rows.start + rows.step * chosen if isinstance(rows, range) else rows[chosen])
         return self._table.row_groups(numbers)

@@ -190,7 +190,8 @@ class Prefetcher:
             groups = self._data._row_groups(self._order.stored(window))
             first = int(self._turn * len(groups))
             for shard, index in (*groups[first:], *groups[:first]):
-                if self._closed.is_set() or not shard.unpack(index):
+                more_bytes = 0 if self._closed.is_set() else shard.unpack(index)
+                if not more_bytes:
                     return 0
-                size_bytes += int(shard.metadata.row_group(index).total_byte_size)
+                size_bytes += more_bytes
         return size_bytes

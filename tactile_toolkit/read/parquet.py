@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import contextlib
 import hashlib
+import io
 import os
 import re
 import struct
@@ -18,7 +19,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import accumulate, chain, groupby
+from itertools import accumulate, chain, groupby, pairwise
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
@@ -27,12 +28,20 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read.columns import RowGroup, class_names, column_types, numpy_values, table_bytes
+from tactile_toolkit.errors import IntegrityError, ToolkitError
+from tactile_toolkit.read.columns import (
+    RowGroup,
+    Rows,
+    class_names,
+    column_types,
+    numpy_values,
+    table_bytes,
+)
+from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import locked, readable, resource_shortage
+from tactile_toolkit.store.files import locked, resource_shortage
 from tactile_toolkit.store.folder import VERSION_KEYS, split_uri
-from tactile_toolkit.store.parquet import SOURCE_DIGEST, open_checked
+from tactile_toolkit.store.parquet import SOURCE_DIGEST, named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
 _BLOCK_BYTES = 64 << 20
@@ -160,6 +169,13 @@ class Shard:
     small: tuple[Shard, str] | None = field(default=None, repr=False, compare=False)
     size_bytes: int | None = field(default=None, repr=False, compare=False)
 
+    def __post_init__(self) -> None:
+        # Which file is there now is noted where that costs next to nothing; what is missing is named when it
+        # is asked for.
+        if not self.is_remote:
+            with contextlib.suppress(ToolkitError):
+                _ = self.identity
+
     @property
     def _footer(self) -> tuple[Any, Any]:
         return _FOOTERS.get((self.digest, self.rows)) or self._open()[1]
@@ -235,7 +251,7 @@ class Shard:
         key = self.digest, index, number
 
         def make() -> RowGroup:
-            mapped = self._mapped(key) or (self._mapped(key) if self.unpack(index) else None)
+            mapped = self._mapped(key) or (self._mapped(key) if self._unpacked(index) else None)
             return mapped or self._decoded(index, number)
 
         return BLOCKS.get_or_make(key, make)
@@ -256,11 +272,15 @@ class Shard:
         first_row = self.group_starts[index] + number * self.block_rows[index]
         return RowGroup(table, self.path, first_row, size_bytes)
 
-    def unpack(self, index: int) -> bool:
-        """Unpack a row group into the cache unless it is there; return whether it is there now.
+    def unpack(self, index: int) -> int:
+        """Unpack a row group into the cache unless it is there; return its size in bytes, 0 where it is not.
 
         One process of the machine unpacks it, others wait for that one.
         """
+        is_there = self._unpacked(index)
+        return max(1, int(self.metadata.row_group(index).total_byte_size)) if is_there else 0
+
+    def _unpacked(self, index: int) -> bool:
         rows = self.group_starts[index + 1] - self.group_starts[index]
         files = [_file((self.digest, index, number)) for number in range(-(-rows // self.block_rows[index]))]
         if _UNPACKED.is_given_up or _are_kept(files):
@@ -352,13 +372,17 @@ class Shard:
 
         Content changes without it on purpose only; hashing gigabytes would cost more.
         """
+        if not self.is_remote:
+            with contextlib.suppress(OSError):
+                return self._found_now()
         with self._named_damage():
-            return self._opened(None)[1] if self.is_remote else self.found_now()
+            return self._opened(None)[1]
 
-    def found_now(self) -> tuple[str, int, int, int, int]:
+    def _found_now(self) -> tuple[Any, ...]:
         """Return what identifies the local file that is there now."""
+        device, *others = _stat_key(os.stat(self.path))  # noqa: PTH116
         # The name too: machines that share a cache may have other files of the same numbers.
-        return self.path.rpartition("/")[2], *_stat_key(os.stat(self.path))  # noqa: PTH116
+        return device, self.path.rpartition("/")[2], *others
 
     @property
     def part_sizes(self) -> Sequence[int]:
@@ -397,12 +421,44 @@ class Shard:
         """Open the file, whose footer may be known; return with it its identity and its size in bytes."""
         if not self.is_remote:
             # After opening: what takes its place from now on is not what was opened.
-            return open_checked(self.path, metadata), (found := self.found_now()), found[-2]
+            return open_checked(self.path, metadata), (found := self._found_now()), found[-2]
+        stream, identity, size_bytes = self._stream()
+        return open_checked(stream, metadata), identity, size_bytes
+
+    def _stream(self) -> tuple[IO[bytes], tuple[object, ...], int]:
+        """Open the file as it is stored; return with it its identity and its size in bytes."""
         store, name = split_uri(self.path)
         stream = store.open(name)
+        if not self.is_remote:
+            return stream, (found := self._found_now()), found[-2]
         facts = getattr(stream, "details", None) or store.info(name) or {}
         versions = [(key, str(facts[key])) for key in VERSION_KEYS if key in facts]
-        return open_checked(stream, metadata), (self.path, *versions), facts["size"]
+        return stream, (self.path, *versions), facts["size"]
+
+    @contextlib.contextmanager
+    def stored(self) -> Iterator[IO[bytes]]:
+        """Open the bytes of the file; IntegrityError unless it is the one that was met first."""
+        known = self.identity
+        with self._named_damage():
+            stream, identity, _ = self._stream()
+            with stream:
+                self._require_same(identity, known)
+                yield stream
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return JSON values that identify the rows; the footer holds the size of every column.
+
+        The file is noted: another one that takes its place is refused from here on.
+        """
+        with self.stored() as stream:
+            # A Parquet file ends in the length of its footer and four letters.
+            size_bytes = stream.seek(-8, io.SEEK_END) + 8
+            footer_bytes = int.from_bytes(stream.read(4), "little")
+            stream.seek(-8 - footer_bytes, io.SEEK_END)
+            footer = stream.read(footer_bytes)
+        digest = hashlib.sha256(footer).hexdigest()
+        name = self.path.rpartition("/")[2]
+        return {"file": name, "rows": len(self), "bytes": size_bytes, "footer_sha256": digest}
 
     def _open(self) -> tuple[Any, tuple[Any, Any]]:
         """Open the file and return its footer with it, once it is known to be the one that was met first."""
@@ -410,12 +466,7 @@ class Shard:
         footer = _FOOTERS.get(key)
         with self._named_damage():
             parquet, identity, size_bytes = self._opened(footer and footer[0])
-        if identity != self.identity:
-            raise IntegrityError(
-                f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
-                "read, for old and new ones would mix",
-                next="load the data set again",
-            )
+        self._require_same(identity, self.identity)
         metadata = parquet.metadata
         found = {"rows": metadata.num_rows, "bytes": size_bytes}
         for unit, stated in (("rows", self.rows), ("bytes", self.size_bytes)):
@@ -424,30 +475,63 @@ class Shard:
                 raise IntegrityError.in_file(self.path, problem)
         return parquet, footer or _FOOTERS.put(key, (metadata, parquet.schema_arrow))
 
+    def _require_same(self, found: tuple[object, ...], known: tuple[object, ...]) -> None:
+        # Not the first value: that of a device differs between machines that share a file system.
+        if found[1:] != known[1:]:
+            raise IntegrityError(
+                f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
+                "read, for old and new ones would mix",
+                next="load the data set again",
+            )
+
     @contextlib.contextmanager
     def _named_damage(self) -> Iterator[None]:
-        import pyarrow as pa
-
-        try:
-            with readable(self.path), self.failures():
-                yield
-        except GeneratorExit:  # a pass left in its middle, maybe at exit, when Arrow's names are gone
-            raise
-        except FileNotFoundError as error:
-            raise IntegrityError(
-                f"{self.path!r} is missing", next="generate or download the data set again"
-            ) from error
-        except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-            problem = f" is damaged, an intact Parquet file was expected ({error})"
-            raise IntegrityError.in_file(self.path, problem) from error
+        with named_damage(self.path), self.failures():
+            yield
 
 
-def _in_threads(function: Callable[[Shard], T], shards: Sequence[Shard]) -> Iterator[T]:
+class ChosenGroups:
+    """Some row groups of a file, such as those that can be read; the rows of the others are not there."""
+
+    def __init__(self, shard: Shard, groups: Sequence[int]) -> None:
+        self.shard = shard
+        self.groups = groups
+        self.path, self.set_name, self.origin = shard.path, shard.set_name, shard.origin
+        self.schema, self.class_names = shard.schema, shard.class_names
+        self.identity = (*shard.identity, *groups)
+        sizes = [stop - start for start, stop in pairwise(shard.group_starts)]
+        self.group_starts = [0, *accumulate(sizes[group] for group in groups)]
+        self.part_sizes = (len(self),)
+
+    def __len__(self) -> int:
+        return self.group_starts[-1]
+
+    def locate(self, row: int) -> tuple[Rows, int]:
+        """Return the rows of the file among which a row lies, and its index in them."""
+        index = bisect_right(self.group_starts, row) - 1
+        first = self.shard.group_starts[self.groups[index]]
+        return self.shard.locate(first + row - self.group_starts[index])
+
+    def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Decode the blocks of the row groups one after another."""
+        for group in self.groups:
+            yield from self.shard.blocks(group, columns)
+
+    def column(self, name: str) -> Any:
+        """Read one column as an Arrow array."""
+        return RowGroup(self.shard.read([name], self.groups), self.path).arrow(name)
+
+    def unpack(self, index: int) -> int:
+        """Unpack a row group into the cache."""
+        return self.shard.unpack(self.groups[index])
+
+
+def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource]) -> Iterator[T]:
     """Yield what a function gives for each shard, in order; many are read at once."""
     return in_threads(function, shards, 1 if len(shards) < _FEW_SHARDS else _READERS)
 
 
-def _small_column(small: tuple[Shard, str] | None, shards: Sequence[Shard], name: str) -> Any:
+def _small_column(small: tuple[Shard, str] | None, shards: Sequence[RowSource], name: str) -> Any:
     """Read a column of some shards from their file of small columns; None where it is to be asked of them."""
     # What is wrong with it costs speed only; `verify` names it.
     with contextlib.suppress(IntegrityError):
@@ -461,16 +545,14 @@ def _small_column(small: tuple[Shard, str] | None, shards: Sequence[Shard], name
 
 @dataclass(frozen=True)
 class ShardedTable:
-    """The rows of several shards, in their order, under one numbering; reads nothing until asked."""
+    """The rows of several sources, such as shards, in their order; reads nothing until asked."""
 
-    shards: tuple[Shard, ...]
+    shards: tuple[RowSource, ...]
 
-    def __post_init__(self) -> None:
-        # Which file is there now is noted where that costs next to nothing.
-        for shard in self.shards:
-            if "identity" not in shard.__dict__ and not shard.is_remote:
-                with contextlib.suppress(OSError):  # what is missing is named when it is asked for
-                    shard.__dict__["identity"] = shard.found_now()
+    @property
+    def files(self) -> tuple[Shard, ...]:
+        """Those of the sources that are files as a whole."""
+        return tuple(shard for shard in self.shards if isinstance(shard, Shard))
 
     @cached_property
     def _starts(self) -> list[int]:
@@ -515,14 +597,14 @@ class ShardedTable:
         """Name of the data set, and split where that is known, of each shard, by where it lies."""
         return [shard.origin for shard in self.shards]
 
-    def locate(self, row: int) -> tuple[RowGroup, int]:
+    def locate(self, row: int) -> tuple[Rows, int]:
         """Return the row group (or block of one) that holds a row, and the row's index in it."""
         index = bisect_right(self._starts, row) - 1
         return self.shards[index].locate(row - self._starts[index])
 
-    def row_groups(self, rows: NDArray[np.int64]) -> list[tuple[Shard, int]]:
+    def row_groups(self, rows: NDArray[np.int64]) -> list[tuple[RowSource, int]]:
         """Return the row groups that hold some rows, which rise; opens no other shard."""
-        found: list[tuple[Shard, int]] = []
+        found: list[tuple[RowSource, int]] = []
         if not self.shards:
             return found
         owners = np.searchsorted(self._starts, rows, "right") - 1
@@ -536,7 +618,7 @@ class ShardedTable:
         """Read one plain column of all rows by dotted name, and only that column; kept for the next call."""
         return self._kept(f"column {name}", map(numpy_values, self._arrays(name)))
 
-    def per_shard(self, key: str, compute: Callable[[Shard], Sequence[NDArray[Any]]]) -> NDArray[Any]:
+    def per_shard(self, key: str, compute: Callable[[RowSource], Sequence[NDArray[Any]]]) -> NDArray[Any]:
         """Join along the first axis what is computed of each shard; kept under ``key`` for the next call."""
         return self._kept(key, chain.from_iterable(_in_threads(compute, self.shards)))
 
@@ -550,7 +632,9 @@ class ShardedTable:
 
     def _arrays(self, name: str) -> Iterator[Any]:
         """Yield the Arrow arrays of one column in order, from few files where the data set has such."""
-        for small, neighbours in groupby(self.shards, key=lambda shard: shard.small):
+        for small, neighbours in groupby(
+            self.shards, key=lambda each: each.small if isinstance(each, Shard) else None
+        ):
             shards = list(neighbours)
             column = _small_column(small, shards, name)
             if column is not None:

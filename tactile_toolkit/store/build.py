@@ -14,7 +14,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
-from typing import TypedDict
+from typing import Any, TypedDict
 
 import msgspec
 
@@ -26,7 +26,6 @@ from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import (
     BuildPlan,
     Job,
-    ShardTask,
     begin_job,
     pending_records,
     refuse_unknown_files,
@@ -52,6 +51,7 @@ from tactile_toolkit.store.parquet import (
     write_small_columns,
 )
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.task import ShardTask
 
 _CAUSES_SHOWN = 3
 # How long a run waits for the lock of others; one that was stopped (Ctrl-Z) never releases it.
@@ -97,7 +97,7 @@ class _WriteShard:
     style: ParquetStyle = field(repr=False)
     libraries: tuple[str, ...]
 
-    def __call__(self, task: ShardTask) -> ShardRecord:
+    def __call__(self, task: ShardTask[Any]) -> ShardRecord:
         """Write rows, then report rows, then further files, then the record that proves them all."""
         folder, shard = self.folder, task.shard
         content = task.make()
@@ -112,6 +112,7 @@ class _WriteShard:
             skipped=content.skipped,
             statistics=content.statistics,
             unpacked_bytes=content.table.nbytes,
+            source_digest=content.source_digest,
         )
         # As late as can be: hours may have passed, and another data set may be in the folder now.
         with folder.locked(shared=True):

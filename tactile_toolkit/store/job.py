@@ -14,7 +14,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import groupby
-from typing import Any, Protocol
+from typing import Any
 
 import msgspec
 
@@ -31,44 +31,10 @@ from tactile_toolkit.store.manifest import (
 )
 from tactile_toolkit.store.names import Count, decode, is_hidden
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
-from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
+from tactile_toolkit.store.task import ShardTask
 
 _LONGEST_SHOWN = 200
-
-
-@dataclass(frozen=True)
-class ShardContent:
-    """The rows of one shard, an Arrow table.
-
-    ``skipped`` are items that gave no row; ``report`` rows are merged over all shards into the plan's
-    ``report_file``; ``statistics`` are JSON values that add up over shards, for the manifest. ``files`` lie
-    next to the rows, by path. ``encoded`` are the bytes of a shard that is copied as it is.
-    """
-
-    table: Any
-    skipped: tuple[Skipped, ...] = ()
-    report: Any = None
-    statistics: Mapping[str, Any] | None = None
-    files: Mapping[str, bytes] = field(default_factory=dict)
-    encoded: bytes | None = None
-
-
-class ShardTask(Protocol):
-    """The unit of work: a small picklable value from which any process makes the same rows."""
-
-    @property
-    def shard(self) -> ShardName:
-        """Which shard it makes."""
-        ...
-
-    @property
-    def size(self) -> int:
-        """How many items it works on, for the progress bar."""
-        ...
-
-    def make(self) -> ShardContent:
-        """Make the rows. Touches no file of the data set folder."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -92,9 +58,9 @@ class BuildPlan:
     extra_dirs : tuple of str
         Sub-folders (or files) next to the rows that belong to the data set: what tasks give as ``files`` lies
         there.
-    is_current : callable, optional
-        Takes the folder, the record of a finished shard and whether to read all; returns whether what goes
-        with its rows, such as ``files``, exists and is unchanged.
+    files_of : callable
+        Takes the folder and the record of a finished shard, and returns the checksum of each of its ``files``
+        by path.
     libraries : tuple of str
         Distributions whose versions decide bytes.
     write_files : callable
@@ -109,11 +75,13 @@ class BuildPlan:
     kind: str
     spec: Mapping[str, Any]
     split_order: tuple[str, ...]
-    tasks: tuple[ShardTask, ...]
+    tasks: tuple[ShardTask[Any], ...]
     style: ParquetStyle
     report_file: str | None = None
     extra_dirs: tuple[str, ...] = ()
-    is_current: Callable[[DataFolder, ShardRecord, bool], bool] | None = field(default=None, repr=False)
+    files_of: Callable[[DataFolder, ShardRecord], Mapping[str, str]] = field(
+        default=lambda _folder, _record: {}, repr=False
+    )
     libraries: tuple[str, ...] = ()
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
@@ -207,11 +175,11 @@ class Job:
     folder: DataFolder
     plan: BuildPlan
     manifest: Manifest
-    tasks: tuple[ShardTask, ...]
+    tasks: tuple[ShardTask[Any], ...]
     finished: tuple[ShardRecord, ...] = ()
 
     @property
-    def remaining(self) -> tuple[ShardTask, ...]:
+    def remaining(self) -> tuple[ShardTask[Any], ...]:
         """The tasks whose shards are to be made."""
         finished = {record.shard for record in self.finished}
         return tuple(task for task in self.tasks if task.shard not in finished)
@@ -255,7 +223,7 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
         )
         _refuse_difference(folder, found, wanted)
         _reject_unexpected_files(folder, plan)
-        intact = _intact_records(folder, plan, manifest, {task.shard for task in tasks}, check)
+        intact = _intact_records(folder, plan, manifest, {task.shard: task for task in tasks}, check)
         job = Job(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
         if job.remaining and manifest.libraries and manifest.libraries != new.libraries:
             begun = {record.shard for record in manifest.shards}.union(
@@ -307,11 +275,16 @@ def _manifest_of_version(folder: DataFolder, version: object) -> Manifest | None
 
 
 def _intact_records(
-    folder: DataFolder, plan: BuildPlan, manifest: Manifest, shards: Collection[ShardName], check: bool
+    folder: DataFolder,
+    plan: BuildPlan,
+    manifest: Manifest,
+    tasks: Mapping[ShardName, ShardTask[Any]],
+    check: bool,
 ) -> dict[ShardName, ShardRecord]:
     """Return the record of each shard whose files are intact: by size or, to check, by content.
 
-    A pending record counts before that of the manifest.
+    To check is also to compare what the shard was made of. A pending record counts before that of the
+    manifest.
     """
     sizes, report = folder.sizes(DATA_FOLDER), plan.report_file
     has_report = report is not None and folder.exists(report)
@@ -323,20 +296,23 @@ def _intact_records(
         if not record.is_size_of(sizes):  # first: most damage shows there, and costs no reading
             return False
         try:
-            for path, sha256 in digests.items() if check else ():
+            files = plan.files_of(folder, record)
+            if not check:
+                return all(map(folder.exists, files))
+            for path, sha256 in {**digests, **files}.items():
                 if sha256 is not None and file_sha256(folder, path) != sha256:
                     return False
-            return plan.is_current is None or plan.is_current(folder, record, check)
+            return tasks[record.shard].source_digest() == record.source_digest
         except (IntegrityError, FileNotFoundError):  # damaged in the same size, or gone at this moment
             return False
 
     intact = {}
     for record in manifest.shards:
         needs_report = record.rows and record.report_sha256
-        is_wanted = record.shard in shards and (has_report or not needs_report)
+        is_wanted = record.shard in tasks and (has_report or not needs_report)
         if is_wanted and is_intact(record, {record.file: record.sha256}):
             intact[record.shard] = record
-    for shard, record in pending_records(folder, manifest.identity, shards).items():
+    for shard, record in pending_records(folder, manifest.identity, tasks).items():
         if is_intact(record, {record.file: record.sha256, shard.report_path: record.report_sha256}):
             intact[shard] = record
     return intact

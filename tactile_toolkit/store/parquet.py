@@ -163,8 +163,15 @@ def named_damage(address: str) -> Iterator[None]:
     try:
         with readable(address):
             yield
+    except GeneratorExit:  # a pass left in its middle, maybe at exit, when Arrow's names are gone
+        raise
+    except FileNotFoundError as error:
+        raise IntegrityError(
+            f"{address!r} is missing", next="generate or download the data set again"
+        ) from error
     except (pa.ArrowException, OSError, UnicodeDecodeError) as error:
-        raise IntegrityError(f"{address!r} is not an intact Parquet file: {error}") from error
+        problem = f" is damaged, an intact Parquet file was expected ({error})"
+        raise IntegrityError.in_file(address, problem) from error
 
 
 def open_parquet(folder: DataFolder, path: str) -> Any:
@@ -226,6 +233,11 @@ def file_sha256(folder: DataFolder, path: str) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
 
 
+def is_unchanged(folder: DataFolder, path: str, sha256: str) -> bool:
+    """Return whether there is a file with some content."""
+    return folder.exists(path) and file_sha256(folder, path) == sha256
+
+
 def _paths(schema: Any) -> list[str]:
     """Return the paths of a schema's columns in a file, by which pyarrow takes them."""
     import pyarrow.parquet as pq
@@ -277,7 +289,7 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
     stored = {f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)}
     pending = {record.shard for record in records if record.shard.report_path in stored}
     known = manifest.files.get(path)
-    if known and not pending and folder.exists(path) and file_sha256(folder, path) == known:
+    if known and not pending and is_unchanged(folder, path, known):
         return known
 
     def write(stream: IO[bytes]) -> str:
@@ -289,7 +301,7 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
         return folder.write(path, write)
     except IntegrityError as error:
         raise IntegrityError(
-            f"{error}; nothing was changed", next="run the same command again with --check"
+            f"{error.what}; nothing was changed", next="run the same command again with --check"
         ) from error
 
 
@@ -389,7 +401,7 @@ def write_small_columns(folder: DataFolder, manifest: Manifest) -> dict[str, str
 
 
 def _is_current(folder: DataFolder, file: SmallFile, checksum: str) -> bool:
-    is_whole = folder.exists(file.path) and file_sha256(folder, file.path) == checksum
+    is_whole = is_unchanged(folder, file.path, checksum)
     metadata = open_parquet(folder, file.path).schema_arrow.metadata if is_whole else None
     return bool((metadata or {}).get(SOURCE_DIGEST) == file.made_of.encode())
 

@@ -144,7 +144,7 @@ def _check_file(
             else:
                 ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
     except IntegrityError as error:
-        return _Checked([Finding(path, str(error))], 0 if record is None else record.rows)
+        return _Checked([Finding(path, error.what)], 0 if record is None else record.rows)
     if rows != record.rows:
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
     # Compared by Arrow: how the element of a list is called does not count.

@@ -362,8 +362,8 @@ def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) 
     assert plan.style.encodings == (("sensor_image.list.element.bytes", "PLAIN"),)
     tasks = plan.tasks
     assert len(tasks) == len(rows)
-    assert [len(task.paths) for task in tasks] == [1] * len(rows)
-    assert [choice.row for task in tasks for choice in task.choices] == list(range(len(rows)))
+    assert [len(task.work.shards) for task in tasks] == [1] * len(rows)
+    assert [choice.row for task in tasks for choice in task.items] == list(range(len(rows)))
     made = [name for task in tasks for name in task.make().table["id"].to_pylist()]
     assert made == realtouch.load(str(single_folder), "train").ids.tolist()
 
@@ -380,11 +380,11 @@ def test_shards_of_very_many_rounds_are_larger(single_folder: Path, monkeypatch:
             source, "toy", {}, KeepTouches(False), {"train": list(map(RowChoice, range(chosen)))}
         )
         plan = plan_conversion(conversion)
-        assert [len(task.choices) for task in plan.tasks][:-1] == [size] * (len(plan.tasks) - 1)
-        assert [choice.row for task in plan.tasks for choice in task.choices] == list(range(chosen))
+        assert [len(task.items) for task in plan.tasks][:-1] == [size] * (len(plan.tasks) - 1)
+        assert [choice.row for task in plan.tasks for choice in task.items] == list(range(chosen))
         assert plan.spec["rows_per_shard"] == 1
     monkeypatch.setattr("realtouch.convert.plan._SHARD_BYTES", 2 * source.row_bytes())
-    assert max(len(task.choices) for task in plan_conversion(conversion).tasks) == 2
+    assert max(len(task.items) for task in plan_conversion(conversion).tasks) == 2
 
 
 def test_some_of_each_class_and_ranges_of_objects(tmp_path: Path) -> None:

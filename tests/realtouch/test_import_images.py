@@ -4,28 +4,62 @@ from __future__ import annotations
 
 import io
 import zlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
 from PIL import Image, ImageOps
 
 import realtouch
+from realtouch.exchange import api
+from realtouch.exchange.items import Item
+from tactile_toolkit.errors import SpecMismatchError
+from tactile_toolkit.run.processes import Check
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
 
 
-def test_an_image_that_changed_in_place_is_imported_anew(home: Path, tmp_path: Path) -> None:
+def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A second import compares names, sizes and the table; to check is to compare what the images hold."""
+    monkeypatch.setattr("realtouch.exchange.api._TOUCHES_PER_SHARD", 2)
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
-    realtouch.import_images(home, tmp_path / "out", "folder")
+    out, read, contents = tmp_path / "out", list[str](), api.contents_of
+    manifest = realtouch.import_images(home, out, "folder")
+    before = {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in out.rglob("*") if file.is_file()}
+    digests = [record.source_digest for record in manifest.shards]
+    assert len(set(digests)) == 2
+    assert None not in digests
+
+    def noted(items: Iterator[Item]) -> Iterator[bytes | Exception]:
+        every = list(items)
+        for item, content in zip(every, contents(iter(every)), strict=True):
+            read.append(item.name)
+            yield content
+
+    monkeypatch.setattr(api, "contents_of", noted)
     first, size = home / "pictures" / "0.jpg", (home / "pictures" / "0.jpg").stat().st_size
     assert (home / "pictures" / "1.jpg").stat().st_size == size
+    for again in (1, Check(1)):
+        assert realtouch.import_images(home, out, "folder", workers=again) == manifest
+    size_probed, whole = ["pictures/0.jpg"], [f"pictures/{number}.jpg" for number in range(4)]
+    assert read == [*size_probed, *size_probed, *whole]
+    assert before == {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in before}
     first.write_bytes(picture(40))
-    realtouch.import_images(home, tmp_path / "out", "folder")
-    (image,) = realtouch.load(tmp_path / "out", "train")[0].sensor_image
+    assert realtouch.import_images(home, out, "folder") == manifest
+    read.clear()
+    realtouch.import_images(home, out, "folder", workers=Check(1))
+    assert read == [*size_probed, *whole, *whole[:2]]  # one shard of the two is made again
+    (image,) = realtouch.load(out, "train")[0].sensor_image
     assert np.array_equal(image, np.full((24, 32, 3), 40))
     realtouch.import_images(home, tmp_path / "whole", "folder")
-    assert folder_bytes(tmp_path / "out") == folder_bytes(tmp_path / "whole")
+    assert folder_bytes(out) == folder_bytes(tmp_path / "whole")
+    first.unlink()  # it is listed without a size now: another specification
+    with pytest.raises(SpecMismatchError):
+        realtouch.import_images(home, out, "folder")
 
 
 def test_images_that_readers_would_see_differently(tmp_path: Path) -> None:

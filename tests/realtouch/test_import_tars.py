@@ -10,6 +10,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.store.build import Progress
 from tests.command_line import call
 from tests.realtouch.images_of_others import picture, write_tar
 
@@ -55,6 +56,23 @@ def test_tars_of_others(tmp_path: Path) -> None:
         with pytest.raises(IntegrityError, match="not an intact tar"):
             realtouch.import_images(home, tmp_path / "cut", "webdataset", columns)
         assert not (tmp_path / "cut").exists()
+
+
+def test_a_tar_that_is_replaced_before_its_images_are_read_is_refused(tmp_path: Path) -> None:
+    """Else images at the same places would get the labels of those that were there."""
+    fields = [(f"{number}.json", json.dumps({"label": number}).encode()) for number in range(2)]
+    for name, levels in (("given.tar", (10, 90)), ("other.tar", (90, 10))):
+        pictures = [(f"{number}.jpg", picture(level)) for number, level in enumerate(levels)]
+        write_tar(tmp_path / name, sorted(pictures + fields))
+    given, other = tmp_path / "given.tar", tmp_path / "other.tar"
+    assert given.stat().st_size == other.stat().st_size
+
+    def exchange(_progress: Progress) -> None:
+        other.replace(given)
+
+    with pytest.raises(IntegrityError, match=r"given\.tar' was replaced"):
+        realtouch.import_images(given, tmp_path / "out", "webdataset", on_progress=exchange)
+    assert not (tmp_path / "out").exists()
 
 
 def pax(**fields: str) -> tuple[tarfile.TarInfo, bytes]:

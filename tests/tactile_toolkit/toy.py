@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.store.job import BuildPlan, ShardContent
+from tactile_toolkit.store.job import BuildPlan
 from tactile_toolkit.store.parquet import ParquetStyle
 from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.store.task import ShardContent
 from tests.mesh_columns import list_array
 
 SPLITS = ("train", "test")
@@ -50,6 +51,9 @@ class ToyTask:
     @property
     def size(self) -> int:
         return len(self.ids)
+
+    def source_digest(self) -> None:
+        return None
 
     def make(self) -> ShardContent:
         if self.error is not None:

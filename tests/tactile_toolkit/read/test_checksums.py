@@ -165,7 +165,10 @@ def test_a_file_that_was_cut_is_no_block(shard_file: Path, tmp_path: Path) -> No
     assert map_block(file)[1]
     for size in (*range(0, len(content), 4096), len(content) - 1):
         for grown in (False, True):  # as a system leaves a file whose end never reached the disk
-            file.write_bytes(content[:size] + bytes(len(content) - size if grown else 0))
+            left = content[:size] + bytes(len(content) - size if grown else 0)
+            file.write_bytes(left)
+            if left == content:  # the last byte of the checksum is 0, of one name in 256
+                continue
             with pytest.raises(ValueError, match=r"not a block|checksum|empty"):
                 map_block(file)
 

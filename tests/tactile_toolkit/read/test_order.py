@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -195,17 +194,13 @@ class RowGroups:
 
     def __init__(self) -> None:
         self.unpacked: list[int] = []
-        self.metadata = self
 
     def _row_groups(self, chosen: np.ndarray) -> list[tuple[RowGroups, int]]:
         return [(self, int(group)) for group in np.unique(chosen // 4)]
 
-    def row_group(self, _index: int) -> SimpleNamespace:
-        return SimpleNamespace(total_byte_size=10)
-
-    def unpack(self, index: int) -> bool:
+    def unpack(self, index: int) -> int:
         self.unpacked.append(index)
-        return True
+        return 10
 
 
 def test_a_window_is_unpacked_once_and_then_the_next_one():

@@ -1,0 +1,98 @@
+"""What data sets read from: every kind of source gives the same rows by number, in blocks and by column."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import realtouch
+import starstruck_gen
+from realtouch.dataset import TouchSingleDataset
+from starstruck_gen.loader import MadeScenes
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.mesh.records import RecordStream
+from tactile_toolkit.read.columns import RowGroup
+from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.parquet import ChosenGroups, Shard, ShardedTable
+from tactile_toolkit.read.source import RowSource
+from tests.realtouch import factories
+from tests.realtouch.factories import Layout
+
+
+@pytest.fixture(scope="module")
+def shard(tmp_path_factory: pytest.TempPathFactory) -> Shard:
+    """Three row groups of two rounds."""
+    rounds = [factories.make_round(index, 2, (24, 32), (4, 5)) for index in range(6)]
+    folder = tmp_path_factory.mktemp("rounds")
+    factories.write_set(folder, {"train": factories.single_rows(rounds)}, "single", Layout(group_rows=2))
+    return Shard(str(folder / "data" / "train-00000-of-00001.parquet"))
+
+
+def source_of(kind: str, shard: Shard) -> RowSource:
+    if kind == "made":
+        return MadeScenes(starstruck_gen.SceneSpec(), "train", 5, 3)
+    return shard if kind == "file" else ChosenGroups(shard, [0, 2])
+
+
+@pytest.mark.parametrize("kind", ["file", "chosen", "made"])
+def test_a_source_gives_the_same_rows_in_every_way(kind: str, shard: Shard) -> None:
+    source = source_of(kind, shard)
+    copy: RowSource = pickle.loads(pickle.dumps(source))
+    in_blocks = [Row(block, row) for block in source.all_blocks() for row in range(len(block.table))]
+    assert len(in_blocks) == len(source) == source.group_starts[-1] == sum(source.part_sizes)
+    for number, row in enumerate(in_blocks):
+        assert row.equals(Row(*source.locate(number)))
+        assert row.equals(Row(*copy.locate(number)))
+        assert row.number == Row(*source.locate(number)).number
+    few = [block.table.column_names for block in source.all_blocks(["label", "id"])]
+    assert {frozenset(names) for names in few} == {frozenset(["id", "label"])}
+    assert source.column("id").to_pylist() == [row.value("id") for row in in_blocks]
+    assert (copy.identity, copy.set_name, copy.origin) == (source.identity, source.set_name, source.origin)
+    assert in_blocks[0].group.table.schema.equals(source.schema)
+
+
+def test_chosen_row_groups_are_rows_of_the_file(shard: Shard) -> None:
+    whole, chosen = (
+        TouchSingleDataset(ShardedTable((each,))) for each in (shard, ChosenGroups(shard, [0, 2]))
+    )
+    assert chosen.ids.tolist() == whole.ids[[0, 1, 4, 5]].tolist()
+    assert [each._row.number for each in chosen] == [0, 1, 4, 5]
+    assert chosen.identity != whole.identity
+    assert len(chosen.touches()) == 8
+    assert chosen._row_groups(np.array([3])) == [(chosen._table.shards[0], 1)]
+    assert all(chosen._table.shards[0].unpack(index) for index in range(2))
+    images = {record._row.number: record.sensor_image[0] for _, record in chosen.rounds_without_media()}
+    assert list(images) == [0, 1, 4, 5]
+    assert all(np.array_equal(image, whole[row].sensor_image[0]) for row, image in images.items())
+
+
+def test_rows_before_the_damage_of_their_row_group_are_left_out_with_it(
+    shard: Shard, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a large row group, the first blocks may be read before damage is met."""
+    blocks = Shard.blocks
+
+    def broken(self: Shard, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        for block in blocks(self, index, columns):
+            yield RowGroup(block.table.slice(0, 1), block.path, block.first_row)
+            if index == 1:
+                raise IntegrityError.in_file(self.path, " is damaged")
+            yield RowGroup(block.table.slice(1), block.path, block.first_row + 1)
+
+    monkeypatch.setattr(Shard, "blocks", broken)
+    whole = realtouch.load(shard.path, on_error="skip")
+    assert [record._row.number for record in whole] == [0, 1, 4, 5]
+    assert [(damage.row, damage.touch) for damage in whole.skipped] == [(2, None)]
+
+
+def test_scenes_that_are_made_are_a_stream_too() -> None:
+    scenes = starstruck_gen.SceneDataset(size=5, seed=3)
+    stream: Any = RecordStream(scenes._table.shards, scenes.record_class, ())
+    assert list(stream) == list(scenes)
+    assert Path(scenes._table.shards[0].path) == Path()
+    assert scenes._table.files == ()
