@@ -273,8 +273,10 @@ class HubRepository:
                     os.fsync(stream.fileno())  # a power cut must not empty what counts as intact
                 count(file.size_bytes)
                 return place
-            # With what it is a link to: damaged content must not be found again.
-            Path(os.path.realpath(place)).unlink(missing_ok=True)
+            # With what it is a link to in the cache: damaged content must not be found again.
+            content = Path(os.path.realpath(place))
+            if content.is_relative_to(os.path.realpath(_cache_of(self.repo_id))):
+                content.unlink(missing_ok=True)
             place.unlink(missing_ok=True)
         raise IntegrityError(
             f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice, expected {digest}; "

@@ -22,7 +22,8 @@ from typing import IO, Any, TypeVar
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 
 TEMPORARY_PREFIX = ".writing-"
-"""How the name of every unfinished file begins."""
+DRAFT = re.escape(TEMPORARY_PREFIX) + "[0-9a-f]{32}-"
+"""How the name of every unfinished file begins, as a pattern: what has no such number may be any user's."""
 LOCK_FILE = ".lock"
 """Is in a folder while a process holds it where the system or the file system knows no locks of folders."""
 
@@ -30,8 +31,6 @@ T = TypeVar("T")
 
 _LOOK_AGAIN_S = 0.02
 _TRIES = 10
-# Follows the prefix: what has none may be any user's.
-_UNIQUE = re.compile("[0-9a-f]{32}-")
 _OF_THE_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 
 
@@ -240,7 +239,7 @@ def write_file(
     leave damaged content under the name. Raises OSError as the file system does; nothing is left behind but
     by a process that is killed.
     """
-    draft = draft or path.with_name(f"{TEMPORARY_PREFIX}{uuid.uuid4().hex}-{path.name}")
+    draft = draft or draft_of(path)
     for tries_left in reversed(range(_TRIES)):
         try:
             with new_file(draft) as stream:
@@ -262,11 +261,16 @@ def write_file(
     return filled
 
 
+def draft_of(path: Path) -> Path:
+    """Return a new temporary name next to a file or folder."""
+    return path.with_name(f"{TEMPORARY_PREFIX}{uuid.uuid4().hex}-{path.name}")
+
+
 def remove_drafts(folder: Path) -> None:
     """Remove the temporary files directly in a local folder; one that is being written is written again."""
-    for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
+    for path in folder.iterdir():
         with contextlib.suppress(OSError):  # of other users it stays
-            if _UNIQUE.match(path.name, len(TEMPORARY_PREFIX)):
+            if re.match(DRAFT, path.name):
                 path.unlink()
 
 

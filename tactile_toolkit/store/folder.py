@@ -15,6 +15,7 @@ import contextlib
 import errno
 import math
 import os
+import re
 import shutil
 import stat
 import tempfile
@@ -47,8 +48,8 @@ PENDING_FOLDER = ".pending"
 NEXT_FOLDER = ".next"
 """Holds the data set that is to take the place of the one around it."""
 
-TEMPORARY = "tmp-"
-"""How the name of every unfinished file in :data:`PENDING_FOLDER` begins."""
+TEMPORARY = "tmp-[0-9a-f]{32}"
+"""Names of unfinished files in :data:`PENDING_FOLDER`, as a pattern."""
 
 VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created", "LastModified", "inode")
 """What is known of a file, under which name each, that changes whenever it is replaced."""
@@ -230,7 +231,7 @@ class DataFolder:
 
     def _write(self, path: str, fill: Callable[[IO[bytes]], T], publish: Callable[[Path, Path], object]) -> T:
         place = self.place(path)
-        draft = self.place(f"{PENDING_FOLDER}/{TEMPORARY}{uuid.uuid4().hex}")
+        draft = self.place(f"{PENDING_FOLDER}/tmp-{uuid.uuid4().hex}")
         try:
             with named_failures(self.address(path)):
                 return write_file(place, fill, draft, publish=publish)
@@ -291,20 +292,23 @@ class DataFolder:
         with contextlib.suppress(OSError):
             Path(self.address(folder)).rmdir()
 
-    def remove_tree(self, folder: str, prefix: str = "") -> None:
-        """Remove a sub-folder with all in it whose name begins so; raises InputError for a link."""
+    def remove_tree(self, folder: str, is_ours: Callable[[str], object]) -> None:
+        """Remove the files in a sub-folder whose paths are ours, and folders that are empty then.
+
+        Raises InputError for a link to a folder, whose content is not ours.
+        """
         for name, size in self.entries(folder).items():
-            if not name.startswith(prefix):
-                continue
+            path = f"{folder}/{name}"
             if size is None:
-                self.remove_tree(f"{folder}/{name}")
-            else:
-                self.remove(f"{folder}/{name}")
+                self.place(path)
+                self.remove_tree(path, is_ours)
+            elif is_ours(path):
+                self.remove(path)
         self.remove_empty(folder)
 
     def remove_temporaries(self) -> None:
         """Remove what writers left half-written; one that is still at work writes again."""
-        self.remove_tree(PENDING_FOLDER, TEMPORARY)
+        self.remove_tree(PENDING_FOLDER, re.compile(f"{PENDING_FOLDER}/{TEMPORARY}").fullmatch)
 
     def require_folder(self) -> None:
         """Create the folder, and prove that it can be written to; a bucket must exist.
