@@ -18,7 +18,7 @@ from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
-from tactile_toolkit.store.names import redact
+from tactile_toolkit.redaction import redact
 from tactile_toolkit.store.remote import Failure, cause_chain, with_retry
 
 ANSWER_BYTES = 32 << 20

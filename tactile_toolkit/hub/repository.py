@@ -17,7 +17,7 @@ from multiprocessing.pool import ThreadPool
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.errors import HubError, InputError, IntegrityError
+from tactile_toolkit.errors import HubError, InputError, IntegrityError, require_public
 from tactile_toolkit.hub.calls import (
     TooLargeError,
     call_with_retry,
@@ -55,8 +55,10 @@ class HubName:
 def hub_name(name: str, revision: str | None = None) -> HubName | None:
     """Read ``USER/NAME[@REVISION]`` or ``hf://datasets/USER/NAME[@REVISION][/PATH]``; None for other names.
 
-    A revision may be given next to the name instead; two different ones are an InputError.
+    A revision may be given next to the name instead; two different ones are an InputError, and so is an
+    address that may hold a key.
     """
+    require_public(name)
     match = _NAME.fullmatch(name.removeprefix(_PREFIX))
     is_address = name.startswith(_PREFIX)
     if match is None or name.startswith((".", "~")) or (match["path"] and not is_address):

@@ -19,7 +19,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError, require_public
 
 TEMPORARY_PREFIX = ".writing-"
 DRAFT = re.escape(TEMPORARY_PREFIX) + "[0-9a-f]{32}-"
@@ -91,9 +91,11 @@ def path_exists(path: Path) -> bool:
 def expanded(place: str | Path, what: str = "path") -> Path:
     """Return a local path with ``~`` at its start as the home folder; InputError where none is known.
 
-    Where the text as given has it later, as in ``./~``, the path is returned in full: pathlib drops the
-    ``./``, and what expands the path again would then take the folder for the home folder.
+    An address that may hold a key is an InputError, too. Where the text as given has the ``~`` later, as in
+    ``./~``, the path is returned in full: pathlib drops the ``./``, and what expands the path again would
+    then take the folder for the home folder.
     """
+    require_public(str(place))
     path = Path(place)
     if not str(path).startswith("~"):
         return path

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 from typing import IO, Any, TypeVar, cast
 
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
-from tactile_toolkit.store.names import redact, scheme_of
+from tactile_toolkit.redaction import redact
+from tactile_toolkit.store.names import scheme_of
 
 ASKED_WAIT_S = 120.0
 """Longest time to wait in all because a server asks for it, seconds."""
