@@ -365,8 +365,8 @@ class _StoreFolder(DataFolder):
     def _client(self) -> Any:
         return client_of(self.root)
 
-    def _ask(self, action: Callable[[], T], doing: str, path: str) -> T:
-        return ask_store(action, doing, self.address(path))
+    def _ask(self, action: Callable[[], T], doing: str, path: str, size_bytes: int = 0) -> T:
+        return ask_store(action, doing, self.address(path), size_bytes)
 
     def _key(self, path: str = "") -> str:
         """Return how the client calls a file."""
@@ -409,12 +409,16 @@ class _StoreFolder(DataFolder):
 
     def write_bytes(self, path: str, content: bytes) -> None:
         options = self._in_one_request(content)
-        self._put(path, lambda key: self._client.pipe_file(key, content, **options))
+        self._put(path, len(content), lambda key: self._client.pipe_file(key, content, **options))
 
     def create_bytes(self, path: str, content: bytes) -> None:
         options = self._in_one_request(content)
         with contextlib.suppress(FileExistsError):
-            self._put(path, lambda key: self._client.pipe_file(key, content, mode="create", **options))
+            self._put(
+                path,
+                len(content),
+                lambda key: self._client.pipe_file(key, content, mode="create", **options),
+            )
 
     def _in_one_request(self, content: bytes) -> dict[str, Any]:
         """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""
@@ -422,7 +426,8 @@ class _StoreFolder(DataFolder):
 
     def upload(self, path: str, source: Path) -> None:
         options = {"max_concurrency": 2} if scheme_of(self.root) == "s3" else {}
-        self._put(path, lambda key: self._client.put_file(str(source), key, **options))
+        size_bytes = source.stat().st_size
+        self._put(path, size_bytes, lambda key: self._client.put_file(str(source), key, **options))
 
     def write(self, path: str, fill: Callable[[IO[bytes]], T]) -> T:
         with scratch_folder() as scratch:
@@ -432,21 +437,22 @@ class _StoreFolder(DataFolder):
             self.upload(path, file)
         return filled
 
-    def _put(self, path: str, put: Callable[[str], object]) -> None:
+    def _put(self, path: str, size_bytes: int, put: Callable[[str], object]) -> None:
         self._require_writable(path)
         key = self._key(path)
         try:
-            self._ask(lambda: put(key), "writing", path)
+            self._ask(lambda: put(key), "writing", path, size_bytes)
         except FileNotFoundError as error:
             if has_buckets(self.root):
                 raise self._no_bucket() from error
             parent = key.rpartition("/")[0]
             self._ask(lambda: self._client.makedirs(parent, exist_ok=True), "writing", path)
-            self._ask(lambda: put(key), "writing", path)
+            self._ask(lambda: put(key), "writing", path, size_bytes)
 
     def download(self, path: str, target: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
-        self._ask(lambda: self._client.get_file(self._key(path), str(target)), "reading", path)
+        key, size_bytes = self._key(path), self.size_bytes(path)
+        self._ask(lambda: self._client.get_file(key, str(target)), "reading", path, size_bytes)
 
     def remove(self, path: str) -> None:
         self._require_writable(path)

@@ -12,7 +12,9 @@ import logging
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
+from threading import Thread
 from typing import IO, Any, TypeVar, cast
 
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
@@ -22,10 +24,16 @@ from tactile_toolkit.store.names import scheme_of
 ASKED_WAIT_S = 120.0
 """Longest time to wait in all because a server asks for it, seconds."""
 
+ANSWER_S = 60.0
+"""Longest time that an answer may take, whatever its size, seconds; a server that sends a byte now and then
+would be waited for without end."""
+LEAST_BYTES_PER_S = 10_000
+"""Slower transfers are given up: an answer gets further time by its size."""
+
 _READ_AHEAD_BYTES = 1 << 20
 _WAITS_S = (0.5, 1.0, 2.0, 4.0, 8.0)
-# Longest time after which a store is asked once more.
-_PATIENCE_S = 20.0
+# Longest time after which a store is asked once more: what gives no answer twice is asked a third time.
+_PATIENCE_S = 45.0
 # Of the client of S3, which would try five times what is tried again here, within one time limit.
 _LIMITS = {"connect_timeout": 5, "read_timeout": 20, "retries": {"total_max_attempts": 1}}
 # Of stores with buckets, the client of each.
@@ -74,6 +82,34 @@ def with_retry(
         wait_s = max(waits.pop(0), failure.asked_wait_s)
         on_wait(f"{failure.error.what}; trying again in {wait_s:g} s")
         time.sleep(wait_s)
+
+
+class TooSlowError(TimeoutError):
+    """An answer, or a part of one, that should be here by now."""
+
+
+def in_time(
+    action: Callable[[], T], size_bytes: int = 0, let_go: Callable[[T], object] = lambda _: None
+) -> T:
+    """Return what an action gives that asks a server once, or raise TooSlowError.
+
+    ``size_bytes`` are to be sent or to arrive. What comes too late is given to ``let_go``: the action itself
+    cannot be ended from outside.
+    """
+    done: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(action())
+        except BaseException as error:
+            done.set_exception(error)
+
+    limit_s = ANSWER_S + size_bytes / LEAST_BYTES_PER_S
+    Thread(target=run, daemon=True).start()
+    if not wait([done], limit_s).done:
+        done.add_done_callback(lambda late: None if late.exception() else let_go(late.result()))
+        raise TooSlowError(f"no whole answer within {limit_s:.3g} s")
+    return done.result()
 
 
 def cause_chain(error: BaseException) -> list[BaseException]:
@@ -129,13 +165,17 @@ def _options(scheme: str) -> dict[str, Any]:
     return {"use_listings_cache": False, "config_kwargs": {**_LIMITS, **own}}
 
 
-def ask_store(action: Callable[[], T], doing: str, address: str) -> T:
+def ask_store(action: Callable[[], T], doing: str, address: str, size_bytes: int = 0) -> T:
     """Do something with a file of a store; ``doing`` names it for messages, such as ``"reading"``.
 
-    Raises FileNotFoundError and FileExistsError as they are, all else as RemoteError.
+    ``size_bytes`` are sent or arrive, by which its time is limited. Raises FileNotFoundError and
+    FileExistsError as they are, all else as RemoteError.
     """
     return with_retry(
-        action, lambda error: _store_failure(error, doing, address), _WAITS_S, patience_s=_PATIENCE_S
+        lambda: in_time(action, size_bytes),
+        lambda error: _store_failure(error, doing, address),
+        _WAITS_S,
+        patience_s=_PATIENCE_S,
     )
 
 
@@ -158,11 +198,13 @@ class _Stream(io.BufferedIOBase):
     def read(self, size: int | None = -1) -> bytes:
         position = self._stream.tell()
 
+        size = self._stream.size - position if size is None or size < 0 else size
+
         def read() -> bytes:
             self._stream.seek(position)
-            return bytes(self._stream.read(-1 if size is None else size))
+            return bytes(self._stream.read(size))
 
-        return ask_store(read, "reading", self._address)
+        return ask_store(read, "reading", self._address, size)
 
     def readable(self) -> bool:
         return True
