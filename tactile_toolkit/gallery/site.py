@@ -232,7 +232,7 @@ ASSETS = ("page.css", "theme.js", *_SCRIPTS)
 """Our own files of the page, as they lie in the folder ``assets`` next to this module."""
 
 THREE = "three.js"
-"""The library that draws meshes, beside them; its licence states its version and digest."""
+"""The library that draws meshes, next to them; its licence states its version and digest."""
 
 
 def asset(name: str) -> str:
