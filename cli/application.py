@@ -434,13 +434,12 @@ def _dispatch(app: typer.Typer) -> None:
     for word in sys.argv[1:]:
         try:
             require_public(word)
+            # Data sets hold and print names, and Parquet files of others cannot be opened.
+            if word.encode(errors="ignore").decode() != word:
+                raise InputError(f"{word!r} is not text in UTF-8", next="give another name")
         except InputError as error:
             sys.stderr.write(f"error: {error}\n")
             raise SystemExit(error.exit_code) from None
-        # Data sets hold and print names, and Parquet files of others cannot be opened.
-        if word.encode(errors="ignore").decode() != word:
-            sys.stderr.write(f"error: {word!r} is not text in UTF-8; next: give another name\n")
-            raise SystemExit(InputError.exit_code)
     word = sys.argv[1] if len(sys.argv) > 1 else ""
     for info in app.registered_commands:
         name = info.name or typer.main.get_command_name(info.callback.__name__ if info.callback else "")

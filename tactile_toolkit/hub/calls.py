@@ -229,8 +229,7 @@ def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **opt
     """Send a request of the client's session, and limit the time until the head of the answer is there."""
     if request.method not in ("GET", "HEAD"):  # others may send a file
         return send(request, stream=stream, **options)
-    ask = partial(send, request, stream=True, **options)
-    response = in_time(ask, let_go=lambda late: late.close())
+    response = in_time(partial(send, request, stream=True, **options))
     if not stream:
         # Of requests, the session reads it, too.
         response.read() if hasattr(response, "read") else response.content

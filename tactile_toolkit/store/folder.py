@@ -412,13 +412,9 @@ class _StoreFolder(DataFolder):
         self._put(path, len(content), lambda key: self._client.pipe_file(key, content, **options))
 
     def create_bytes(self, path: str, content: bytes) -> None:
-        options = self._in_one_request(content)
+        options = self._in_one_request(content) | {"mode": "create"}
         with contextlib.suppress(FileExistsError):
-            self._put(
-                path,
-                len(content),
-                lambda key: self._client.pipe_file(key, content, mode="create", **options),
-            )
+            self._put(path, len(content), lambda key: self._client.pipe_file(key, content, **options))
 
     def _in_one_request(self, content: bytes) -> dict[str, Any]:
         """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""

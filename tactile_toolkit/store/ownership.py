@@ -17,20 +17,17 @@ PROMOTION_FILE = f"{NEXT_FOLDER}/.promotion.json"
 """Lists the files of the former data set that the next one does not have."""
 
 _USUAL = ("reports/*.parquet", "previews/*.png", "README.md", "croissant.json", RECORD_FILE, MANIFEST_FILE)
-_RECORD = re.compile(r"(?:report-(?=.*[.]parquet$))?(?P<shard>.*)[.](?:json|parquet)")
+_SHARD = r"\w+-[0-9]{5,12}-of-[0-9]{5,12}"
+
+is_pending = re.compile(
+    rf"{PENDING_FOLDER}/(?:{TEMPORARY}|{_SHARD}[.]json|report-{_SHARD}[.]parquet)"
+).fullmatch
+"""Tells whether a path is that of a record, of report rows or of a temporary file of a run."""
 
 
 def extra_files() -> list[str]:
     """Return the patterns of files that some kind of data set has next to its rows."""
     return [pattern for kind in kinds() for pattern in kind.extra_files]
-
-
-def is_pending(path: str) -> bool:
-    """Return whether a path is that of a record, of report rows or of a temporary file of a run."""
-    folder, _, name = path.rpartition("/")
-    record = _RECORD.fullmatch(name)
-    is_record = record is not None and ShardName.parse(f"{record['shard']}.parquet") is not None
-    return folder == PENDING_FOLDER and (is_record or re.fullmatch(TEMPORARY, name) is not None)
 
 
 def is_ours(path: str, further: Iterable[str]) -> bool:

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, wait
 from dataclasses import dataclass
+from functools import partial
 from threading import Thread
 from typing import IO, Any, TypeVar, cast
 
@@ -88,13 +89,11 @@ class TooSlowError(TimeoutError):
     """An answer, or a part of one, that should be here by now."""
 
 
-def in_time(
-    action: Callable[[], T], size_bytes: int = 0, let_go: Callable[[T], object] = lambda _: None
-) -> T:
+def in_time(action: Callable[[], T], size_bytes: int = 0) -> T:
     """Return what an action gives that asks a server once, or raise TooSlowError.
 
-    ``size_bytes`` are to be sent or to arrive. What comes too late is given to ``let_go``: the action itself
-    cannot be ended from outside.
+    ``size_bytes`` are to be sent or to arrive. The action cannot be ended from outside; what it gives too
+    late is closed, where it can be.
     """
     done: Future[T] = Future()
 
@@ -107,7 +106,7 @@ def in_time(
     limit_s = ANSWER_S + size_bytes / LEAST_BYTES_PER_S
     Thread(target=run, daemon=True).start()
     if not wait([done], limit_s).done:
-        done.add_done_callback(lambda late: None if late.exception() else let_go(late.result()))
+        done.add_done_callback(lambda late: late.exception() or getattr(late.result(), "close", int)())
         raise TooSlowError(f"no whole answer within {limit_s:.3g} s")
     return done.result()
 
@@ -171,12 +170,8 @@ def ask_store(action: Callable[[], T], doing: str, address: str, size_bytes: int
     ``size_bytes`` are sent or arrive, by which its time is limited. Raises FileNotFoundError and
     FileExistsError as they are, all else as RemoteError.
     """
-    return with_retry(
-        lambda: in_time(action, size_bytes),
-        lambda error: _store_failure(error, doing, address),
-        _WAITS_S,
-        patience_s=_PATIENCE_S,
-    )
+    failure = partial(_store_failure, doing=doing, address=address)
+    return with_retry(partial(in_time, action, size_bytes), failure, _WAITS_S, patience_s=_PATIENCE_S)
 
 
 def open_in_store(client: Any, key: str, address: str) -> IO[bytes]:
@@ -198,13 +193,14 @@ class _Stream(io.BufferedIOBase):
     def read(self, size: int | None = -1) -> bytes:
         position = self._stream.tell()
 
-        size = self._stream.size - position if size is None or size < 0 else size
+        is_part = size is not None and size >= 0
 
         def read() -> bytes:
             self._stream.seek(position)
-            return bytes(self._stream.read(size))
+            return bytes(self._stream.read(size if is_part else -1))
 
-        return ask_store(read, "reading", self._address, size)
+        size_bytes = size if is_part else getattr(self._stream, "size", None)
+        return ask_store(read, "reading", self._address, size_bytes or 0)
 
     def readable(self) -> bool:
         return True
