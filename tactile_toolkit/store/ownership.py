@@ -22,7 +22,7 @@ _SHARD = r"\w+-[0-9]{5,12}-of-[0-9]{5,12}"
 is_pending = re.compile(
     rf"{PENDING_FOLDER}/(?:{TEMPORARY}|{_SHARD}[.]json|report-{_SHARD}[.]parquet)"
 ).fullmatch
-"""Tells whether a path is that of a record, of report rows or of a temporary file of a run."""
+"""Matches the path of a record, of report rows or of a temporary file of a run."""
 
 
 def extra_files() -> list[str]:
