@@ -19,7 +19,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from tactile_toolkit.checked_fields import OptionText, Rule, check_value, metavar_of, rule_of, text
-from tactile_toolkit.errors import InputError, StorageError, ToolkitError
+from tactile_toolkit.errors import InputError, StorageError, ToolkitError, require_public
 from tactile_toolkit.wording import printable
 
 EXIT_FAILED = 1
@@ -431,11 +431,15 @@ def _dispatch(app: typer.Typer) -> None:
     Building all commands takes a tenth of the half second that a help may take; and going through the group,
     Typer would load pydantic for the group's own options, another 0.2 s.
     """
-    for word in sys.argv:
-        # Data sets hold and print names, and Parquet files of others cannot be opened.
-        if word.encode(errors="ignore").decode() != word:
-            sys.stderr.write(f"error: {word!r} is not text in UTF-8; next: give another name\n")
-            raise SystemExit(InputError.exit_code)
+    for word in sys.argv[1:]:
+        try:
+            require_public(word)
+            # Data sets hold and print names, and Parquet files of others cannot be opened.
+            if word.encode(errors="ignore").decode() != word:
+                raise InputError(f"{word!r} is not text in UTF-8", next="give another name")
+        except InputError as error:
+            sys.stderr.write(f"error: {error}\n")
+            raise SystemExit(error.exit_code) from None
     word = sys.argv[1] if len(sys.argv) > 1 else ""
     for info in app.registered_commands:
         name = info.name or typer.main.get_command_name(info.callback.__name__ if info.callback else "")

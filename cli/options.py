@@ -29,10 +29,8 @@ def local_place(text: str | Path) -> Path:
     from tactile_toolkit.store.files import expanded
 
     if "://" in str(text):
-        from tactile_toolkit.store.names import redact
-
         raise InputError(
-            f"{redact(str(text))!r} is a remote address; expected a local path",
+            f"{str(text)!r} is a remote address; expected a local path",
             next="give a path of this machine",
         )
     return expanded(text)

@@ -1,14 +1,17 @@
 """What can be made again and is kept to save time: files on disk, objects in memory, both bounded.
 
-Whatever was used longest ago leaves first. A folder may pass its limit for a while, by a tenth or so. A cache
-that cannot be written costs speed, never data.
+Least recently used entries are evicted first. A folder may pass its limit for a while, by a tenth or so. A
+cache that cannot be written costs speed, never data. Only files with names that a cache gives are listed or
+removed, and none through a symbolic link: all other files are the user's.
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import random
+import re
 import stat
 import time
 import warnings
@@ -20,13 +23,16 @@ from threading import RLock
 from typing import IO, Any, Generic, TypeVar
 
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.store.files import expanded, resource_shortage, write_file
+from tactile_toolkit.store.files import DRAFT, expanded, resource_shortage, write_file
 
 LOCKS = "locks"
 """Folder of the cache whose files processes hold while they write others."""
 
-# All folders of the cache; what else lies next to them is not ours.
-_FOLDERS = ("blocks", "environments", "linked", LOCKS)
+# The names of the files in each folder that may be removed; the folders of locks and links hold no data.
+_NAMES = {
+    "blocks": "[0-9a-f]{32}-[0-9]{5}-[0-9]{5}[.]arrow",
+    "environments": "meshes-[0-9a-f]{32}",
+}
 
 CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
 """Environment variable that names the cache folder."""
@@ -56,15 +62,20 @@ _unwritable: set[Path] = set()  # folders that this process has given up on
 class DiskCache:
     """Files in one folder, shared by threads and processes; each appears whole or not at all.
 
-    ``folder`` is a path, or a name inside the cache folder, which may change while a process runs. With
-    ``durable``, a file is on the disk before it gets its name; without, readers must notice themselves what a
-    power cut has spoiled. ``warning``, with ``{problem}`` in it, is given once where nothing can be written.
+    ``folder`` is a path, or a name inside the cache folder, which may change while a process runs. ``names``
+    is a pattern of the names of its files; the folders of the cache have theirs. With ``durable``, a file is
+    on the disk before it gets its name; without, readers must notice themselves what a power cut has spoiled.
+    ``warning``, with ``{problem}`` in it, is given once where nothing can be written.
     """
 
     folder: Path | str
     limit_bytes: int
     durable: bool = True
     warning: str = ""
+    names: str = ""
+
+    def __post_init__(self) -> None:
+        self.names = self.names or _NAMES[str(self.folder)]
 
     def path(self, name: str) -> Path:
         """Return where a file of that name is, or would be."""
@@ -79,7 +90,8 @@ class DiskCache:
     def drop(self, path: Path) -> None:
         """Remove a file, such as a damaged one, where that is possible."""
         with contextlib.suppress(OSError):
-            path.unlink(missing_ok=True)
+            if not path.parent.is_symlink():
+                path.unlink(missing_ok=True)
 
     @property
     def is_given_up(self) -> bool:
@@ -97,6 +109,8 @@ class DiskCache:
             return False
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
+            if path.parent.is_symlink():  # nothing could be removed there again
+                raise OSError(errno.ELOOP, "it is a symbolic link")
             if _CHANCE.random() * self.limit_bytes < size_bytes * _LOOKED_THROUGH_AFTER:
                 self._make_room(path.parent, size_bytes)
             write_file(path, fill, durable=self.durable)
@@ -117,7 +131,7 @@ class DiskCache:
 
         Open maps stay valid, and what is being written, by whom it may be, is written again.
         """
-        files = _files(folder)
+        files = _files(folder, self.names)
         excess = sum(size for _, size, _ in files) + needed_bytes - self.limit_bytes
         if excess > 0:
             excess += max(0, self.limit_bytes // _ROOM_MADE - needed_bytes)
@@ -127,13 +141,15 @@ class DiskCache:
                 excess -= size
 
 
-def _files(folder: Path) -> list[tuple[float, int, Path]]:
-    """Return the files in a folder by their last use: seconds since the epoch, bytes, path."""
-    files = []
-    for path in folder.rglob("*"):
+def _files(folder: Path, names: str) -> list[tuple[float, int, Path]]:
+    """Return the files of a cache by their last use: seconds since the epoch, bytes, path."""
+    files, paths, ours = [], list[Path](), re.compile(f"(?:{DRAFT})?(?:{names})")
+    with contextlib.suppress(OSError):
+        paths += [] if folder.is_symlink() else folder.iterdir()
+    for path in paths:
         with contextlib.suppress(OSError):  # other processes may remove some meanwhile
             found = path.lstat()
-            if stat.S_ISREG(found.st_mode):
+            if ours.fullmatch(path.name) and stat.S_ISREG(found.st_mode):
                 # File systems are mounted without access times: mark_used sets them, and a file never used
                 # again has that of its writing.
                 files.append((max(found.st_atime, found.st_mtime), found.st_size, path))
@@ -142,20 +158,17 @@ def _files(folder: Path) -> list[tuple[float, int, Path]]:
 
 def cached_files() -> dict[str, list[tuple[float, int, Path]]]:
     """Return the files of each folder in the cache folder: seconds of their last use, bytes, path."""
-    # The variable may name a folder that holds other things, too.
-    folders = {name: cache_folder() / name for name in _FOLDERS}
-    return {name: _files(folder) for name, folder in folders.items() if folder.is_dir()}
+    folders = {name: cache_folder() / name for name in _NAMES}
+    return {name: _files(folder, _NAMES[name]) for name, folder in folders.items() if folder.is_dir()}
 
 
 def prune_cache(unused_days: float = 0.0) -> list[Path]:
-    """Remove cached files that were not used for so many days, and return them; locks stay.
+    """Remove cached files that were not used for so many days, and return them.
 
     All of them can be made again. Open maps stay valid, and what is being written is written again.
     """
     removed, latest_s = [], time.time() - unused_days * 86_400
-    for used_s, _, path in (
-        file for name, files in cached_files().items() if name != LOCKS for file in files
-    ):
+    for used_s, _, path in (file for files in cached_files().values() for file in files):
         if used_s <= latest_s:
             with contextlib.suppress(OSError):
                 path.unlink()

@@ -21,6 +21,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+from tactile_toolkit.redaction import public_address, redact
 from tactile_toolkit.wording import printable
 
 
@@ -38,7 +39,7 @@ class ToolkitError(Exception):
     exit_code = 1
 
     def __init__(self, what: object = "", next: str = "") -> None:
-        self.message = f"{what}; next: {next}" if next else str(what)
+        self.message = redact(f"{what}; next: {next}" if next else str(what))
         super().__init__(self.message)
 
     @property
@@ -54,6 +55,16 @@ class InputError(ToolkitError):
     """A path, option, file or value given by the user cannot be used."""
 
     exit_code = 2
+
+
+def require_public(place: str) -> None:
+    """Raise InputError, which does not repeat it, for an address that may hold a user, key or signature."""
+    shown = public_address(place)
+    if shown != place:
+        raise InputError(
+            f"the address {shown!r} may hold a user, a key or a signature; expected none of @ ? # ; in it",
+            next="give credentials as the store's own tools take them, such as AWS_PROFILE",
+        )
 
 
 class SpecMismatchError(InputError):

@@ -40,6 +40,7 @@ def s3(s3_server: S3Server, monkeypatch: pytest.MonkeyPatch) -> S3Server:
     for name in ("AWS_PROFILE", "AWS_SESSION_TOKEN", "AWS_ENDPOINT_URL_S3"):
         monkeypatch.delenv(name, raising=False)
     s3_server.refuse = s3_server.shorten = lambda _: None
+    s3_server.slow = lambda _: 0.0
     s3_server.traffic.reset()
     return s3_server
 

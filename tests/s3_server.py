@@ -33,12 +33,15 @@ class Traffic:
 class S3Server:
     """The server; ``refuse`` may answer a request itself, with a status and an error code of S3.
 
-    ``shorten`` says after how many bytes of its body an answer ends, although its head promises more.
+    ``shorten`` says after how many bytes of its body an answer ends, although its head promises more, and
+    ``slow`` how many seconds each byte of it takes.
     """
 
     traffic: Traffic = field(default_factory=Traffic)
+    stopped: threading.Event = field(default_factory=threading.Event)
     refuse: Callable[[Environ], Answer | None] = lambda _: None
     shorten: Callable[[Environ], int | None] = lambda _: None
+    slow: Callable[[Environ], float] = lambda _: 0.0
     endpoint: str = ""
 
     def environment(self) -> dict[str, str]:
@@ -88,8 +91,13 @@ class S3Server:
                 start_response(status, headers)
                 yield b"" if environ["REQUEST_METHOD"] == "HEAD" else body
                 return
-            left = self.shorten(environ)
+            left, pause_s = self.shorten(environ), self.slow(environ)
             for piece in app(environ, start_response):
+                for byte in piece if pause_s else b"":
+                    self.stopped.wait(pause_s)
+                    yield bytes([byte])
+                if pause_s:
+                    continue
                 self.traffic.sent_bytes += len(piece)
                 yield piece[:left]
                 if left is not None:
@@ -119,6 +127,7 @@ def serve() -> Iterator[S3Server]:
     try:
         yield server
     finally:
+        server.stopped.set()
         http.shutdown()
         thread.join()
         http.server_close()

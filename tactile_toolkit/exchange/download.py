@@ -7,6 +7,7 @@ First everything is compared and nothing is changed (:func:`plan_download`); the
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -43,8 +44,11 @@ _METADATA_FILES = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
 _EXTRA_FOLDERS = ("reports/", "previews/")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
 _PICTURE_FOLDER = "images"
-# Where the Hub's client keeps what it has not fetched to the end.
+# Where the Hub's client keeps what it has not fetched to the end, and the names that it gives there.
 _STAGE_FOLDER = ".cache/huggingface"
+_STAGED = re.compile(
+    rf"{_STAGE_FOLDER}/(?:[.]gitignore(?:[.]lock)?|CACHEDIR[.]TAG|download/.*[.](?:metadata|lock|incomplete))"
+)
 _THREADS = 8
 
 
@@ -277,7 +281,7 @@ def _execute(plan: DownloadPlan, folder: DataFolder, on_progress: Callable[[int,
     _write_metadata(plan, folder, manifest)
     write_record(folder, record)
     if folder.is_local:
-        folder.remove_tree(_STAGE_FOLDER)
+        folder.remove_tree(_STAGE_FOLDER, _STAGED.fullmatch)
         folder.remove_empty(str(PurePosixPath(_STAGE_FOLDER).parent))
 
 

@@ -14,13 +14,11 @@ import json
 import os
 import re
 import shutil
-import zipfile
 from collections import Counter
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
-from importlib import metadata, resources
-from importlib.util import find_spec
+from importlib import resources
 from itertools import accumulate
 from pathlib import Path
 from typing import Any, cast
@@ -29,7 +27,7 @@ from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.files import LOCK_FILE, locked, named_failures
+from tactile_toolkit.store.files import DRAFT, LOCK_FILE, draft_of, locked, named_failures, remove_drafts
 from tactile_toolkit.store.folder import local_folder
 from tactile_toolkit.wording import natural_key
 
@@ -44,7 +42,6 @@ MOST_BYTES = 2_000_000_000
 # In a folder of files: the page, before it is known how that folder is called.
 _TEMPLATE_FILE = "page.template"
 _FOLDER_PREFIX, _FOLDER_MARK = "files-", "{{files}}"
-_UNFINISHED_PREFIX = ".gallery-"
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,11 +82,9 @@ def build_site(
             written["bytes"] += place.write_bytes(content.encode() if isinstance(content, str) else content)
             written["files"] += 1
 
-        code, licence = viewer_library()
         write(folder / _TEMPLATE_FILE, page(gallery.title))
-        write(folder / "LICENSES.txt", licence)
-        write(folder / "assets/three.js", code)
-        for name in ASSETS:
+        write(folder / "LICENSES.txt", asset("three-LICENSE.txt"))
+        for name in (*ASSETS, THREE):
             write(folder / "assets" / name, asset(name))
         on_progress(0, gallery.size)
         made = cast("Generator[tuple[int, list[Item]]]", runner_for(runner).run(_make, tasks))
@@ -117,11 +112,11 @@ def build_site(
         former, files = _former_folders(path, overwrite=overwrite), path / _name_of(folder)
         if files not in former:
             folder.rename(files)
-        draft = path / f"{_UNFINISHED_PREFIX}{PAGE_FILE}"
+        draft = draft_of(path / PAGE_FILE)
         write(draft, _page_of(files))
         draft.replace(path / PAGE_FILE)
         for each in set(former) - {files}:
-            retired = each.rename(path / f"{_UNFINISHED_PREFIX}{each.name}")
+            retired = each.rename(draft_of(each))
             if _name_of(retired) != each.name:  # a file was put there in this moment
                 retired.rename(each)
     return Site(str(path), len(shown), written["files"], written["bytes"], dict(gallery.splits))
@@ -145,7 +140,7 @@ def _unfinished_folder(path: Path) -> Iterator[Path]:
         with locked(path, patience_s=0):
             try:
                 _remove_unfinished(path)
-                folder = path / f"{_UNFINISHED_PREFIX}files"
+                folder = draft_of(path / "files")
                 folder.mkdir()
                 yield folder
             finally:
@@ -162,11 +157,10 @@ def _unfinished_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove_unfinished(path: Path) -> None:
-    for left in path.glob(f"{_UNFINISHED_PREFIX}*"):
-        if left.is_dir() and not left.is_symlink():
+    remove_drafts(path)
+    for left in path.iterdir():
+        if re.match(DRAFT, left.name) and not left.is_symlink():
             shutil.rmtree(left)
-        else:
-            left.unlink()
 
 
 def _name_of(folder: Path) -> str:
@@ -210,7 +204,7 @@ def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
     """
     former: list[Path] = []
     for entry in sorted(path.iterdir()):
-        is_ours = entry.name == LOCK_FILE or entry.name.startswith(_UNFINISHED_PREFIX)
+        is_ours = entry.name == LOCK_FILE or re.match(DRAFT, entry.name) is not None
         if entry.name.startswith(_FOLDER_PREFIX) and entry.is_dir() and not entry.is_symlink():
             is_ours = entry.name == _name_of(entry)
             former += [entry] if is_ours else []
@@ -237,9 +231,12 @@ _SCRIPTS = ("state.js", "filters.js", "grid.js", "viewer.js", "film.js", "dialog
 ASSETS = ("page.css", "theme.js", *_SCRIPTS)
 """Our own files of the page, as they lie in the folder ``assets`` next to this module."""
 
+THREE = "three.js"
+"""The library that draws meshes, next to them; its licence states its version and digest."""
+
 
 def asset(name: str) -> str:
-    """Read one of our own files of the page."""
+    """Read a file of the page."""
     return (resources.files("tactile_toolkit.gallery") / "assets" / name).read_text(encoding="utf-8")
 
 
@@ -292,43 +289,3 @@ def index_of(gallery: Gallery, items: Sequence[Item]) -> dict[str, Any]:
 def _rounded(value: float | None, decimals: int) -> float | None:
     # NaN stands for "not measured" in reports, and JSON has no NaN.
     return None if value is None or value != value else round(float(value), decimals or None)
-
-
-# trimesh carries three.js in the template of its own notebook viewer, joined with that viewer's controls.
-# Only the library itself is taken: one line of minified code below a comment that names its authors and
-# licence.
-_TEMPLATE = "resources/templates/viewer.zip"
-_LIBRARY = re.compile(
-    r"(?P<notice>/\*\*\n \* @license\n(?: \*[^\n]*\n)*? \*/)\n(?P<code>!function[^\n]*\.THREE=[^\n]*)\n"
-)
-_LICENSE_FILE = re.compile(r"(?:^|/)LICEN[CS]E[^/]*$", re.IGNORECASE)
-
-
-def viewer_library() -> tuple[str, str]:
-    """Take three.js out of the installed trimesh: its code, and the text of its licence.
-
-    InputError where that does not carry it as known releases do, or not under the MIT licence.
-    """
-    distribution = metadata.distribution("trimesh")
-    origin = f"trimesh {distribution.version}"
-    # Found without importing trimesh, which takes two seconds and has no part in this.
-    spec = find_spec("trimesh")
-    try:
-        with zipfile.ZipFile(Path(spec.origin if spec and spec.origin else "").parent / _TEMPLATE) as archive:
-            found = _LIBRARY.search(archive.read("viewer.html.template").decode())
-    except (OSError, KeyError, zipfile.BadZipFile):
-        found = None
-    licences = (str(file.read_text()) for file in distribution.files or [] if _LICENSE_FILE.search(str(file)))
-    terms = next((text for text in licences if "Permission is hereby granted, free of charge" in text), None)
-    if found is None or terms is None or "SPDX-License-Identifier: MIT" not in found["notice"]:
-        raise InputError(
-            f"the installed {origin} carries no three.js with its licence where releases 4.9 to 5.2 do "
-            f"({_TEMPLATE})",
-            next="pip install 'trimesh>=4.9,<=5.2.0'",
-        )
-    text = (
-        f"three.js, in assets/three.js, was taken out of the Python package {origin} when this page was\n"
-        f"built. Its notice:\n\n{found['notice']}\n\n"
-        f"The MIT licence, as the package {origin} states it:\n\n{terms.strip()}\n"
-    )
-    return f"{found['notice']}\n{found['code']}\n", text

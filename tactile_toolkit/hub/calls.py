@@ -1,8 +1,8 @@
 """Calls of the Hub's client: failures in one sentence, trying again what may pass, limits of answers.
 
 The client raises a dozen kinds of errors, wraps some in others, and has one status for a private repository
-and for a missing one; :func:`failure_of` looks through all that. The client reads whatever is sent: a hook of
-its session limits the bytes. What depends on the release of the client is in this file alone.
+and for a missing one; :func:`failure_of` looks through all that. The client reads whatever is sent, as slowly
+as it comes: its session is made to limit both. What depends on the client's release is in this file alone.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import contextlib
 import errno
 import inspect
 import re
+import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module
@@ -18,8 +19,9 @@ from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
-from tactile_toolkit.store.names import redact
-from tactile_toolkit.store.remote import Failure, cause_chain, with_retry
+from tactile_toolkit.redaction import redact
+from tactile_toolkit.store import remote
+from tactile_toolkit.store.remote import Failure, cause_chain, in_time, with_retry
 
 ANSWER_BYTES = 32 << 20
 """Largest answer to a question, unpacked: a listing of more than 100,000 files."""
@@ -132,6 +134,7 @@ def hub_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
     ``doing`` is what is done to the repository: ``"reading"``, ``"uploading to"``, ... Raises HubError (not
     allowed, not found, not reached), StorageError (no space, no permission) or InputError (not a name).
     """
+    _limit_session()
     try:
         yield
     except Exception as error:
@@ -207,13 +210,44 @@ def call_with_retry(
     sentence for each wait; all waits that the Hub asks for are limited together. Raises what
     :func:`hub_failures` does.
     """
+    _limit_session()
+    failure = partial(failure_of, repo_id=repo_id, doing=doing, is_answer=True)
+    return with_retry(action, failure, WAITS_S if waits_s is None else waits_s, on_wait=on_wait)
+
+
+def _limit_session() -> None:
+    """Let the session of the client limit all answers: their sizes, and the time that they take."""
     # Before 1.0 it is a session of requests, and each thread has its own.
     session = import_module("huggingface_hub").get_session()
     hooks = session.event_hooks if hasattr(session, "event_hooks") else session.hooks
     if _check_answer not in hooks["response"]:
         hooks["response"].append(_check_answer)
-    failure = partial(failure_of, repo_id=repo_id, doing=doing, is_answer=True)
-    return with_retry(action, failure, WAITS_S if waits_s is None else waits_s, on_wait=on_wait)
+        session.send = partial(_send, session.send)
+
+
+def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **options: Any) -> Any:
+    """Send a request of the client's session, and limit the time until the head of the answer is there."""
+    if request.method not in ("GET", "HEAD"):  # others may send a file
+        return send(request, stream=stream, **options)
+    response = in_time(partial(send, request, stream=True, **options))
+    if not stream:
+        # Of requests, the session reads it, too.
+        response.read() if hasattr(response, "read") else response.content
+    return response
+
+
+def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: Any) -> Iterator[bytes]:
+    """Yield what arrives of an answer while it comes fast enough; what a reader takes is not counted."""
+    waited_s, arrived, source = 0.0, 0, pieces(*arguments)
+    while True:
+        begun_s = time.monotonic()
+        piece = next(source, None)
+        if piece is None:
+            return
+        waited_s, arrived = waited_s + time.monotonic() - begun_s, arrived + len(piece)
+        if waited_s > remote.ANSWER_S + arrived / remote.LEAST_BYTES_PER_S:
+            raise remote.TooSlowError(f"{arrived:,} bytes came within {waited_s:.0f} s")
+        yield piece
 
 
 def _check_answer(response: Any, **_: Any) -> None:
@@ -229,6 +263,8 @@ def _check_answer(response: Any, **_: Any) -> None:
     if re.fullmatch(_BUSY, str(response.status_code)) and _requested_wait_s(response.headers):
         # Raised at once: the caller waits, and can report why.
         import_module("huggingface_hub.utils").hf_raise_for_status(response)
+    if hasattr(response, "iter_raw"):  # releases before 1.0 have none, and end what is slow by the head alone
+        response.iter_raw = partial(_timed, response.iter_raw)
     path = urlsplit(str(request.url)).path
     if response.status_code // 100 == 2 and "/api/" not in path.partition("/resolve/")[0]:
         return  # a file, which may have any size

@@ -17,7 +17,7 @@ from multiprocessing.pool import ThreadPool
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.errors import HubError, InputError, IntegrityError
+from tactile_toolkit.errors import HubError, InputError, IntegrityError, require_public
 from tactile_toolkit.hub.calls import (
     TooLargeError,
     call_with_retry,
@@ -55,8 +55,10 @@ class HubName:
 def hub_name(name: str, revision: str | None = None) -> HubName | None:
     """Read ``USER/NAME[@REVISION]`` or ``hf://datasets/USER/NAME[@REVISION][/PATH]``; None for other names.
 
-    A revision may be given next to the name instead; two different ones are an InputError.
+    A revision may be given next to the name instead; two different ones are an InputError, and so is an
+    address that may hold a key.
     """
+    require_public(name)
     match = _NAME.fullmatch(name.removeprefix(_PREFIX))
     is_address = name.startswith(_PREFIX)
     if match is None or name.startswith((".", "~")) or (match["path"] and not is_address):
@@ -273,8 +275,10 @@ class HubRepository:
                     os.fsync(stream.fileno())  # a power cut must not empty what counts as intact
                 count(file.size_bytes)
                 return place
-            # With what it is a link to: damaged content must not be found again.
-            Path(os.path.realpath(place)).unlink(missing_ok=True)
+            # With what it is a link to in the cache: damaged content must not be found again.
+            content = Path(os.path.realpath(place))
+            if content.is_relative_to(os.path.realpath(_cache_of(self.repo_id))):
+                content.unlink(missing_ok=True)
             place.unlink(missing_ok=True)
         raise IntegrityError(
             f"{path!r} of Hub data set {self.repo_id!r} arrived damaged twice, expected {digest}; "

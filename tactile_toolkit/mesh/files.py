@@ -16,7 +16,7 @@ from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, as_mesh, joined
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.store.files import named_failures, write_file
+from tactile_toolkit.store.files import expanded, named_failures, write_file
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
@@ -41,7 +41,7 @@ def read_mesh(path: str | Path) -> Mesh:
     InputError
         The file is missing, empty, cut short or not a mesh of its kind.
     """
-    path = Path(path)
+    path = expanded(path)
     ending = file_ending(path)
     try:
         data = path.read_bytes()

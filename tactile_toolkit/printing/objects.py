@@ -131,8 +131,9 @@ def content_of(path: Path) -> bytes | None:
 
 
 def _before(folder: Path, product: Product[R]) -> set[Path]:
-    """Return the files of a product that are there."""
-    return {path for pattern in product.patterns for path in folder.glob(pattern)}
+    """Return the files of a product that are there; InputError where a folder of it is a link."""
+    places = [DataFolder(str(folder)).place(pattern) for pattern in product.patterns]
+    return {path for place in places for path in place.parent.glob(place.name)}
 
 
 def _exported(
@@ -216,6 +217,8 @@ def export(
     return FileExport(tuple(result for result in results if not isinstance(result, Failure)), failed)
 
 
+# Names of the meshes that a file for simulators refers to; other files next to them are not replaced.
+_MESHES = ("visual", "part-[0-9][0-9]", "part-[0-9][0-9][0-9]")
 _ID_DIGITS = 5  # file names sort as the ids do, up to 99,999
 _UNSAFE = re.compile(r"[^\w+-]+")
 
@@ -368,7 +371,7 @@ def export_files(
     products = [
         Product(
             item.name,
-            (f"{item.name}{ending}", f"{item.name}/visual.obj", f"{item.name}/part-*.obj"),
+            (f"{item.name}{ending}", *(f"{item.name}/{name}.obj" for name in _MESHES)),
             partial(_made, item, *how),
         )
         for item in objects

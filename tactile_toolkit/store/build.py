@@ -13,15 +13,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import PurePosixPath
 from typing import Any, TypedDict
 
 import msgspec
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
-from tactile_toolkit.kind import kinds
 from tactile_toolkit.run.processes import Check, Finish, Part, Runner, runner_for
-from tactile_toolkit.store.files import TEMPORARY_PREFIX
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import (
     BuildPlan,
@@ -42,6 +39,7 @@ from tactile_toolkit.store.manifest import (
 )
 from tactile_toolkit.store.names import decode, is_hidden
 from tactile_toolkit.store.origin import RECORD_FILE
+from tactile_toolkit.store.ownership import PROMOTION_FILE, extra_files, is_ours, is_pending, remove_next
 from tactile_toolkit.store.parquet import (
     REPORT_STYLE,
     ParquetStyle,
@@ -50,7 +48,7 @@ from tactile_toolkit.store.parquet import (
     sha256_hex,
     write_small_columns,
 )
-from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardName, ShardRecord, Skipped
+from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord, Skipped
 from tactile_toolkit.store.task import ShardTask
 
 _CAUSES_SHOWN = 3
@@ -269,7 +267,7 @@ def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     folder.remove_empty(DATA_FOLDER)
     if not had_manifest and not folder.names(DATA_FOLDER):
         folder.remove(MANIFEST_FILE)
-        folder.remove_tree(PENDING_FOLDER)
+        folder.remove_tree(PENDING_FOLDER, is_pending)
     folder.remove_empty(PENDING_FOLDER)
 
 
@@ -296,10 +294,7 @@ def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
         )
 
 
-# Lists the files of the former data set that the next one does not have.
-_PROMOTION = f"{NEXT_FOLDER}/.promotion.json"
 _PATIENCE_S = 60.0
-_OURS = ("reports/*.parquet", "previews/*.png", "README.md", "croissant.json", RECORD_FILE, MANIFEST_FILE)
 
 
 def require_replaceable(folder: DataFolder) -> list[str]:
@@ -321,11 +316,11 @@ def require_replaceable(folder: DataFolder) -> list[str]:
     manifest = _manifest(folder)
     # A manifest may be any user's, of a data set from the Hub: what it names counts where kinds know it.
     named = () if manifest is None else manifest.trees
-    further = [pattern for pattern in _extra_files() if pattern.partition("/")[0] in named]
+    further = [pattern for pattern in extra_files() if pattern.partition("/")[0] in named]
     names = set(folder.names())
     shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}
     found = [path for path in folder.walk() if path.partition("/")[0] in shown]
-    strange = [path for path in found if folder.place(path) and not _is_ours(path, further)]
+    strange = [path for path in found if folder.place(path) and not is_ours(path, further)]
     # A damaged manifest of a data set has shards next to it; other programs have files of that name, too.
     if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
         strange = [MANIFEST_FILE]
@@ -355,26 +350,6 @@ def _manifest(folder: DataFolder) -> Manifest | None:
         return None
 
 
-def _extra_files() -> list[str]:
-    """Return the patterns of files that some kind of data set has next to its rows."""
-    return [pattern for kind in kinds() for pattern in kind.extra_files]
-
-
-def _is_ours(path: str, further: list[str]) -> bool:
-    """Return whether a file of a data set can have such a path."""
-    place = PurePosixPath(path)
-    if path.startswith(f"{PENDING_FOLDER}/") or (
-        len(place.parts) > 1 and place.name.startswith(TEMPORARY_PREFIX)
-    ):
-        return True
-    if str(place.parent) == DATA_FOLDER:
-        return ShardName.parse(place.name) is not None
-    # Not from the right end alone, as `match` compares.
-    return any(
-        place.match(pattern) and len(place.parts) == pattern.count("/") + 1 for pattern in (*_OURS, *further)
-    )
-
-
 def prepare_next(folder: DataFolder, plan: BuildPlan) -> DataFolder:
     """Return the folder in which the next data set is made, without files of any other one.
 
@@ -384,16 +359,16 @@ def prepare_next(folder: DataFolder, plan: BuildPlan) -> DataFolder:
     begun = _manifest(after)
     if begun is None or begun.identity != plan.new_manifest().identity:
         folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it no other file counts
-        folder.remove_tree(NEXT_FOLDER)
+        remove_next(folder)
     after.require_folder()
     return after
 
 
 def resume_promotion(folder: DataFolder, patience_s: float = _PATIENCE_S) -> None:
     """Complete a replacement that was begun; raises InputError while another run does so."""
-    if folder.is_local and folder.exists(_PROMOTION):
+    if folder.is_local and folder.exists(PROMOTION_FILE):
         with folder.locked(patience_s=patience_s):
-            if folder.exists(_PROMOTION):
+            if folder.exists(PROMOTION_FILE):
                 _move_files(folder)
 
 
@@ -404,7 +379,7 @@ def promote(folder: DataFolder) -> None:
     """
     leave = require_replaceable(folder)
     former = sorted({*leave}.difference(_arriving(folder)))
-    folder.write_bytes(_PROMOTION, msgspec.json.encode(former))  # from here on it can only be completed
+    folder.write_bytes(PROMOTION_FILE, msgspec.json.encode(former))  # from here on it can only be completed
     _move_files(folder)
 
 
@@ -414,15 +389,15 @@ def _arriving(folder: DataFolder) -> list[str]:
 
 
 def _move_files(folder: DataFolder) -> None:
-    leave = decode(folder.read_bytes(_PROMOTION), list[str], folder.address(_PROMOTION))
+    leave = decode(folder.read_bytes(PROMOTION_FILE), list[str], folder.address(PROMOTION_FILE))
     after = DataFolder(folder.address(NEXT_FOLDER))
     manifest = read_manifest(after)
     if manifest is not None:  # it is the last file to move
         write_manifest(folder, replace(manifest, complete=False))
         # The list may be any user's, of a folder that was given to us.
-        every = _extra_files()
+        every = extra_files()
         for path in leave:
-            if _is_ours(path, every):
+            if is_ours(path, every):
                 folder.remove(path)
         for path in _arriving(folder):
             if path != MANIFEST_FILE:
@@ -430,7 +405,7 @@ def _move_files(folder: DataFolder) -> None:
         sizes = folder.sizes(DATA_FOLDER)
         missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
         if missing:
-            folder.remove_tree(NEXT_FOLDER)  # the same run makes them again where they are to be
+            remove_next(folder)  # the same run makes them again where they are to be
             raise IntegrityError(
                 f"{folder.address(missing[0])!r} is missing or of another size, though it was made to take "
                 "the place of a former file",
@@ -440,4 +415,4 @@ def _move_files(folder: DataFolder) -> None:
     for path in leave:
         while path := path.rpartition("/")[0]:
             folder.remove_empty(path)
-    folder.remove_tree(NEXT_FOLDER)
+    remove_next(folder)

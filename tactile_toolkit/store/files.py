@@ -19,10 +19,11 @@ from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError, require_public
 
 TEMPORARY_PREFIX = ".writing-"
-"""How the name of every unfinished file begins."""
+DRAFT = re.escape(TEMPORARY_PREFIX) + "[0-9a-f]{32}-"
+"""How the name of every unfinished file begins, as a pattern: what has no such number may be any user's."""
 LOCK_FILE = ".lock"
 """Is in a folder while a process holds it where the system or the file system knows no locks of folders."""
 
@@ -30,8 +31,6 @@ T = TypeVar("T")
 
 _LOOK_AGAIN_S = 0.02
 _TRIES = 10
-# Follows the prefix: what has none may be any user's.
-_UNIQUE = re.compile("[0-9a-f]{32}-")
 _OF_THE_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 
 
@@ -92,9 +91,11 @@ def path_exists(path: Path) -> bool:
 def expanded(place: str | Path, what: str = "path") -> Path:
     """Return a local path with ``~`` at its start as the home folder; InputError where none is known.
 
-    Where the text as given has it later, as in ``./~``, the path is returned in full: pathlib drops the
-    ``./``, and what expands the path again would then take the folder for the home folder.
+    An address that may hold a key is an InputError, too. Where the text as given has the ``~`` later, as in
+    ``./~``, the path is returned in full: pathlib drops the ``./``, and what expands the path again would
+    then take the folder for the home folder.
     """
+    require_public(str(place))
     path = Path(place)
     if not str(path).startswith("~"):
         return path
@@ -240,7 +241,7 @@ def write_file(
     leave damaged content under the name. Raises OSError as the file system does; nothing is left behind but
     by a process that is killed.
     """
-    draft = draft or path.with_name(f"{TEMPORARY_PREFIX}{uuid.uuid4().hex}-{path.name}")
+    draft = draft or draft_of(path)
     for tries_left in reversed(range(_TRIES)):
         try:
             with new_file(draft) as stream:
@@ -262,11 +263,16 @@ def write_file(
     return filled
 
 
+def draft_of(path: Path) -> Path:
+    """Return a new temporary name next to a file or folder."""
+    return path.with_name(f"{TEMPORARY_PREFIX}{uuid.uuid4().hex}-{path.name}")
+
+
 def remove_drafts(folder: Path) -> None:
     """Remove the temporary files directly in a local folder; one that is being written is written again."""
-    for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
+    for path in folder.iterdir():
         with contextlib.suppress(OSError):  # of other users it stays
-            if _UNIQUE.match(path.name, len(TEMPORARY_PREFIX)):
+            if re.match(DRAFT, path.name):
                 path.unlink()
 
 

@@ -15,6 +15,7 @@ import contextlib
 import errno
 import math
 import os
+import re
 import shutil
 import stat
 import tempfile
@@ -47,8 +48,8 @@ PENDING_FOLDER = ".pending"
 NEXT_FOLDER = ".next"
 """Holds the data set that is to take the place of the one around it."""
 
-TEMPORARY = "tmp-"
-"""How the name of every unfinished file in :data:`PENDING_FOLDER` begins."""
+TEMPORARY = "tmp-[0-9a-f]{32}"
+"""Names of unfinished files in :data:`PENDING_FOLDER`, as a pattern."""
 
 VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created", "LastModified", "inode")
 """What is known of a file, under which name each, that changes whenever it is replaced."""
@@ -230,7 +231,7 @@ class DataFolder:
 
     def _write(self, path: str, fill: Callable[[IO[bytes]], T], publish: Callable[[Path, Path], object]) -> T:
         place = self.place(path)
-        draft = self.place(f"{PENDING_FOLDER}/{TEMPORARY}{uuid.uuid4().hex}")
+        draft = self.place(f"{PENDING_FOLDER}/tmp-{uuid.uuid4().hex}")
         try:
             with named_failures(self.address(path)):
                 return write_file(place, fill, draft, publish=publish)
@@ -291,20 +292,23 @@ class DataFolder:
         with contextlib.suppress(OSError):
             Path(self.address(folder)).rmdir()
 
-    def remove_tree(self, folder: str, prefix: str = "") -> None:
-        """Remove a sub-folder with all in it whose name begins so; raises InputError for a link."""
+    def remove_tree(self, folder: str, is_ours: Callable[[str], object]) -> None:
+        """Remove the files in a sub-folder whose paths are ours, and folders that are empty then.
+
+        Raises InputError for a link to a folder, whose content is not ours.
+        """
         for name, size in self.entries(folder).items():
-            if not name.startswith(prefix):
-                continue
+            path = f"{folder}/{name}"
             if size is None:
-                self.remove_tree(f"{folder}/{name}")
-            else:
-                self.remove(f"{folder}/{name}")
+                self.place(path)
+                self.remove_tree(path, is_ours)
+            elif is_ours(path):
+                self.remove(path)
         self.remove_empty(folder)
 
     def remove_temporaries(self) -> None:
         """Remove what writers left half-written; one that is still at work writes again."""
-        self.remove_tree(PENDING_FOLDER, TEMPORARY)
+        self.remove_tree(PENDING_FOLDER, re.compile(f"{PENDING_FOLDER}/{TEMPORARY}").fullmatch)
 
     def require_folder(self) -> None:
         """Create the folder, and prove that it can be written to; a bucket must exist.
@@ -361,8 +365,8 @@ class _StoreFolder(DataFolder):
     def _client(self) -> Any:
         return client_of(self.root)
 
-    def _ask(self, action: Callable[[], T], doing: str, path: str) -> T:
-        return ask_store(action, doing, self.address(path))
+    def _ask(self, action: Callable[[], T], doing: str, path: str, size_bytes: int = 0) -> T:
+        return ask_store(action, doing, self.address(path), size_bytes)
 
     def _key(self, path: str = "") -> str:
         """Return how the client calls a file."""
@@ -405,12 +409,12 @@ class _StoreFolder(DataFolder):
 
     def write_bytes(self, path: str, content: bytes) -> None:
         options = self._in_one_request(content)
-        self._put(path, lambda key: self._client.pipe_file(key, content, **options))
+        self._put(path, len(content), lambda key: self._client.pipe_file(key, content, **options))
 
     def create_bytes(self, path: str, content: bytes) -> None:
-        options = self._in_one_request(content)
+        options = self._in_one_request(content) | {"mode": "create"}
         with contextlib.suppress(FileExistsError):
-            self._put(path, lambda key: self._client.pipe_file(key, content, mode="create", **options))
+            self._put(path, len(content), lambda key: self._client.pipe_file(key, content, **options))
 
     def _in_one_request(self, content: bytes) -> dict[str, Any]:
         """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""
@@ -418,7 +422,8 @@ class _StoreFolder(DataFolder):
 
     def upload(self, path: str, source: Path) -> None:
         options = {"max_concurrency": 2} if scheme_of(self.root) == "s3" else {}
-        self._put(path, lambda key: self._client.put_file(str(source), key, **options))
+        size_bytes = source.stat().st_size
+        self._put(path, size_bytes, lambda key: self._client.put_file(str(source), key, **options))
 
     def write(self, path: str, fill: Callable[[IO[bytes]], T]) -> T:
         with scratch_folder() as scratch:
@@ -428,21 +433,22 @@ class _StoreFolder(DataFolder):
             self.upload(path, file)
         return filled
 
-    def _put(self, path: str, put: Callable[[str], object]) -> None:
+    def _put(self, path: str, size_bytes: int, put: Callable[[str], object]) -> None:
         self._require_writable(path)
         key = self._key(path)
         try:
-            self._ask(lambda: put(key), "writing", path)
+            self._ask(lambda: put(key), "writing", path, size_bytes)
         except FileNotFoundError as error:
             if has_buckets(self.root):
                 raise self._no_bucket() from error
             parent = key.rpartition("/")[0]
             self._ask(lambda: self._client.makedirs(parent, exist_ok=True), "writing", path)
-            self._ask(lambda: put(key), "writing", path)
+            self._ask(lambda: put(key), "writing", path, size_bytes)
 
     def download(self, path: str, target: Path) -> None:
         target.parent.mkdir(parents=True, exist_ok=True)
-        self._ask(lambda: self._client.get_file(self._key(path), str(target)), "reading", path)
+        key, size_bytes = self._key(path), self.size_bytes(path)
+        self._ask(lambda: self._client.get_file(key, str(target)), "reading", path, size_bytes)
 
     def remove(self, path: str) -> None:
         self._require_writable(path)

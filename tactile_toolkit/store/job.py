@@ -21,7 +21,7 @@ import msgspec
 from tactile_toolkit import library_versions, toolkit_version
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.run.processes import Check, Finish, Part, Runner
-from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
+from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
     SCHEMA_VERSION,
@@ -30,6 +30,7 @@ from tactile_toolkit.store.manifest import (
     write_manifest,
 )
 from tactile_toolkit.store.names import Count, decode, is_hidden
+from tactile_toolkit.store.ownership import is_pending, remove_next
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.store.task import ShardTask
@@ -389,11 +390,10 @@ def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
     shards = [record.shard for record in _begun_records(folder, manifest)]
     kept = {path for shard in shards for path in (shard.record_path, shard.report_path)}
     for path in (f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)):
-        if path not in kept:
+        if is_pending(path) and path not in kept:
             folder.remove(path)
     folder.remove_empty(PENDING_FOLDER)
-    if folder.exists(NEXT_FOLDER):
-        folder.remove_tree(NEXT_FOLDER)
+    remove_next(folder)
 
 
 def refuse_unknown_files(folder: DataFolder) -> None:

@@ -1,12 +1,11 @@
 """What comes from outside: places as users write them, names of files, JSON documents.
 
-Whoever wrote them may be anyone, and a name decides what is read, overwritten or deleted. One reading of each
-for all that takes it. What an address must not hold (keys, signatures) is never repeated in a message.
+Whoever wrote them may be anyone, and a name decides what is read, overwritten or deleted. Names are parsed in
+one place.
 """
 
 from __future__ import annotations
 
-import os
 import re
 import unicodedata
 from collections.abc import Iterable
@@ -15,7 +14,7 @@ from typing import Annotated, Any, TypeVar, cast
 
 import msgspec
 
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, require_public
 
 T = TypeVar("T")
 
@@ -24,12 +23,6 @@ _LOST_SLASH = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
 _LOCAL_SCHEMES = ("file", "local")
 _WEB_SCHEMES = ("http", "https")
 _OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
-_LOGIN = re.compile(r"(\w://)[^/\s'\"<>@]*@")
-_SIGNED = re.compile(r"(\w://[^\s'\"<>?]+)\?[^\s'\"<>]+")
-# Access keys of S3; tokens of users of the Hub begin with hf_, those of organisations with api_org_.
-_TOKEN = re.compile(r"\b(?:(?:AKIA|ASIA)[A-Z0-9]{12,}|(?:hf|api_org)_[A-Za-z0-9]{6,})")
-_HEADER = re.compile(r"(?i)\b(bearer|authorization:?)\s+(?!bearer)[^\s'\"]+")
-_SECRET_VARIABLES = ("AWS_SECRET_ACCESS_KEY", "AWS_SESSION_TOKEN", "AWS_ACCESS_KEY_ID", "HF_TOKEN")
 
 _LONGEST_BYTES = 1024
 # File systems take 255 bytes; while a file is written, its name has a prefix.
@@ -69,20 +62,12 @@ def is_remote(place: str) -> bool:
     return bool(scheme_of(place))
 
 
-def redact(text: str, *secrets: str | None) -> str:
-    """Return a text for a message: without keys and tokens, nor users and signatures of addresses."""
-    for secret in (*secrets, *map(os.environ.get, _SECRET_VARIABLES)):
-        if secret:
-            text = text.replace(secret, "***")
-    text = _HEADER.sub(r"\1 ***", _TOKEN.sub("***", text))
-    return _SIGNED.sub(r"\1?...", _LOGIN.sub(r"\1...@", text))
-
-
 def normalize_uri(place: str) -> str:
     """Return a local path without ``file://``, or an address in its one form, without a slash at its end.
 
-    Raises InputError for an address that names no bucket, is of the web, or holds a key or a signature.
+    Raises InputError for an address that names no bucket, is of the web, or may hold a key or a signature.
     """
+    require_public(place)
     match, scheme = _SCHEME.fullmatch(place), scheme_of(place)
     if match is None and not _LOST_SLASH.match(place):
         return place
@@ -90,14 +75,13 @@ def normalize_uri(place: str) -> str:
     if match and not scheme and match["rest"].startswith("/"):
         return rest or "/"
     bucket, *parts = rest.split("/")
-    is_plain = rest.isprintable() and "?" not in rest and not {".", ".."} & {bucket, *parts}
-    if not scheme or not bucket or "@" in bucket or scheme in _WEB_SCHEMES or not is_plain:
+    is_plain = rest.isprintable() and not {".", ".."} & {bucket, *parts}
+    if not scheme or not bucket or scheme in _WEB_SCHEMES or not is_plain:
         raise InputError(
-            f"{redact(place)!r} is not the address of a data set; expected a folder, file:///FOLDER, "
+            f"{place!r} is not the address of a data set; expected a folder, file:///FOLDER, "
             "s3://BUCKET/FOLDER or the like, of plain names ('.', '..' and control characters are none), "
-            "without a user, a key or a signature, and not of the web",
-            next="write it so, as text (pathlib.Path drops a slash; a local folder of that name is ./NAME), "
-            "and give credentials as the store's own tools take them, such as AWS_PROFILE",
+            "and not of the web",
+            next="write it so, as text (pathlib.Path drops a slash; a local folder of that name is ./NAME)",
         )
     return f"{scheme}://{rest}"
 

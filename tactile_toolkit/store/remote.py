@@ -12,19 +12,29 @@ import logging
 import re
 import time
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, wait
 from dataclasses import dataclass
+from functools import partial
+from threading import Thread
 from typing import IO, Any, TypeVar, cast
 
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
-from tactile_toolkit.store.names import redact, scheme_of
+from tactile_toolkit.redaction import redact
+from tactile_toolkit.store.names import scheme_of
 
 ASKED_WAIT_S = 120.0
 """Longest time to wait in all because a server asks for it, seconds."""
 
+ANSWER_S = 60.0
+"""Longest time that an answer may take, whatever its size, seconds; a server that sends a byte now and then
+would be waited for without end."""
+LEAST_BYTES_PER_S = 10_000
+"""Slower transfers are given up: an answer gets further time by its size."""
+
 _READ_AHEAD_BYTES = 1 << 20
 _WAITS_S = (0.5, 1.0, 2.0, 4.0, 8.0)
-# Longest time after which a store is asked once more.
-_PATIENCE_S = 20.0
+# Longest time after which a store is asked once more: what gives no answer twice is asked a third time.
+_PATIENCE_S = 45.0
 # Of the client of S3, which would try five times what is tried again here, within one time limit.
 _LIMITS = {"connect_timeout": 5, "read_timeout": 20, "retries": {"total_max_attempts": 1}}
 # Of stores with buckets, the client of each.
@@ -73,6 +83,32 @@ def with_retry(
         wait_s = max(waits.pop(0), failure.asked_wait_s)
         on_wait(f"{failure.error.what}; trying again in {wait_s:g} s")
         time.sleep(wait_s)
+
+
+class TooSlowError(TimeoutError):
+    """An answer, or a part of one, that should be here by now."""
+
+
+def in_time(action: Callable[[], T], size_bytes: int = 0) -> T:
+    """Return what an action gives that asks a server once, or raise TooSlowError.
+
+    ``size_bytes`` are to be sent or to arrive. The action cannot be ended from outside; what it gives too
+    late is closed, where it can be.
+    """
+    done: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            done.set_result(action())
+        except BaseException as error:
+            done.set_exception(error)
+
+    limit_s = ANSWER_S + size_bytes / LEAST_BYTES_PER_S
+    Thread(target=run, daemon=True).start()
+    if not wait([done], limit_s).done:
+        done.add_done_callback(lambda late: late.exception() or getattr(late.result(), "close", int)())
+        raise TooSlowError(f"no whole answer within {limit_s:.3g} s")
+    return done.result()
 
 
 def cause_chain(error: BaseException) -> list[BaseException]:
@@ -128,14 +164,14 @@ def _options(scheme: str) -> dict[str, Any]:
     return {"use_listings_cache": False, "config_kwargs": {**_LIMITS, **own}}
 
 
-def ask_store(action: Callable[[], T], doing: str, address: str) -> T:
+def ask_store(action: Callable[[], T], doing: str, address: str, size_bytes: int = 0) -> T:
     """Do something with a file of a store; ``doing`` names it for messages, such as ``"reading"``.
 
-    Raises FileNotFoundError and FileExistsError as they are, all else as RemoteError.
+    ``size_bytes`` are sent or arrive, by which its time is limited. Raises FileNotFoundError and
+    FileExistsError as they are, all else as RemoteError.
     """
-    return with_retry(
-        action, lambda error: _store_failure(error, doing, address), _WAITS_S, patience_s=_PATIENCE_S
-    )
+    failure = partial(_store_failure, doing=doing, address=address)
+    return with_retry(partial(in_time, action, size_bytes), failure, _WAITS_S, patience_s=_PATIENCE_S)
 
 
 def open_in_store(client: Any, key: str, address: str) -> IO[bytes]:
@@ -157,11 +193,14 @@ class _Stream(io.BufferedIOBase):
     def read(self, size: int | None = -1) -> bytes:
         position = self._stream.tell()
 
+        is_part = size is not None and size >= 0
+
         def read() -> bytes:
             self._stream.seek(position)
-            return bytes(self._stream.read(-1 if size is None else size))
+            return bytes(self._stream.read(size if is_part else -1))
 
-        return ask_store(read, "reading", self._address)
+        size_bytes = size if is_part else getattr(self._stream, "size", None)
+        return ask_store(read, "reading", self._address, size_bytes or 0)
 
     def readable(self) -> bool:
         return True

@@ -78,10 +78,11 @@ def test_sets_of_a_folder_are_listed_with_what_is_wrong(digits, tmp_path, capsys
     assert call("starstruck", "list", tmp_path / "nowhere") == 2
 
 
-def test_the_cache_is_listed_and_pruned_but_for_locks(tmp_path, monkeypatch, capsys):
+def test_the_cache_is_listed_and_pruned(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
     assert call("mnist3d", "cache", "ls") == 0
-    files = [cache_folder() / name for name in ("blocks/old", "blocks/new", "locks/held", "blocks/.tmp-x")]
+    blocks = [f"blocks/{letter * 32}-00000-00000.arrow" for letter in "ab"]
+    files = [cache_folder() / name for name in (*blocks, "locks/held", "blocks/notes.txt")]
     for file in files:
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_bytes(b"12345")
@@ -89,11 +90,11 @@ def test_the_cache_is_listed_and_pruned_but_for_locks(tmp_path, monkeypatch, cap
     capsys.readouterr()
     assert call("mnist3d", "cache", "ls", "--json") == 0
     held = json.loads(capsys.readouterr().out)["held"]
-    assert held["blocks"] == {"files": 3, "bytes": 15}
+    assert held == {"blocks": {"files": 2, "bytes": 10}}
     assert call("mnist3d", "cache", "prune", "--unused-days", 30) == 0
-    assert [file.exists() for file in files[:3]] == [False, True, True]
+    assert [file.exists() for file in files] == [False, True, True, True]
     assert call("mnist3d", "cache", "prune") == 0
-    assert [file.exists() for file in files[:3]] == [False, False, True]
+    assert [file.exists() for file in files] == [False, False, True, True]
     assert call("mnist3d", "cache", "empty") == 2
 
 

@@ -71,7 +71,7 @@ def test_addresses_that_cannot_be_read(tmp_path: Path, s3: Any, bucket: str) -> 
         (f"s3://{bucket}/images", tmp_path / "out", "one CSV file; found none"),
         (f"s3://{bucket}/images", f"s3://{bucket}/images/in", "lies in the source"),
         ("https://example.org/images", tmp_path / "out", "and not of the web"),
-        ("s3://key@bucket/images", tmp_path / "out", "without a user, a key"),
+        ("s3://key@bucket/images", tmp_path / "out", "may hold a user, a key"),
     ):
         with pytest.raises(InputError, match=words):
             realtouch.import_images(place, out, "folder")

@@ -25,7 +25,7 @@ import tactile_sim.optics
 from tactile_sim.noise import add_noise
 from tactile_sim.pairs import Pairs, PairsSpec, make_pairs
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
-from tactile_toolkit.store.folder import PENDING_FOLDER, TEMPORARY
+from tactile_toolkit.store.folder import PENDING_FOLDER
 from tests.tactile_sim.sets import NOISE
 from tests.tactile_sim.training import CONFIG, SPEC, losses_of_steps, make_sources
 from tests.unchanged.record import numbers_of, recorded
@@ -188,7 +188,7 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
 
 def test_a_finished_training_stays_and_others_are_refused(pairs, trained, sources, tmp_path, monkeypatch):
     before = {file: file.stat().st_mtime_ns for file in trained.iterdir() if file.suffix == ".pt"}
-    half_written = trained / PENDING_FOLDER / f"{TEMPORARY}losses"
+    half_written = trained / PENDING_FOLDER / "tmp-0123456789abcdef0123456789abcdef"
     half_written.parent.mkdir(exist_ok=True)
     half_written.write_bytes(b"half")
     assert train(pairs, trained, CONFIG, device="cpu", deterministic=True).taken == 0

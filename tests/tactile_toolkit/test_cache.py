@@ -15,9 +15,8 @@ from typing import IO
 import pytest
 
 from tactile_toolkit.cache import (
-    _FOLDERS,
+    _NAMES,
     CACHE_VARIABLE,
-    LOCKS,
     DiskCache,
     MemoryCache,
     cache_folder,
@@ -33,22 +32,26 @@ def names(folder: Path) -> list[str]:
     return sorted(entry.name for entry in folder.iterdir())
 
 
+def disk_cache(folder: Path | str, limit_bytes: int, durable: bool = True, warning: str = "") -> DiskCache:
+    return DiskCache(folder, limit_bytes, durable, warning, names=r"[\w-]+")
+
+
 def put(cache: DiskCache, name: str, size: int) -> bool:
     return cache.write(name, size, lambda stream: stream.write(bytes(size)))
 
 
 def test_where_files_are(tmp_path, monkeypatch):
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "a"))
-    cache = DiskCache("things", 1000)
+    cache = disk_cache("things", 1000)
     assert cache.path("x") == tmp_path / "a" / "things" / "x"
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "b"))
     assert cache.path("x") == cache_folder() / "things" / "x" == tmp_path / "b" / "things" / "x"
-    assert DiskCache(tmp_path / "c", 1000).path("x") == tmp_path / "c" / "x"
+    assert disk_cache(tmp_path / "c", 1000).path("x") == tmp_path / "c" / "x"
 
 
 @pytest.mark.parametrize("durable", [True, False])
 def test_the_least_recently_used_leaves_first(tmp_path, durable):
-    cache = DiskCache(tmp_path / "things", 1000, durable)
+    cache = disk_cache(tmp_path / "things", 1000, durable)
     for age, name in enumerate("abc"):
         assert put(cache, name, 300)
         os.utime(cache.path(name), ns=(0, (age + 1) * 10**9))
@@ -63,7 +66,7 @@ def test_the_least_recently_used_leaves_first(tmp_path, durable):
 
 def test_small_files_keep_about_the_limit_between_looks(tmp_path):
     """A look comes by chance: once in the mean for a 32nd of the limit, so hardly ever after half of it."""
-    cache = DiskCache(tmp_path, 10_000)
+    cache = disk_cache(tmp_path, 10_000)
     for number in range(300):
         assert put(cache, f"{number:03d}", 70)
         assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 15_000
@@ -76,7 +79,7 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path):
         message = "the source is damaged"
         raise ValueError(message)
 
-    cache = DiskCache(tmp_path, 1000)
+    cache = disk_cache(tmp_path, 1000)
     with pytest.raises(ValueError, match="the source is damaged"):
         cache.write("x", 10, fail)
     assert names(tmp_path) == []
@@ -88,12 +91,12 @@ def test_stale_temporary_files_leave_as_others_do(tmp_path):
     left = tmp_path / ".writing-0123456789abcdef0123456789abcdef-x"
     left.write_bytes(bytes(600))
     os.utime(left, (1, 1))
-    assert put(DiskCache(tmp_path, 1000), "y", 600)
+    assert put(disk_cache(tmp_path, 1000), "y", 600)
     assert names(tmp_path) == ["y"]
 
 
 def test_what_is_removed_while_it_is_written_is_written_again(tmp_path):
-    cache, calls = DiskCache(tmp_path, 1000), []
+    cache, calls = disk_cache(tmp_path, 1000), []
 
     def fill(stream):
         calls.append(stream.write(bytes(600)))
@@ -108,7 +111,7 @@ def test_what_is_removed_while_it_is_written_is_written_again(tmp_path):
 
 
 def test_making_room_while_another_thread_is_writing(tmp_path):
-    cache, begun, full, written = DiskCache(tmp_path, 1000), threading.Event(), threading.Event(), []
+    cache, begun, full, written = disk_cache(tmp_path, 1000), threading.Event(), threading.Event(), []
 
     def fill(stream):
         stream.write(bytes(600))
@@ -135,7 +138,7 @@ def _write_slowly(folder: Path, go: Path) -> bool:
         while not go.exists():
             time.sleep(0.01)
 
-    return DiskCache(folder, 1000).write("slow", 600, fill)
+    return disk_cache(folder, 1000).write("slow", 600, fill)
 
 
 def test_making_room_while_another_process_is_writing(tmp_path):
@@ -145,7 +148,7 @@ def test_making_room_while_another_process_is_writing(tmp_path):
         assert writer.is_running, writer.err
         time.sleep(0.01)
     for number in range(30):
-        assert put(DiskCache(cache, 1000), str(number), 300)
+        assert put(disk_cache(cache, 1000), str(number), 300)
     go.touch()
     assert (writer.end(), writer.out) == (0, "True\n"), writer.err
     assert (cache / "slow").stat().st_size == 600
@@ -153,9 +156,9 @@ def test_making_room_while_another_process_is_writing(tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_told_once(tmp_path):
     (tmp_path / "taken").write_text("")
-    silent = DiskCache(tmp_path / "taken" / "a", 1000)
+    silent = disk_cache(tmp_path / "taken" / "a", 1000)
     assert not put(silent, "x", 1)
-    cache = DiskCache(tmp_path / "taken" / "b", 1000, warning="nothing is kept, {problem}; all is slower")
+    cache = disk_cache(tmp_path / "taken" / "b", 1000, warning="nothing is kept, {problem}; all is slower")
     with pytest.warns(
         RuntimeWarning, match="^nothing is kept, '.*b' cannot be written: Not a directory; all "
     ):
@@ -245,7 +248,7 @@ def test_a_cache_in_the_home_of_nobody_is_named(monkeypatch, variable):
 
 
 def _write(folder: Path, writer: int) -> None:
-    cache = DiskCache(folder, 200_000)
+    cache = disk_cache(folder, 200_000)
     for number in range(150):
         content = bytes(1_000 + 37 * number)
         assert cache.write(f"{writer}-{number}", 2 * len(content), lambda stream, c=content: stream.write(c))
@@ -276,32 +279,87 @@ def test_a_folder_is_not_looked_through_for_each_file(tmp_path, monkeypatch):
         return make_room(self, folder, needed_bytes)
 
     monkeypatch.setattr(DiskCache, "_make_room", counted)
-    cache = DiskCache(tmp_path, 100_000)
+    cache = disk_cache(tmp_path, 100_000)
     for number in range(1_000):
         assert put(cache, str(number), 1_000)
     assert sum(counts) < 50 * 1_000
     assert len(counts) < 450
 
 
+BLOCK = f"{'0123456789abcdef' * 2}-00000-00001.arrow"
+POOL = f"meshes-{'0123456789abcdef' * 2}"
+KILLED = f".writing-{'f' * 32}-{BLOCK}"
+OURS = (f"blocks/{BLOCK}", f"blocks/{KILLED}", f"environments/{POOL}")
+THEIRS = (
+    "thesis.tex",
+    "thesis/blocks/chapter.tex",
+    "blocks/notes.txt",
+    "blocks/notes.arrow",
+    "blocks/.writing-notes",
+    f"blocks/older/{BLOCK}",
+    f"blocks/{BLOCK}.txt",
+    f"blocks/{POOL}",
+    f"environments/{POOL}.lock",
+    f"environments/{BLOCK}",
+    "linked/notes.txt",
+    "locks/ab",
+)
+
+
+def fill_cache(folder: Path, files: tuple[str, ...]) -> list[Path]:
+    paths = [folder / file for file in files]
+    for path in paths:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(bytes(600))
+        os.utime(path, (1, 1))
+    return paths
+
+
 def test_only_what_is_ours_is_listed_and_removed(tmp_path, monkeypatch):
     """The variable may name a folder that holds other things: a scratch disk, or a home."""
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
-    theirs = [tmp_path / "thesis.tex", tmp_path / "thesis" / "blocks" / "chapter.tex"]
-    ours = [tmp_path / name / "file" for name in ("blocks", "environments", "locks")]
-    for path in (*theirs, *ours):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text("")
-    assert sorted(cached_files()) == ["blocks", "environments", "locks"]
-    assert sorted(prune_cache(1.0)) == []
-    assert sorted(prune_cache()) == ours[:2]
-    assert all(path.exists() for path in (*theirs, ours[2]))
+    theirs, ours = fill_cache(tmp_path, THEIRS), fill_cache(tmp_path, OURS)
+    held = cached_files()
+    assert {name: len(files) for name, files in held.items()} == {"blocks": 2, "environments": 1}
+    os.utime(ours[0])
+    assert sorted(prune_cache(1.0)) == sorted(ours[1:])
+    assert prune_cache() == ours[:1]
+    assert all(path.exists() for path in theirs)
+    assert not any(path.exists() for path in ours)
 
 
-def test_all_folders_of_the_cache_are_listed():
+def test_making_room_removes_only_what_is_ours(tmp_path, monkeypatch):
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path))
+    theirs, ours = fill_cache(tmp_path, THEIRS), fill_cache(tmp_path, OURS)
+    new = BLOCK.replace("1", "2")
+    assert put(DiskCache("blocks", 700), new, 600)
+    assert [path.exists() for path in ours] == [False, False, True]
+    assert all(path.exists() for path in (*theirs, tmp_path / "blocks" / new))
+
+
+def test_nothing_is_removed_or_written_through_a_link(tmp_path, monkeypatch):
+    """A link to a scratch disk may lead to another cache, or to anything else."""
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
+    ours = fill_cache(tmp_path / "scratch", OURS)
+    (tmp_path / "cache").mkdir()
+    for name in _NAMES:
+        (tmp_path / "cache" / name).symlink_to(tmp_path / "scratch" / name)
+    assert cached_files() == {"blocks": [], "environments": []}
+    assert prune_cache() == []
+    cache = DiskCache("blocks", 700, warning="slow: {problem}")
+    cache.drop(cache.path(BLOCK))
+    with pytest.warns(RuntimeWarning, match="cannot be written: it is a symbolic link; next"):
+        assert not put(cache, BLOCK.replace("1", "2"), 600)
+    assert all(path.exists() for path in ours)
+    assert names(tmp_path / "scratch" / "blocks") == sorted([BLOCK, KILLED])
+
+
+def test_the_names_of_all_folders_of_the_cache_are_known():
     """Whoever keeps something in a folder of its own says so in :mod:`tactile_toolkit.cache`."""
     root = Path(__file__).parents[2]
     packages = ("tactile_toolkit", "tactile_envs", "tactile_sim", "env_assets", "mnist3d", "realtouch")
     code = [path.read_text() for name in packages for path in (root / name).rglob("*.py")]
-    pattern = r'DiskCache\(\s*"(\w+)"|cache_folder\(\) / "(\w+)"'
-    used = {found[1] or found[2] for text in code for found in re.finditer(pattern, text)}
-    assert used | {LOCKS} == set(_FOLDERS)
+    used = {name for text in code for name in re.findall(r'DiskCache\(\s*"(\w+)"', text)}
+    assert used == _NAMES.keys()
+    with pytest.raises(KeyError):
+        DiskCache("things", 1)

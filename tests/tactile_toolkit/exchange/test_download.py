@@ -137,6 +137,10 @@ def test_only_what_was_downloaded_and_is_gone_on_the_hub_is_removed(server, tmp_
     out = tmp_path / "out"
     fetch(server, tmp_path, script(out=out))
     (out / "notes.txt").write_text("mine")
+    mine = [out / ".cache" / "huggingface" / name for name in ("notes.txt", "download/notes.txt")]
+    for path in mine:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text("mine")
     (server.root / NAME / "reports" / "toy.parquet").unlink()
     build(DataFolder(str(server.root / NAME)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
     (server.root / NAME / "reports" / "toy.parquet").rename(server.root / NAME / "reports" / "new.parquet")
@@ -144,7 +148,10 @@ def test_only_what_was_downloaded_and_is_gone_on_the_hub_is_removed(server, tmp_
     assert leftover == ["reports/toy.parquet"]
     assert missing == ["reports/new.parquet"], "shards whose bytes are the same were fetched again"
     assert sorted(path.name for path in (out / "reports").iterdir()) == ["new.parquet"]
-    assert (out / "notes.txt").read_text() == "mine"
+    mine.append(out / "notes.txt")
+    assert {path.read_text() for path in mine} == {"mine"}
+    hidden = [path for path in (out / ".cache").rglob("*") if path.is_file()]
+    assert sorted(hidden) == sorted(mine[:2]), "of the client's files none stays"
     assert (out / "manifest.json").read_bytes() == (server.root / NAME / "manifest.json").read_bytes()
 
 

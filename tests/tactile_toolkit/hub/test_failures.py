@@ -10,10 +10,10 @@ from types import SimpleNamespace
 import pytest
 from huggingface_hub import constants
 
-from tactile_toolkit.errors import HubError
+from tactile_toolkit.errors import HubError, InputError
 from tactile_toolkit.hub import calls
 from tactile_toolkit.hub.calls import call_with_retry, failure_of, not_cached, page_of
-from tactile_toolkit.store.names import redact
+from tactile_toolkit.redaction import redact
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
 
@@ -208,11 +208,25 @@ def test_errors_of_others_pass_untouched():
 
 
 @pytest.mark.parametrize(
-    "text", ["hf_AbCdEf123456", "x hf_AbCdEf123456, y", "Bearer hf_AbCdEf123456", "b'Bearer AbCdEf123456'"]
+    ("text", "shown"),
+    [
+        ("hf_AbCdEf123456", "***"),
+        ("x hf_AbCdEf123456, y", "x ***, y"),
+        ("Bearer hf_AbCdEf123456", "Bearer ***"),
+        ("b'Bearer AbCdEf123456'", "b'Bearer ***'"),
+        ("Authorization: Basic AbCdEf123456==; next: log in", "Authorization: Basic ***; next: log in"),
+        ("{'Authorization': 'Digest AbCdEf123456'}", "{'Authorization': 'Digest ***'}"),
+        ("https://KEY:AbCdEf/123456@host/x y", "https://...@host/x y"),
+        ("https://host:80/x@1", "https://host:80/x@1"),
+        ("https://host/x#AbCdEf123456 y", "https://host/x?... y"),
+        ("https://host/x;key=AbCdEf123456; next: y", "https://host/x?...; next: y"),
+        ("s3://bucket/x; next: y", "s3://bucket/x; next: y"),
+    ],
 )
-def test_scrubbing(text):
-    assert "AbCdEf123456" not in redact(text)
-    assert "***" in redact(text)
+def test_scrubbing(text, shown):
+    assert redact(text) == shown
+    assert redact(shown) == shown
+    assert str(InputError(text)) == shown
 
 
 def test_of_long_words_the_beginning_of_the_first_line_is_told():

@@ -14,6 +14,7 @@ import huggingface_hub
 import pytest
 
 from tactile_toolkit.hub import calls
+from tactile_toolkit.store import remote
 from tactile_toolkit.store.remote import ASKED_WAIT_S
 from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub import client
@@ -62,6 +63,40 @@ def test_a_listing_that_unpacks_to_gigabytes_ends_soon(server, tmp_path, monkeyp
     assert "more than the 1,048,576 bytes that were expected" in words
     assert "; next: " in words
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 32 << 10  # in KiB
+
+
+@pytest.mark.parametrize("head", [False, True])
+@pytest.mark.parametrize(
+    ("pattern", "doing"), [(LISTING, "reading"), ("/cdn/*parquet", f"fetching {SHARD!r} of")]
+)
+def test_an_answer_that_comes_byte_by_byte_is_given_up(server, tmp_path, monkeypatch, pattern, doing, head):
+    """Each byte comes soon enough for the client, whose limit is one for each part of an answer."""
+    if not head and not hasattr(huggingface_hub, "close_session"):
+        pytest.skip("clients before 1.0 do not tell what arrives of a body")
+    monkeypatch.setattr(remote, "ANSWER_S", 0.3)
+    server.faults.drip(pattern, 0.05, times=99, head=head)
+    code, kind, words = fetch(server, tmp_path, script(BIG))
+    assert (code, kind) == (4, "HubError")
+    assert f"no connection to the Hub at {server.endpoint} while {doing} Hub data set" in words
+    assert "(TooSlowError: " in words
+    assert "run the same command again, it continues" in words
+    server.faults.clear()
+    monkeypatch.undo()
+    assert fetch(server, tmp_path, script(BIG))[1][-1] == SHARD
+
+
+def test_a_slow_reader_does_not_make_a_slow_server(monkeypatch):
+    monkeypatch.setattr(remote, "ANSWER_S", 0.05)
+
+    def pieces():
+        for number in range(5):
+            yield bytes([number])
+
+    found = []
+    for piece in calls._timed(pieces):
+        time.sleep(0.02)
+        found.append(piece)
+    assert found == list(pieces())
 
 
 PAGE = b"<!DOCTYPE html><title>Hotel</title><form>Please log in</form>"

@@ -165,3 +165,20 @@ def test_what_cannot_be_a_body_is_named(tmp_path: Path):
     for values in ({"density_kg_m3": 0}, {"friction": float("nan")}, {"density_kg_m3": "heavy"}):
         with pytest.raises(InputError, match="expected a number above 0"):
             Physics(**values)
+
+
+def test_only_files_of_the_export_are_replaced(tmp_path: Path):
+    (body,) = named(SHAPES)[:1]
+    export_files([body], str(tmp_path / "out"), "urdf")
+    folder = tmp_path / "out" / body.name
+    (folder / "part-mine.obj").write_text("years of work")
+    (folder / "part-99.obj").write_text("of a body that had more parts")
+    export_files([body], str(tmp_path / "out"), "urdf", overwrite=True)
+    assert (folder / "part-mine.obj").read_text() == "years of work"
+    assert not (folder / "part-99.obj").exists()
+    folder.rename(tmp_path / "elsewhere")
+    folder.symlink_to(tmp_path / "elsewhere")
+    (folder / "part-99.obj").write_text("of another export")
+    with pytest.raises(InputError, match="is a symbolic link"):
+        export_files([body], str(tmp_path / "out"), "urdf", overwrite=True)
+    assert (folder / "part-99.obj").exists()

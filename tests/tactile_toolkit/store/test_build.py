@@ -20,7 +20,7 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.run.processes import Check, InlineRunner, Part, ProcessRunner
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import TEMPORARY, DataFolder
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import inspect_job
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
@@ -202,7 +202,7 @@ def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, sh
         import sys
         from tactile_toolkit.store.build import build
         from tactile_toolkit.run.processes import ProcessRunner
-        from tactile_toolkit.store.folder import TEMPORARY, DataFolder
+        from tactile_toolkit.store.folder import DataFolder
         from tests.tactile_toolkit.toy import toy_plan
         build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.1), ProcessRunner(2))
     """
@@ -235,7 +235,7 @@ def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
         import resource, signal, sys
         from tactile_toolkit.store.build import build
         from tactile_toolkit.run.processes import InlineRunner
-        from tactile_toolkit.store.folder import TEMPORARY, DataFolder
+        from tactile_toolkit.store.folder import DataFolder
         from tactile_toolkit.errors import StorageError
         from tests.tactile_toolkit.toy import toy_plan
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
@@ -331,7 +331,7 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
         from dataclasses import replace
         from tactile_toolkit.store.build import build
         from tactile_toolkit.run.processes import runner_for
-        from tactile_toolkit.store.folder import TEMPORARY, DataFolder
+        from tactile_toolkit.store.folder import DataFolder
         from tests.tactile_toolkit.toy import toy_plan
         plan = toy_plan(pause_s=0.15)
         endless = replace(plan.tasks[-1], pause_s=600.0)  # some shards must be left to make
@@ -367,7 +367,7 @@ def test_workers_leave_with_a_killed_parent(tmp_path):
         import sys
         from tactile_toolkit.store.build import build
         from tactile_toolkit.run.processes import ProcessRunner
-        from tactile_toolkit.store.folder import TEMPORARY, DataFolder
+        from tactile_toolkit.store.folder import DataFolder
         from tests.tactile_toolkit.toy import toy_plan
         build(DataFolder(sys.argv[1]), toy_plan(pause_s=2.0), ProcessRunner(2))
     """
@@ -392,7 +392,7 @@ def test_half_written_receipt_of_a_killed_writer_is_no_receipt(tmp_path):
     with pytest.raises(StorageError):
         make(tmp_path / "set", replace(plan, tasks=(plan.tasks[0], broken)))
     parts = tmp_path / "set" / ".pending"
-    (parts / f"{TEMPORARY}0123abcd").write_text('{"file": "data/tr')
+    (parts / "tmp-0123456789abcdef0123456789abcdef").write_text('{"file": "data/tr')
     make(tmp_path / "set")
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
 

@@ -171,7 +171,7 @@ class Disturbed:
         is_here = self.calls == self.point and not self.done
         if is_here and self.moment != "after":
             if self.moment == "in" and name == "write_bytes":
-                left = Path(files.root, ".pending", f"tmp-{self.point}")
+                left = Path(files.root, ".pending", f"tmp-{self.point:032x}")
                 left.parent.mkdir(exist_ok=True, parents=True)
                 left.write_bytes(args[1][: len(args[1]) // 2] if isinstance(args[1], bytes) else b"half")
             self._strike(files)

@@ -11,7 +11,7 @@ import pytest
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part, ProcessRunner, part_of
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import TEMPORARY, DataFolder
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan, MissingPartsError, array_text, manifest_so_far
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
@@ -219,7 +219,7 @@ def test_a_part_that_fails_takes_nothing_of_the_others_along(tmp_path, whole):
 def test_finishing_clears_up_after_all_writers(tmp_path, whole):
     for index in range(2):
         make(tmp_path / "set", Part(index, 2))
-    left = tmp_path / "set" / ".pending" / f"{TEMPORARY}0123abcd"
+    left = tmp_path / "set" / ".pending" / "tmp-0123456789abcdef0123456789abcdef"
     left.write_bytes(b"half")
     make(tmp_path / "set", Part(1, 2))
     assert left.exists()
@@ -377,7 +377,7 @@ from pathlib import Path
 from tactile_toolkit.run.processes import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import TEMPORARY, DataFolder
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import MissingPartsError
 from tests.tactile_toolkit.store.test_parts import few_shards
 from tests.tactile_toolkit.toy import folder_bytes

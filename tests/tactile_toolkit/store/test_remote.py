@@ -6,10 +6,12 @@ import io
 import socket
 import subprocess
 import sys
+import tempfile
 import threading
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -92,6 +94,45 @@ def test_what_another_client_writes_is_seen_at_once(folder, s3, bucket):
     other.delete_object(Bucket=bucket, Key="deep/set/data/a")
     assert folder.names("data") == ["b"]
     assert not folder.exists("data/a")
+
+
+def _open(folder):
+    with folder.open("data/a") as stream:
+        return stream.read()
+
+
+@pytest.mark.parametrize(
+    ("method", "act"),
+    [
+        ("GET", lambda folder: folder.read_bytes("data/a")),
+        ("GET", _open),
+        ("GET", lambda folder: folder.names()),
+        ("GET", lambda folder: folder.download("data/a", Path(tempfile.mkdtemp()) / "a")),
+    ],
+)
+def test_an_answer_that_comes_byte_by_byte_is_given_up(folder, s3, monkeypatch, method, act):
+    """Each byte comes soon enough for the client, whose limit is one for each part of an answer."""
+    folder.write_bytes("data/a", bytes(600))
+    expected = act(folder)
+    s3.slow = lambda environ: 0.05 * (environ["REQUEST_METHOD"] == method)
+    monkeypatch.setattr(remote, "ANSWER_S", 0.2)
+    monkeypatch.setattr(remote, "_WAITS_S", (0.01,))
+    with pytest.raises(RemoteError, match=r"gives no answer \(no whole answer within 0\.2.* s\)"):
+        act(folder)
+    s3.slow = lambda _: 0.0
+    assert act(folder) == expected
+
+
+@pytest.mark.usefixtures("new_clients")
+def test_a_request_that_is_lost_is_made_again(folder, s3, monkeypatch):
+    """What is not answered at all is known by the time limit of the client."""
+    assert 2 * remote._LIMITS["read_timeout"] < remote._PATIENCE_S
+    monkeypatch.setitem(remote._LIMITS, "read_timeout", 0.2)
+    folder.write_bytes("data/a", b"1")
+    s3.traffic.reset()
+    s3.slow = lambda environ: environ["REQUEST_METHOD"] == "GET" and s3.traffic.requests["GET"] == 1
+    assert folder.read_bytes("data/a") == b"1"
+    assert s3.traffic.requests["GET"] == 2
 
 
 def test_of_many_writers_at_once_one_creates_a_file(folder):

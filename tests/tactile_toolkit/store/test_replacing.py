@@ -286,3 +286,46 @@ def test_what_refuses_to_replace_removes_nothing(finished):
     with pytest.raises(InputError, match=r"notes\.txt"):
         make(finished, overwrite=True)
     assert folder_bytes(finished) == before
+
+
+def test_files_of_the_user_in_hidden_folders_of_a_run_stay(finished, tmp_path):
+    """Names that only begin as ours do are any user's."""
+    theirs = (
+        ".pending/tmp-notes",
+        ".pending/notes.json",
+        ".pending/old/train-00000-of-00004.json",
+        ".next/thesis.tex",
+    )
+    ours = (
+        ".pending/tmp-0123456789abcdef0123456789abcdef",
+        ".pending/train-00007-of-00009.json",
+        ".next/README.md",
+    )
+    for path in (*theirs, *ours):
+        (finished / path).parent.mkdir(parents=True, exist_ok=True)
+        (finished / path).write_text("years of work")
+    make(finished)
+    left = {path for path in folder_bytes(finished) if path.startswith(".")}
+    assert left == set(theirs)
+    with pytest.raises(InputError, match=r"holds more than a data set .*'\.pending/notes\.json'"):
+        make(finished, other_plan(), overwrite=True)
+    (finished / ".pending").rename(tmp_path / "pending")
+    with pytest.raises(InputError, match=r"\.next' is not empty .*'thesis\.tex'"):
+        make(finished, other_plan(), overwrite=True)
+    (finished / ".next" / "thesis.tex").rename(tmp_path / "thesis.tex")
+    make(finished, other_plan(), overwrite=True)
+    assert not [path for path in folder_bytes(finished) if path.startswith(".")]
+
+
+def test_nothing_is_removed_through_a_link_in_a_folder_of_a_run(finished, tmp_path):
+    outside = tmp_path / "outside"
+    make(outside)
+    (outside / "empty").mkdir()
+    (finished / ".next").mkdir()
+    (finished / ".next" / "data").symlink_to(outside / "data")
+    (finished / ".next" / "previews").symlink_to(outside)
+    before = folder_bytes(outside)
+    with pytest.raises(InputError, match="is a symbolic link; nothing is written, moved or removed"):
+        make(finished, other_plan(), overwrite=True)
+    assert folder_bytes(outside) == before
+    assert (outside / "empty").is_dir()

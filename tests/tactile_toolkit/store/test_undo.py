@@ -10,7 +10,7 @@ import pytest
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
 from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import TEMPORARY, DataFolder
+from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 IMPOSSIBLE = InputError("no place for the third object")
@@ -62,7 +62,7 @@ def test_ctrl_c_before_the_first_shard_leaves_nothing(tmp_path):
 
 def test_what_ended_a_run_is_what_is_reported(tmp_path, monkeypatch):
     """Not that the disk lets nothing be tidied up then."""
-    left = tmp_path / "set" / ".pending" / f"{TEMPORARY}0123abcd"
+    left = tmp_path / "set" / ".pending" / "tmp-0123456789abcdef0123456789abcdef"
 
     def stop(progress):
         left.parent.mkdir(exist_ok=True)

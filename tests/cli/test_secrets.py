@@ -1,0 +1,152 @@
+"""A key, a password or a signature in an address: refused, and never repeated, whichever command gets it."""
+
+from __future__ import annotations
+
+import subprocess
+import traceback
+import warnings
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+import typer
+from hypothesis import HealthCheck, given, settings, strategies as st
+
+import env_assets
+import mnist3d
+import realtouch
+import starstruck_gen
+import tactile_sim
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.exchange.download import plan_download
+from tactile_toolkit.hub.repository import hub_name
+from tactile_toolkit.mesh.files import read_mesh
+from tactile_toolkit.store.folder import DataFolder, split_uri
+from tests.command_line import call, program
+
+FORMS = (
+    "s3://KEY:{}@bucket/x",
+    "s3://{}@bucket/x",
+    "S3A://KEY:{}@bucket",
+    "https://KEY:{}@host/x",
+    "gs://{}:@bucket/x",
+    "memory://KEY:{}@bucket/x",
+    "file://KEY:{}@host/x",
+    "hf://KEY:{}@datasets/a/b",
+    "hf://datasets/a/b?token={}",
+    "s3://bucket/x?X-Amz-Signature={}",
+    "s3://bucket/x#{}",
+    "s3://bucket/x;key={}",
+    "s3://KEY:{}",
+    "s3:/KEY:{}@bucket/x",
+    "ftp:/KEY:{}@bucket/x",
+)
+PROGRAMS = ("env-assets", "mnist3d", "realtouch", "starstruck", "tactile-sim")
+
+
+def places() -> list[tuple[str, list[str]]]:
+    """Return each place of each command line where a value can stand, as the words in front of it."""
+    found = []
+    for name in PROGRAMS:
+        app = typer.main.get_command(import_module(f"cli.{name.replace('-', '_')}").app)
+        for word, command in app.commands.items():
+            for parameter in command.params:
+                if parameter.param_type_name == "argument":
+                    found.append((name, [word, ""]))
+                elif not parameter.is_flag:
+                    found += [(name, [word, "x", option, ""]) for option in parameter.opts]
+                    found += [(name, [word, f"{option}="]) for option in parameter.opts if option[1] == "-"]
+    return found
+
+
+SECRETS = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), min_size=1, max_size=40)
+ENCODED = SECRETS | SECRETS.map(lambda secret: quote(secret, safe=""))
+OTHER = "of-nobody"  # what is told of any secret is what is told of this one
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=list(HealthCheck))
+@given(data=st.data(), secret=ENCODED, form=st.sampled_from(FORMS))
+def test_no_command_repeats_or_stores_it(data, secret, form, tmp_path_factory, monkeypatch, capfd):
+    name, words = data.draw(st.sampled_from(PLACES))
+    folder = tmp_path_factory.mktemp("place")
+    monkeypatch.chdir(folder)
+    told = []
+    for each in (OTHER, secret):
+        assert call(name, *words[:-1], words[-1] + form.format(each), "--debug") == 2
+        told.append("".join(capfd.readouterr()))
+    assert told[0] == told[1]
+    assert OTHER not in told[0]
+    assert "may hold a user, a key or a signature" in told[0]
+    assert list(folder.iterdir()) == []
+
+
+PLACES = places()
+
+
+def test_all_places_are_tried():
+    options = {words[-2] for _, words in PLACES if len(words) == 4}
+    assert {"--out", "-o", "--split", "--token"} <= options
+    assert {name for name, _ in PLACES} == set(PROGRAMS)
+
+
+FUNCTIONS: tuple[Callable[[str], object], ...] = (
+    mnist3d.load,
+    starstruck_gen.load,
+    realtouch.load,
+    realtouch.verify,
+    read_mesh,
+    DataFolder,
+    split_uri,
+    hub_name,
+    plan_download,
+    env_assets.AssetProvider,
+    lambda place: env_assets.AssetProvider("x").meshes(place),
+    lambda place: env_assets.AssetProvider("x").touches(place),
+    lambda place: realtouch.select(place, "x"),
+    lambda place: starstruck_gen.generate(starstruck_gen.GenerateSpec(), place),
+    lambda place: tactile_sim.generate(place, tactile_sim.GenerateSpec(), "x"),
+)
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+@settings(max_examples=20, deadline=None)
+@given(secret=ENCODED, form=st.sampled_from(FORMS))
+def test_no_function_repeats_it(function, secret, form):
+    told = []
+    for each in (OTHER, secret):
+        with warnings.catch_warnings(record=True) as warned, pytest.raises(InputError) as caught:
+            function(form.format(each))
+        told.append([*traceback.format_exception(caught.value), repr(caught.value), *map(str, warned)])
+    assert told[0] == told[1]
+    assert OTHER not in "".join(told[0])
+
+
+def test_nor_does_a_process_of_its_own():
+    words = program("mnist3d", "info", "s3://KEY:a/secret'with\"all of@it@bucket/x", "--debug")
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert done.stderr.startswith("error: the address 's3://...' may hold a user, a key or a signature; exp")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "place",
+    [
+        "s3://bucket/x-1_y.z/a:b",
+        "sftp://host:22/x",
+        "hf://datasets/a/b@refs%2Fpr%2F1/x",
+        "file:///home/me@work/a?b",
+        "C:/me@work/x",
+        "--out=C:/me@work",
+        "-oC:/me@work",
+        "./s3://a@b",
+        "me@work/set?#;",
+        "see https://host/issues/5#6",
+    ],
+)
+def test_plain_places_are_not_addresses_with_secrets(place):
+    import_module("tactile_toolkit.errors").require_public(place)
+    assert not Path("s3:").exists()
