@@ -87,7 +87,7 @@ class Opening:
     allow_incomplete: bool = INCOMPLETE
 
     def open(self, sink: Sink, name: str, *, shows_all: bool = False) -> Place:
-        """Say what a name stands for; print that it is unfinished, where the command goes on all the same.
+        """Say what a name stands for; print that it is unfinished, where the command continues all the same.
 
         With ``shows_all`` an unfinished data set is opened as far as it is there.
         """

@@ -17,8 +17,8 @@ from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
 from tactile_toolkit.mesh.records import FACES, VERTICES
+from tactile_toolkit.places.other_files import is_parquet_file
 from tactile_toolkit.places.place import Place, open_place
-from tactile_toolkit.places.strangers import is_parquet_file
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import is_remote, normalize_uri
@@ -134,7 +134,7 @@ def validate_paths(
     Raises
     ------
     InputError
-        A path does not exist, or is no data set of digits or other meshes.
+        A path does not exist, or is not a data set of digits or other meshes.
     IntegrityError
         A shard is damaged, or the run that makes a data set is not finished.
     """

@@ -24,6 +24,6 @@ KIND = DatasetKind(
     card_template="tactile_sim.md",
     write_card=lazy("tactile_sim.card:write_card"),
     needs=("sensor_image", "sensor_video"),
-    lacks=("validate", "export"),
+    missing_commands=("validate", "export"),
     loader=_loader,
 )

@@ -33,7 +33,7 @@ SHARED_COMMANDS = (
     ),
     *("cache", "gallery", "export"),
 )
-"""Commands that all command lines have, but for what a kind lacks."""
+"""Commands that all command lines have, but for those that a kind does not have."""
 
 _PAPER = "Schneider et al., Tactile MNIST: Benchmarking Active Tactile Perception, 2025"
 _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
@@ -147,7 +147,7 @@ class DatasetKind:
         Columns of which every such data set has one.
     splits : tuple of str
         Splits that such data sets have, in order.
-    lacks : tuple of str
+    missing_commands : tuple of str
         Shared commands that its command line does not have.
     published : tuple of PublishedSet
         The published data sets of this kind.
@@ -178,7 +178,7 @@ class DatasetKind:
     columns: tuple[str, ...] = ()
     needs: tuple[str, ...] = ("mesh.faces",)
     splits: tuple[str, ...] = ()
-    lacks: tuple[str, ...] = ()
+    missing_commands: tuple[str, ...] = ()
     published: tuple[PublishedSet, ...] = ()
     extra_files: tuple[str, ...] = ()
     plan_previews: Callable[..., Any] = _not_offered
@@ -200,7 +200,7 @@ class DatasetKind:
 
     def command_like(self, command: str) -> str:
         """Return a command of this kind by its name, or the one that prints rows where it has none such."""
-        return command if command in SHARED_COMMANDS and command not in self.lacks else "show"
+        return command if command in SHARED_COMMANDS and command not in self.missing_commands else "show"
 
     def schema_of(self, manifest: Any) -> Any:
         """Return the Arrow schema of every shard of a data set; None where it follows from a source."""

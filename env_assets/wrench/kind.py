@@ -16,6 +16,6 @@ KIND = DatasetKind(
     schema=lazy("env_assets.wrench.making:wrench_schema"),
     class_names=("wrench",),
     columns=("opening_mm",),
-    lacks=("info", "validate", "preview", "card", "upload", "download", "gallery", "list"),
+    missing_commands=("info", "validate", "preview", "card", "upload", "download", "gallery", "list"),
     recipe=lazy("env_assets.wrench.making:wrench_recipe"),
 )

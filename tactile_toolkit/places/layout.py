@@ -34,7 +34,7 @@ _SEPARATORS = re.compile("[-._ 0-9]+")
 # Older releases of `datasets` put a digest behind the count.
 _SHARD = re.compile(r"(\w+)-\d{5,}-of-\d{5,}(?:[-.].*)?\.parquet")
 _SPLIT_NAME = re.compile(r"\w[\w.-]*")
-# Folders with Parquet files that are no rows of the data set.
+# Folders with Parquet files that do not hold rows of the data set.
 _OTHER_FOLDERS = ("reports", VIEWER_FOLDER)
 _LARGEST_CARD_BYTES = 1 << 20
 
@@ -82,8 +82,8 @@ def splits_by_name(paths: Iterable[str], where: str) -> Splits:
         if len(folders) > 1:
             named = " and ".join(repr(folder or ".") for folder in list(folders)[:2])
             raise InputError(
-                f"{where!r} has files of split {split!r} in {named}, and no {CARD_FILE} says which of them "
-                "are the split",
+                f"{where!r} has files of split {split!r} in {named}, and no {CARD_FILE} states which of "
+                "them is the split",
                 next=f"give one of these folders, or name the files of each split in {CARD_FILE} (`configs`)",
             )
     return {split: tuple(next(iter(folders.values()))) for split, folders in sorted(holders.items())}
@@ -282,7 +282,7 @@ def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str
     Raises
     ------
     InputError
-        There is no such split.
+        No split has that name.
     IntegrityError
         Some of its shards, or all of its files, are missing: a part of the rows must not pass for all.
     """

@@ -34,8 +34,8 @@ from tactile_toolkit.places.layout import (
     splits_by_name,
     unknown_split,
 )
+from tactile_toolkit.places.other_files import is_parquet_file, not_a_set
 from tactile_toolkit.places.published import kind_of_published, named_on_hub, published_set
-from tactile_toolkit.places.strangers import is_parquet_file, not_a_set
 from tactile_toolkit.read.columns import class_names, column_names
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.build import resume_promotion
@@ -486,7 +486,7 @@ def _several(names: Any, revision: str | None) -> Place:
     places = tuple(_of_one_commit(open_place(file, revision=revision), opened) for file in files)
     for place in places:
         if not place.is_file:
-            raise InputError(f"{place.name!r} is no file; expected Parquet files of one data set")
+            raise InputError(f"{place.name!r} is not a file; expected Parquet files of one data set")
     return Place(", ".join(map(os.fsdecode, files)), places, {USUAL_SPLIT: ("",)}, is_file=True)
 
 

@@ -85,7 +85,7 @@ def options_of(command: str, out: Path) -> tuple[str, ...]:
 
 def commands_of(program: str) -> list[str]:
     kind = next(each for each in kinds() if each.command == program)
-    return [command for command in READS if command not in kind.lacks]
+    return [command for command in READS if command not in kind.missing_commands]
 
 
 def asked(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, str]:
@@ -271,6 +271,6 @@ def test_the_shared_commands_are_those_that_kinds_know():
     assert {*SHARED_COMMANDS} == {*_COMMANDS}
     known: list[DatasetKind] = list(kinds())
     for kind in known:
-        assert {*kind.lacks} <= {*SHARED_COMMANDS}
+        assert {*kind.missing_commands} <= {*SHARED_COMMANDS}
         for command in (*SHARED_COMMANDS, "select", "frames"):
             assert call(kind.command, kind.command_like(command), "--help") == 0

@@ -117,7 +117,7 @@ def test_files_and_revisions_of_the_hub(
             f"['{SINGLE}/data/nothing.parquet'], streaming=True",
             "HubError Hub data set 'someone/single' has no",
         ),
-        (f"['{SINGLE}']", f"InputError '{SINGLE}' is no file"),
+        (f"['{SINGLE}']", f"InputError '{SINGLE}' is not a file"),
         ("'someone/single@v9'", "HubError the Hub refused reading Hub data set 'someone/single' (404)"),
         (
             "'someone/single@main', revision='v9'",
