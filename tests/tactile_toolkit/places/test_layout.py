@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+from contextlib import suppress
 from pathlib import Path
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import given, strategies as st
 
 from mnist3d.kind import KIND
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -205,6 +208,30 @@ def test_a_split_of_the_card_without_files_is_named(tmp_path):
     assert place.splits == ("train",)
     with pytest.raises(IntegrityError, match="has 0 of 1 file of split 'test'; expected all"):
         place.shards("test")
+
+
+@given(
+    st.recursive(
+        st.none()
+        | st.booleans()
+        | st.integers()
+        | st.text(max_size=8)
+        | st.sampled_from(["*", "**", "x.parquet"]),
+        lambda inner: (
+            st.lists(inner, max_size=3)
+            | st.dictionaries(
+                st.sampled_from(["config_name", "data_files", "data_dir", "split", "path"]), inner
+            )
+        ),
+        max_leaves=12,
+    )
+)
+def test_a_card_of_any_content_gives_files_or_a_sentence(values):
+    text = f"---\n{json.dumps({'configs': values})}\n---\n"
+    paths = ["x.parquet", "data/y.parquet"]
+    with suppress(InputError):  # any other error fails
+        found = splits_by_card(text.encode(), paths, None, "here")
+        assert found is None or {*sum(found.values(), ())} <= {*paths}
 
 
 def test_a_pattern_of_many_stars_ends(tmp_path):
