@@ -197,7 +197,8 @@ class Place:
                 more = "" if len(names) <= _COLUMNS_SHOWN else " and others"
                 raise InputError(
                     f"{self.name!r} holds rows of no kind of this toolkit (columns {shown}{more}); "
-                    f"`{_asked(kind, command)}` is for {kind.content}",
+                    f"`{_asked(kind, command)}` is for {kind.content}, with a column "
+                    f"{' or '.join(map(repr, kind.needs))}",
                     next=f"look at a row with `{kind.command} show {shlex.quote(self.name)}`",
                 )
 

@@ -101,9 +101,10 @@ def test_other_columns_are_refused(tmp_path):
     import pyarrow.parquet as pq
 
     pq.write_table(pa.table({"id": [1], "text": ["x"]}), tmp_path / "train.parquet")
-    with pytest.raises(
-        InputError, match=r"is not a data set of meshes: column 'label' is missing \(found id, text\)"
-    ):
+    with pytest.raises(InputError, match=r"rows of no kind of this toolkit \(columns id, text\)"):
+        mnist3d.load(str(tmp_path))
+    pq.write_table(pa.table({"id": [1], "mesh.faces": [[]]}), tmp_path / "train.parquet")
+    with pytest.raises(InputError, match="is not a data set of meshes: column 'label' is missing"):
         mnist3d.load(str(tmp_path))
 
 

@@ -204,7 +204,7 @@ def test_missing_columns_are_named_when_asked_for(seq_rows: list[dict], tmp_path
 def test_a_set_of_neither_kind_is_refused(single_rows: list[dict], tmp_path: Path) -> None:
     layout = Layout(leave_out=("sensor_image",))
     factories.write_set(tmp_path, {"train": single_rows}, "single", layout)
-    with pytest.raises(InputError, match="expected a column 'sensor_video' or 'sensor_image'"):
+    with pytest.raises(InputError, match="for touches, with a column 'sensor_image' or 'sensor_video'"):
         realtouch.load(tmp_path)
 
 

@@ -199,5 +199,5 @@ def test_published_columns_alone_are_enough(folder, tmp_path):
 
 def test_other_data_is_refused(tmp_path):
     pq.write_table(pa.table({"id": [1], "label": [0]}), tmp_path / "train-00000-of-00001.parquet")
-    with pytest.raises(InputError, match=r"column 'mesh.vertices' is missing .* `starstruck generate`"):
+    with pytest.raises(InputError, match=r"rows of no kind .* is for scenes, with a column 'mesh\.faces'"):
         load(str(tmp_path))
