@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tactile_toolkit.catalog.spec import CONFIG, INCOMPLETE, REVISION
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.system import usable_cores
 
 if TYPE_CHECKING:
     from cli.output import Sink
@@ -154,4 +154,4 @@ class Making(Work):
 
 def process_count(workers: int) -> int:
     """Return what ``--workers`` asks for: 0 means one process per processor core."""
-    return workers or os.cpu_count() or 1
+    return workers or usable_cores()

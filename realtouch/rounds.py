@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cached_property, partial
@@ -32,6 +31,7 @@ from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read.columns import RowGroup, Rows, column_names
 from tactile_toolkit.read.dataset import Record, positions
 from tactile_toolkit.read.source import RowSource
+from tactile_toolkit.system import usable_cores
 from tactile_toolkit.touch.jpeg import Pixels
 
 if TYPE_CHECKING:
@@ -88,7 +88,7 @@ class TouchRound(Record):
     @property
     def label(self) -> int:
         """Class of the object; the digit, 0 to 9, in the MNIST sets."""
-        return self._once("label", lambda: self._row.int_value("label"))
+        return self._once("label", self._row.label_value)
 
     @property
     def object_id(self) -> int:
@@ -422,4 +422,4 @@ class Touch:
 
 
 def _cores(threads: int | None) -> int:
-    return threads or min(os.cpu_count() or 1, _MOST_THREADS)
+    return threads or min(usable_cores(), _MOST_THREADS)

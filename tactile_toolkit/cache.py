@@ -13,16 +13,18 @@ import os
 import random
 import re
 import stat
+import tempfile
 import time
 import warnings
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from threading import RLock
 from typing import IO, Any, Generic, TypeVar
 
-from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.store.files import DRAFT, expanded, resource_shortage, write_file
 
 LOCKS = "locks"
@@ -43,7 +45,31 @@ def cache_folder() -> Path:
     named = os.environ.get(CACHE_VARIABLE)
     if named:
         return expanded(named, CACHE_VARIABLE)
-    return expanded(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "XDG_CACHE_HOME") / "tactile-toolkit"
+    of_system = os.environ.get("XDG_CACHE_HOME")
+    if of_system:
+        return expanded(of_system, "XDG_CACHE_HOME") / "tactile-toolkit"
+    try:
+        return expanded("~/.cache") / "tactile-toolkit"
+    except InputError:  # a user without a home, as in some containers
+        return _temporary_cache()
+
+
+@cache
+def _temporary_cache() -> Path:
+    """Return a cache folder of this user alone in the system's temporary folder, and say so once."""
+    path = Path(tempfile.gettempdir()) / f"tactile-toolkit-{os.getuid()}"
+    path.mkdir(mode=0o700, exist_ok=True)
+    found = path.lstat()
+    # Of another user, its files would be read as data; a link leads anywhere.
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        path = Path(tempfile.mkdtemp(prefix="tactile-toolkit-"))
+    warnings.warn(
+        f"no home folder is known: the cache is {str(path)!r}; next: let {CACHE_VARIABLE} "
+        "name another folder",
+        RuntimeWarning,
+        stacklevel=2,
+    )
+    return path
 
 
 # A folder is looked through by chance, once in the mean for so small a part of its limit that is written,

@@ -28,6 +28,7 @@ from tactile_toolkit.store.manifest import Manifest, without_collecting
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
 from tactile_toolkit.store.task import ShardContent, ShardTask
+from tactile_toolkit.system import usable_cores
 
 # What workers need to start and import their libraries.
 _START_S = 1.5
@@ -251,7 +252,7 @@ def forecast(
     sampled, item_bytes, item_s = _sample(making, plan)
     while not isinstance(workers, int):
         workers = getattr(workers, "workers", 1)
-    processes = workers or os.cpu_count() or 1  # all cores where a runner leaves that open
+    processes = workers or usable_cores()  # all cores where a runner leaves that open
     return Forecast(
         [
             {"split": each, "rows": rows[each], "shards": shards[each], "finished": rows[each] - left[each]}

@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 import fnmatch
 import json
-import os
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -27,6 +26,7 @@ from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, read_manifest
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
+from tactile_toolkit.system import usable_cores
 from tactile_toolkit.wording import counted, printable, printable_json
 
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
@@ -96,7 +96,7 @@ def folder_facts(
         if not records or any(None in each for each in sizes):
             recorded = False
             files = zip(shards, paths, strict=True)
-            sizes = in_threads(partial(_sizes, folder), files, os.cpu_count() or 1)
+            sizes = in_threads(partial(_sizes, folder), files, usable_cores())
         splits.append(SplitFacts(split, shards, paths, *map(sum, zip(*sizes, strict=True))))
     if not splits:
         raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -35,6 +34,7 @@ from tactile_toolkit.store.parquet import (
 )
 from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.store.task import ShardContent, ShardTask
+from tactile_toolkit.system import usable_cores
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -313,4 +313,4 @@ def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str
         (out / path).write_bytes(content)
         return path, sha256_hex(content)
 
-    return dict(in_threads(make, manifest.shards, min(os.cpu_count() or 1, _MOST_AT_ONCE)))
+    return dict(in_threads(make, manifest.shards, min(usable_cores(), _MOST_AT_ONCE)))

@@ -29,6 +29,7 @@ from typing import Any, Protocol, TypeVar
 
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.run.threads import prepare_batch_process
+from tactile_toolkit.system import working_folder
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -260,6 +261,12 @@ def _number(environment: Mapping[str, str], name: str) -> int | None:
 def _start_worker(function: bytes, hide_main: bool) -> tuple[Any, BaseProcess]:
     """Start a process, and return our end of the pipe that carries its tasks, its answers and its life."""
     # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
+    if multiprocessing.current_process().daemon:
+        raise InputError(
+            "this process is a worker of another program (daemonic), which may start no processes",
+            next="use one worker here (--workers 1), or run it outside of that worker",
+        )
+    working_folder()  # processes are started in it
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(theirs, function), daemon=True)

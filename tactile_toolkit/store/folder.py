@@ -41,6 +41,7 @@ from tactile_toolkit.store.files import (
 )
 from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
 from tactile_toolkit.store.remote import ask_store, client_of, has_buckets, open_in_store
+from tactile_toolkit.system import working_folder
 
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
@@ -81,7 +82,10 @@ class DataFolder:
 
     def __post_init__(self) -> None:
         place = normalize_uri(self.url)
-        object.__setattr__(self, "root", str(expanded(place).absolute()) if self.is_local else place)
+        # Joined to what is absolute, the working folder does not count, and need not be there.
+        if self.is_local and not (path := expanded(place)).is_absolute():
+            path = working_folder() / path
+        object.__setattr__(self, "root", str(path) if self.is_local else place)
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle the address alone, without open connections."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import io
-import os
 import struct
 import zlib
 from collections.abc import Callable, Collection, Generator, Iterable, Iterator, Sequence
@@ -20,6 +19,7 @@ from tactile_toolkit.store.files import readable
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, ShardRecord
+from tactile_toolkit.system import usable_cores
 
 _TAIL = struct.Struct("<I4s")  # length of the footer and Parquet's mark: how a file ends
 _FOOTER_CHECKSUM = struct.Struct("<4sI")
@@ -418,7 +418,7 @@ def _small_table(folder: DataFolder, file: SmallFile) -> Any:
             table = table.flatten()
         return table
 
-    workers = min(os.cpu_count() or 1, _READERS) if folder.is_local else _READERS
+    workers = min(usable_cores(), _READERS) if folder.is_local else _READERS
     tables = list(in_threads(read, file.records, workers))
     # Columns that differ between shards are read from the shards.
     every = [dict(zip(table.schema.names, table.schema.types, strict=True)) for table in tables]

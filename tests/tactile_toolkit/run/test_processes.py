@@ -53,6 +53,22 @@ def test_a_script_without_a_guard_runs_once(tmp_path: Path) -> None:
         assert done.stdout == "started\n[1.0, 2.0, 3.0]\n", done.stderr
 
 
+def test_a_worker_of_another_program_starts_no_workers() -> None:
+    """Its processes would be children of a daemonic one, which has none."""
+    script = (
+        "import math, multiprocessing as mp\n"
+        "from tactile_toolkit.errors import InputError\n"
+        "from tactile_toolkit.run.processes import ProcessRunner\n"
+        "mp.current_process()._config['daemon'] = True\n"
+        "try: list(ProcessRunner(2).run(math.sqrt, [1.0]))\n"
+        "except InputError as error: print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", script], cwd=REPOSITORY, capture_output=True, text=True, check=False
+    )
+    assert "a worker of another program (daemonic), which may start no processes" in done.stdout, done.stderr
+
+
 def fails(path: str) -> None:
     with Path(path).open("a") as stream:
         stream.write("tried\n")
