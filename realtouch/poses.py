@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from realtouch.pose import Pose
 
 
-_SHORTEST_QUATERNION = 1e-6
+# How far the length of a quaternion may be from one: angles of joints, say, have any.
+_LENGTH_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +34,7 @@ class Poses(Sequence["Pose"]):
     position_m : ndarray, shape (n, 3)
         Positions, metres; a read-only view of the stored values in their stored precision.
     quaternion : ndarray, shape (n, 4)
-        Orientations x, y, z, w, of length one up to rounding; a view likewise.
+        Orientations x, y, z, w, of length one within 0.001; a view likewise.
     """
 
     position_m: NDArray[np.floating]
@@ -147,18 +148,19 @@ def rigid_transform(position_m: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
 
 def bad_pose(position_m: NDArray[Any], quaternion: NDArray[Any]) -> tuple[int, str] | None:
     """Find the first of n rows that is not a pose: its number and what is wrong with it, or None."""
-    norms = np.einsum("ij,ij->i", quaternion, quaternion)
+    squares = np.einsum("ij,ij->i", quaternion, quaternion)
     with np.errstate(invalid="ignore", over="ignore"):  # infinite values of both signs add up to NaN
         # One sum shows any value that is not finite, and costs a tenth of looking at each.
-        finite_sums = np.isfinite(position_m.sum()) and np.isfinite(norms.sum())
-    if finite_sums and (norms > _SHORTEST_QUATERNION**2).all():
+        is_finite = np.isfinite(position_m.sum())
+        unit = np.abs(squares - 1) <= 2 * _LENGTH_TOLERANCE  # False for NaN
+    if is_finite and unit.all():
         return None
-    finite = np.isfinite(position_m).all(axis=1) & np.isfinite(norms)
-    wrong = np.flatnonzero(~finite | ~(norms > _SHORTEST_QUATERNION**2))
+    finite = np.isfinite(position_m).all(axis=1) & np.isfinite(squares)
+    wrong = np.flatnonzero(~finite | ~unit)
     if len(wrong) == 0:
         return None
     index = int(wrong[0])
     if not finite[index]:
         found = f"position {position_m[index]}, quaternion {quaternion[index]}"
         return index, f"a pose that is not finite: {found}"
-    return index, f"a quaternion of length {float(np.sqrt(norms[index])):.3g}; expected length one"
+    return index, f"a quaternion of length {float(np.sqrt(squares[index])):.4g}; expected length one"

@@ -58,7 +58,7 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
             image = _opened(data)
             height, width, mode = image.height, image.width, image.mode
     except Exception as error:
-        raise _undecodable(data, error) from error
+        raise _undecodable(data) from error
     if mode in _DEEP:
         raise ValueError(f"an image of 16 bits ({mode}), most of which 8 would lose; expected 8")
     if height * width > MAX_IMAGE_PIXELS:
@@ -103,7 +103,7 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
         else:
             pixels = np.asarray(_opened(data).convert("RGB"))
     except Exception as error:
-        raise _undecodable(data, error) from error
+        raise _undecodable(data) from error
     if out is None or pixels is out:
         return pixels
     out[...] = pixels
@@ -117,12 +117,13 @@ def _opened(data: memoryview | bytes) -> Any:
     return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
 
 
-def _undecodable(data: memoryview | bytes, error: Exception) -> ValueError:
-    # Pillow raises OSError, SyntaxError, struct.error and more on bad files.
+def _undecodable(data: memoryview | bytes) -> ValueError:
+    # Pillow raises OSError, SyntaxError, struct.error and more on bad files. What they say differs between
+    # releases, and may hold the address of an object; what is said here is stored.
     start = bytes(data[:8]).hex(" ") or "nothing"
     return ValueError(
-        f"an image of {len(data):,} bytes that begin with {start} cannot be decoded ({error}); "
-        "expected a JPEG, PNG or WebP"
+        f"an image of {len(data):,} bytes that begin with {start} cannot be decoded; expected a JPEG, "
+        f"PNG or WebP, intact and of at most {MAX_IMAGE_PIXELS:,} pixels"
     )
 
 
