@@ -26,6 +26,7 @@ from tactile_sim.spec import WINDOWS, PairsSpec, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.locate import refuse_source
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.kind import lazy
 from tactile_toolkit.mesh.records import SolidDataset
 from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.dataset import RecordDataset
@@ -50,6 +51,9 @@ _ROWS_PER_SHARD = 1000
 # One real touch in five met its object: 16 places in the cell fail 3 times in 100, then places on the object
 # are tried.
 _TRIES = 16
+_OF_OBJECT = ("label", "object_id")
+_POSES = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
+_contacts_by_image = lazy("realtouch.preprocess:contacts_by_image")
 
 
 @row
@@ -57,8 +61,8 @@ class PairRow:
     """One depth image or one real touch, encoded."""
 
     id: str = column(pa.string(), "", "object and number, or round and touch")
-    label: int = column(pa.int64(), "", "class of the touched object")
-    object_id: int = column(pa.int64(), "", "`id` of its mesh")
+    label: int = column(pa.int64(), "", "class of the touched object, -1 if unknown")
+    object_id: int = column(pa.int64(), "", "`id` of its mesh, -1 if unknown")
     contact: bool = column(pa.bool_(), "", "whether the gel met the object")
     image: Mapping[str, Any] = column(MEDIA_TYPE, "H x W", _PICTURE, name="sensor_image")
 
@@ -245,7 +249,10 @@ class PairsMaking(making.Making):
         }
 
     def items(self) -> Mapping[str, Any]:
-        """Return both splits; reads poses, no picture. InputError where there are too few touches."""
+        """Return both splits; reads poses, or all images where there are none.
+
+        InputError where there are too few touches.
+        """
         return {"depth": range(self.spec.count), "real": _draw(self.touches, self.spec, self.real)}
 
     def layout(self) -> making.Layout:
@@ -293,7 +300,10 @@ class PairsMaking(making.Making):
             (picture,) = scaled(touch.image[None], self.spec.size_px)
             key = f"{touch.round_id}-{touch.touch_index}"
             image = {"bytes": encode_image(picture, kind), "path": f"{key}.{IMAGE_SUFFIX[kind]}"}
-            yield PairRow(key, touch.label, touch.object_id, contact, image)
+            label, object_id = (
+                getattr(touch, name) if name in self.touches.column_names else -1 for name in _OF_OBJECT
+            )
+            yield PairRow(key, label, object_id, contact, image)
 
     def statistics(self, rows: Sequence[PairRow]) -> Mapping[str, int]:
         """Count touches, and those that met the object."""
@@ -324,17 +334,20 @@ def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> 
 
 def _draw(touches: Any, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
     """Draw touches with and without contact, each once, and spread those without as in the other split."""
-    heights_m = touches.heights_m()
-    contact = heights_m >= spec.min_height_m
+    has_poses = not set(_POSES).isdisjoint(touches.column_names)
+    heights_m: NDArray[np.float64] = touches.heights_m() if has_poses else np.zeros(0)
+    assert spec.min_height_m is not None, "a plan has the rule of the real touches"
+    contact = heights_m >= spec.min_height_m if has_poses else _contacts_by_image(touches).contact
     # A seed here, where `plan.generator` has a key: other numbers, which sets that were made so hold.
     rng = np.random.Generator(np.random.Philox(key_of(spec.seed, "real")))
     flags = [not spec.is_empty(number) for number in range(spec.count)]
     wanted = {True: sum(flags), False: spec.count - sum(flags)}
     found = {flag: np.flatnonzero(contact == flag) for flag in wanted}
     if any(len(found[flag]) < count for flag, count in wanted.items()):
+        highest = f"the highest {1e3 * heights_m.max(initial=0.0):.1f} mm above the plate"
         raise InputError(
             f"{real!r} holds {len(found[True]):,} touches with contact and {len(found[False]):,} without, "
-            f"the highest {1e3 * heights_m.max(initial=0.0):.1f} mm above the plate; expected at least "
+            f"{highest if has_poses else 'as their images show'}; expected at least "
             f"{wanted[True]:,} and {wanted[False]:,}; nothing was written",
             next="a smaller --count, or another --without-contact or --min-height-mm",
         )
@@ -359,7 +372,8 @@ def make_pairs(
     objects : str
         Data set of digits or other meshes: a folder, a Parquet file, a repository of the Hub or a short name.
     real : str
-        Data set of touches, as ``realtouch.load`` takes it; rendered ones do as well.
+        Data set of touches, as ``realtouch.load`` takes it; rendered ones do as well. Without poses, their
+        images decide about contact, as ``realtouch.contacts_by_image`` says.
     split : str
         Split of both data sets.
     spec : PairsSpec

@@ -255,7 +255,7 @@ class TrainConfig:
         """
         try:
             held = {} if path is None else tomllib.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise InputError(
                 f"--config {str(path)!r} cannot be read ({error}); expected a TOML file"
             ) from error

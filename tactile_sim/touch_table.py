@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import zipfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,13 +17,16 @@ from numpy.typing import NDArray
 from tactile_sim.pressing import CELL_M
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.files import expanded
+from tactile_toolkit.store.files import expanded, open_regular
+from tactile_toolkit.text_tables import table_text
+from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
 
 _POSITIONS = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")
 _POSES = ("object_x_m", "object_y_m", "object_turn_rad")
 _ENDINGS = (".csv", ".parquet", ".npz")
 _COLUMNS = (*_POSITIONS, *_NUMBERS, *_POSES)
+_INDEX_NAMES = ("", "Unnamed: 0", "__index_level_0__")
 # Memory that reading takes for each row, in whatever columns, with the numbers of rounds and objects.
 _BYTES_PER_ROW = 512
 # More is a wrong unit or column; sines are right up to a million turns.
@@ -88,7 +92,8 @@ class TouchTable:
         Parameters
         ----------
         path : str or path
-            CSV with a header line, Parquet, or `.npz`, whose columns are named as the attributes.
+            CSV with a header line, Parquet, or `.npz`, whose columns are named as the attributes; lengths may
+            be in `_mm` or `_cm` instead of `_m`, the turn in `_deg` instead of `_rad`.
 
         Returns
         -------
@@ -185,42 +190,78 @@ def _column(name: str, value: Any) -> NDArray[Any]:
 
 def _read_columns(file: Path) -> Mapping[str, Any]:
     """Read a table whose columns are those of touches; InputError for other columns, or too many rows."""
-    size_bytes = file.stat().st_size
-    if file.suffix.lower() == ".npz":
-        with zipfile.ZipFile(file) as archive:
-            require_plain_archive(archive)
-            unpacked = sum(entry.file_size for entry in archive.infolist())
-            # Integers of a byte become numbers of eight, and are copied.
-            require_unpackable(8 * unpacked, f"a table of {unpacked:,} bytes", size_bytes)
-        with np.load(file, allow_pickle=False) as stored:
-            _require_columns(stored.files)
-            return dict(stored)
-    from pyarrow import csv, parquet
+    with open_regular(file) as stream:
+        size_bytes = file.stat().st_size
+        if file.suffix.lower() == ".npz":
+            with zipfile.ZipFile(stream) as archive:
+                require_plain_archive(archive)
+                unpacked = sum(entry.file_size for entry in archive.infolist())
+                # Integers of a byte become numbers of eight, and are copied.
+                require_unpackable(8 * unpacked, f"a table of {unpacked:,} bytes", size_bytes)
+            with np.load(stream, allow_pickle=False) as stored:
+                meant = _meaning(stored.files)
+                return {ours: _scaled(stored[name], divisor) for name, (ours, divisor) in meant.items()}
+        from pyarrow import parquet
 
-    if file.suffix.lower() == ".csv":
-        table = csv.read_csv(file)
-        _require_numbers(table.schema, len(table), size_bytes)
-    else:
-        with parquet.ParquetFile(file) as source:
-            _require_numbers(source.schema_arrow, source.metadata.num_rows, size_bytes)
-            table = source.read()
+        if file.suffix.lower() == ".csv":
+            table = _read_csv(stream.read(), str(file))
+            meant = _numbers_in(table.schema, len(table), size_bytes)
+        else:
+            with parquet.ParquetFile(stream) as source:
+                meant = _numbers_in(source.schema_arrow, source.metadata.num_rows, size_bytes)
+                table = source.read()
     # What is missing becomes NaN, which is refused by its row.
-    return {name: table.column(name).to_numpy() for name in table.column_names}
+    return {ours: _scaled(table.column(name).to_numpy(), divisor) for name, (ours, divisor) in meant.items()}
 
 
-def _require_numbers(schema: Any, rows: int, size_bytes: int) -> None:
+def _read_csv(content: bytes, path: str) -> Any:
+    from pyarrow import csv
+
+    text, separator = table_text(content, path)
+    # A comma that separates nothing is the decimal mark.
+    mark = "," if separator != "," and "," in text else "."
+    return csv.read_csv(
+        io.BytesIO(text.encode()),
+        parse_options=csv.ParseOptions(delimiter=separator),
+        convert_options=csv.ConvertOptions(decimal_point=mark),
+    )
+
+
+def _numbers_in(schema: Any, rows: int, size_bytes: int) -> dict[str, tuple[str, float]]:
+    """Return what the columns of a table mean; InputError for other than numbers, or too many rows."""
     from pyarrow import types
 
-    _require_columns(schema.names)
+    meant = _meaning(schema.names)
     for each in schema:
-        if not (types.is_integer(each.type) or types.is_floating(each.type)):
+        if each.name in meant and not (types.is_integer(each.type) or types.is_floating(each.type)):
             raise InputError(f"column {each.name} holds {each.type}; expected numbers")
     require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", size_bytes)
+    return meant
 
 
-def _require_columns(names: Sequence[str]) -> None:
-    if len(set(names)) < len(names) or not set(_POSITIONS) <= set(names) <= set(_COLUMNS):
+def _scaled(values: Any, divisor: float) -> Any:
+    return values if divisor == 1 else values / divisor
+
+
+def _meaning(names: Sequence[str]) -> dict[str, tuple[str, float]]:
+    """Return for each column which of ours it is, and by what it is divided; InputError for others.
+
+    Its name may end in another unit, as `x_mm` and `object_turn_deg`. The index, which
+    pandas writes without a name or under one of its own, is passed over.
+    """
+    meant = {}
+    for name in (each for each in names if each not in _INDEX_NAMES):
+        stem, unit = name.rpartition("_")[0], stated_unit(name)
+        for ours, per in ((f"{stem}_m", PER_METRE), (f"{stem}_rad", PER_RADIAN)):
+            if ours in _COLUMNS and unit in per:
+                meant[name] = ours, per[unit]
+        if name in _NUMBERS:
+            meant[name] = name, 1.0
+    found = [ours for ours, _ in meant.values()]
+    columns = [name for name in names if name not in _INDEX_NAMES]
+    if len(set(found)) < len(columns) or not set(_POSITIONS) <= set(found):
         raise InputError(
-            f"its columns are {', '.join(names)[:200]}; expected x_m, y_m and of these, each once: "
-            f"{', '.join(_COLUMNS[2:])}"
+            f"its columns are {', '.join(columns)[:200]}; expected x_m, y_m and of these, each once: "
+            f"{', '.join(_COLUMNS[2:])}; or lengths in _mm or _cm, and the turn in _deg"
         )
+    return meant

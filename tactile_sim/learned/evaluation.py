@@ -77,7 +77,7 @@ class Measured:
     contact_accuracy : float
         Balanced accuracy, on held-back real touches, of a classifier of contact trained on its pictures.
     class_accuracy : float
-        The same of a classifier of labels; NaN with fewer than 2,000 touches.
+        The same of a classifier of labels; NaN with fewer than 2,000 touches, or without labels.
     """
 
     name: str
@@ -268,7 +268,7 @@ class _Bench:
         inputs, held = _inputs(pictures[train]), _inputs(real.images[real.held])
         reader = SmallCNN(2, self.seed, _STEPS).learn(inputs, known.contact[train])
         of_contact = balanced_accuracy(reader.predict(held), real.contact[real.held])
-        if len(real.images) < _LABELS_FROM:
+        if len(real.images) < _LABELS_FROM or min(real.labels.min(), known.labels.min()) < 0:
             return of_contact, math.nan
         classes = int(max(known.labels.max(), real.labels.max())) + 1
         reader = SmallCNN(classes, self.seed, _LABEL_STEPS).learn(inputs, known.labels[train])

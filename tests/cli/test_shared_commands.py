@@ -133,6 +133,7 @@ def test_a_training_reads_a_file_and_options_come_before_it(tmp_path):
     file.write_text("crop = 1.0\nsteps = 7\n")
     assert TrainConfig.read(file, {"steps": 9}) == TrainConfig(crop=1.0, steps=9)
     wrong = {"croop = 1.0": "'croop'", "crop": "TOML", "steps = 0": "steps of the training is 0"}
+    wrong[f"a = {'[' * 20_000}{']' * 20_000}"] = "expected a TOML file"
     for text, words in wrong.items():
         file.write_text(text)
         with pytest.raises(InputError, match=words):

@@ -26,6 +26,7 @@ from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.touch.jpeg import decode_image
 from tests.command_line import call
 from tests.env_assets.factories import write_meshes
+from tests.realtouch.images_of_others import write_table
 from tests.tactile_sim.solids import block
 
 pytestmark = pytest.mark.sim
@@ -235,6 +236,35 @@ def _without_rows(source, folder):
     (file,) = Path(source, "data").glob("train-*")
     (folder / "data").mkdir(parents=True)
     pq.write_table(pq.read_table(file).slice(0, 0), folder / "data" / file.name)
+
+
+@pytest.mark.parametrize("columns", [("file",), ("file", "label"), ("file", "session")])
+def test_recordings_without_labels_objects_and_poses_make_pairs(columns, scenes, tmp_path, capsys):
+    """Their images tell contact: each as against the others of its round, or of all rounds of one image."""
+    rng, home = np.random.default_rng(5), tmp_path / "home"
+    home.mkdir()
+    lines = []
+    for number in range(12):
+        pixels = np.full((24, 32, 3), 90, np.uint8)
+        if number % 3 == 0:  # a third of them shows contact, so that the median is the gel at rest
+            pixels[6:18, 8:24] = rng.integers(150, 256, (12, 16, 3))
+        (home / f"{number:02d}.png").write_bytes(png_bytes(pixels))
+        lines.append({"file": f"{number:02d}.png", "label": 1, "session": f"s{number // 6}"})
+    write_table(home, [{name: each[name] for name in columns} for each in lines])
+    round_column = "session" if "session" in columns else None
+    realtouch.import_images(home, tmp_path / "own", "folder", realtouch.ImportColumns(round=round_column))
+    words = ("pairs", scenes, "--real", tmp_path / "own", "--split", "train", "--size", "32x32", "-w", 1)
+    words += ("--min-height-mm", 4, "--without-contact", 0)
+    assert call("tactile-sim", *words, "--count", 4, "--out", tmp_path / "o") == 0
+    real = Pairs.open(str(tmp_path / "o")).real
+    assert real.contact.all()
+    assert set(real.labels.tolist()) == {1 if "label" in columns else -1}
+    assert set(real.object_ids.tolist()) == {-1}
+    assert min(real.image(row).max() for row in range(4)) > 150
+    assert call("tactile-sim", *words, "--count", 5, "--out", tmp_path / "p") == 2
+    found = "holds 4 touches with contact and 8 without, as their images show; expected at least 5"
+    assert found in capsys.readouterr().err
+    assert not (tmp_path / "p").exists()
 
 
 def test_a_sheet_takes_rows_of_any_lengths():

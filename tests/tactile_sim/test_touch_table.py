@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zipfile
 
 import numpy as np
@@ -49,6 +50,42 @@ def test_files_of_all_kinds_hold_the_same(suffix, tmp_path):
     assert places.tolist() == [[-0.02, 0.01], [0.03, 0.0]]
     assert lies.tolist() == [[0.001, 0.0, 0.5], [0.002, -0.001, -0.5]]
     assert [len(read.of(*key)[0]) for key in ((0, 0), (0, 1), (1, 0), (7, 0))] == [1, 0, 1, 0]
+
+
+def test_columns_state_their_units_and_an_index_is_no_column(tmp_path):
+    scales = {"x_m": ("x_mm", 1e3), "y_m": ("y_cm", 1e2), "object_turn_rad": ("object_turn_deg", 180 / np.pi)}
+    table = {"": [0, 1, 2, 3]}
+    for name, values in TABLE.items():
+        other, scale = scales.get(name, (name, 1))
+        table[other] = [scale * value for value in values]
+    made = tactile_sim.TouchTable(**TABLE)
+    text = _write(tmp_path, ".csv", table).read_text()
+    written = {
+        "comma": text,
+        "tab": text.replace(",", "\t"),
+        "excel": text.replace(",", ";").replace(".", ","),
+    }
+    for name, content in written.items():
+        for encoding in ("utf-8", "utf-8-sig", "utf-16"):
+            file = tmp_path / f"{name}.CSV"
+            file.write_bytes(content.encode(encoding))
+            read = tactile_sim.TouchTable.read(file)
+            for column in TABLE:
+                np.testing.assert_allclose(
+                    getattr(read, column), getattr(made, column), rtol=1e-12, atol=1e-15
+                )
+    for wrong in ({"x_mm": [1.0], "x_m": [0.001], "y_m": [0.0]}, {"x_deg": [1.0], "y_m": [0.0]}, {"": [1]}):
+        with pytest.raises(InputError, match="expected x_m, y_m"):
+            tactile_sim.TouchTable.read(_write(tmp_path, ".csv", wrong))
+    with pytest.raises(InputError, match=r"column x_m of the given touches is 0\.1 in row 0"):
+        tactile_sim.TouchTable.read(_write(tmp_path, ".csv", {"x_mm": [100.0], "y_mm": [0.0]}))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_pipe_is_no_table(tmp_path):
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(InputError, match="is not a file"):
+        tactile_sim.TouchTable.read(tmp_path / "pipe.csv")
 
 
 def test_a_round_is_made_of_what_is_given():
