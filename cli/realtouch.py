@@ -362,7 +362,7 @@ def import_touches(
     ),
     out: str = out_folder(),
     columns: ImportColumns,
-    table: str | None = text(metavar="FILE", help="The table; by default the only CSV file in the folder."),
+    table: str | None = text(metavar="FILE", help="Path of the table; by default the only CSV file in DIR."),
     classes: list[str] | None = text(
         metavar="A,B", read=listed, help="Names of the classes, in order; by default those found."
     ),
@@ -393,9 +393,14 @@ def import_touches(
 def _print_imported(
     sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, _elapsed_s: float | None
 ) -> None:
-    from realtouch.exchange.api import NOT_IMPORTED
+    from realtouch.exchange.api import CONVERSION, NOT_IMPORTED
     from tactile_toolkit.store.shards import add_up
 
+    options = manifest.spec["options"]
+    if CONVERSION in options:
+        sink.info(f"the images were converted without loss: {options[CONVERSION]}")
+    if not options["classes"]:
+        sink.info("no classes are known (--label-column names their column): the label of all is -1")
     skipped = [item for record in manifest.shards for item in record.skipped]
     for item in skipped[:_SKIPPED_SHOWN]:
         sink.info(f"left out: {item.message} ({item.reason})")

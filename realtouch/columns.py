@@ -441,8 +441,13 @@ class TouchRow(Row):
             raise self.damaged(name, f"the value is {value}; expected an integer of 0 or more, below 2**63")
         return int(value)
 
-    def label_value(self, names: Sequence[str] | None) -> int:
-        """Return the class; IntegrityError where it is not one of the classes, if those are named."""
+    def label_value(self, names: Sequence[str] | None = None) -> int:
+        """Return the class, -1 where it is not known, as `datasets` has it.
+
+        Raises IntegrityError where it is not one of the classes, if those are named.
+        """
+        if self.plain_value("label") == -1:
+            return -1
         label = self.int_value("label")
         if names is not None and label >= len(names):
             limit = f"expected less than {len(names)}, the number of named classes"

@@ -603,7 +603,8 @@ def dataset_of(
     skipped: Sequence[tuple[int | None, Damage]] = (),
 ) -> TouchSeqDataset | TouchSingleDataset:
     """Return the data set of some shards of one kind: of all rows, or those that are not skipped."""
-    names = stated_class_names(shards) or CLASS_NAMES
+    stated = stated_class_names(shards)
+    names = CLASS_NAMES if stated is None else stated
     is_seq = kind_of(shards[0].schema, shards[0].path) == "seq"
     dataset = TouchSeqDataset if is_seq else TouchSingleDataset
     return dataset(ShardedTable(tuple(shards)), rows, names, skipped)

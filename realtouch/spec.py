@@ -7,12 +7,15 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from tactile_toolkit.catalog.spec import ONE_SPLIT
-from tactile_toolkit.checked_fields import choice, integer, text
+from tactile_toolkit.checked_fields import check_fields, choice, integer, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.units import PER_METRE, length_per_metre
 from tactile_toolkit.wording import listed
 
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
+FOTA_POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
+_LENGTHS = 3  # of these, the first so many are lengths
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +24,9 @@ class ImportColumns:
 
     What is not named is read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
     write, where the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
-    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``. An empty text or tuple stands for no column.
+    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``; or the pose from those of FoTa, ``x_mm`` to
+    ``quat_w``. An empty text or tuple stands for no column. A length is in the unit in which the name of its
+    column ends (``_mm``, ``_cm`` or ``_m``), else in ``length_unit``.
 
     Attributes
     ----------
@@ -29,17 +34,21 @@ class ImportColumns:
         Path of the image below the folder; for WebDataset, its file extension, or None for the first image of
         a sample; for a replay buffer, its array of pixels.
     label : str or None
-        Class: a number, or a name.
+        Class: a number, or a name. Without such a column all touches have the label -1 and no class.
     round : str or None
         Which touches belong together; without it each is a round of its own.
     object_id : str or None
         Number of the touched object, an integer.
     position : tuple of str or None
-        x and y of the intended position, metres, cell frame; or one field that holds both.
+        x and y of the intended position, cell frame; or one field that holds both.
     pose : tuple of str or None
-        Position and quaternion (x, y, z, w) of the gel, metres, cell frame: seven, or one field with all.
+        Position and quaternion of the gel, cell frame: seven, or one field with all.
     split : str or None
         Split of each touch.
+    length_unit : "mm", "cm" or "m", optional
+        Unit of lengths whose columns do not state theirs; metres by default.
+    quaternion_order : "xyzw" or "wxyz", optional
+        Order of the last four of a pose; ``"xyzw"`` by default.
     """
 
     image: str | None = text(
@@ -63,17 +72,28 @@ class ImportColumns:
         name="--position-columns",
         metavar="X,Y",
         read=listed,
-        help="Columns of the intended position, in m, cell frame.",
+        help="Columns of the intended position, cell frame.",
     )
     pose: tuple[str, ...] | None = text(
         name="--pose-columns",
         metavar="X,Y,Z,QX,QY,QZ,QW",
         read=listed,
-        help="Columns of the pose of the gel, in m, cell frame; or one column of lists.",
+        help="Columns of the pose of the gel, cell frame; or one column of lists.",
     )
     split: str | None = text(name="--split-column", metavar="NAME", help="Column of the split.")
+    length_unit: str | None = choice(
+        None,
+        tuple(PER_METRE),
+        optional=True,
+        shown="m",
+        help="Unit of lengths whose columns do not end in _mm, _cm or _m.",
+    )
+    quaternion_order: str | None = choice(
+        None, ("xyzw", "wxyz"), optional=True, shown="xyzw", help="Order of the last four columns of a pose."
+    )
 
     def __post_init__(self) -> None:
+        check_fields(self, "the columns")
         for what, chosen, count in (("position", self.position, 2), ("pose", self.pose, 7)):
             names = chosen or ()
             if len(names) not in (0, 1, count):
@@ -81,21 +101,42 @@ class ImportColumns:
                     f"{len(names)} {what} columns ({', '.join(names)}); expected {count}, or one that holds "
                     f"a list of {count}"
                 )
+            self.per_metre(names, count)
+        order = "".join(name[-1:].lower() for name in (self.pose or ())[_LENGTHS:])
+        if sorted(order) == sorted("wxyz") and order != self.order:
+            raise InputError(
+                f"the columns of the quaternion are {', '.join((self.pose or ())[_LENGTHS:])}; expected the "
+                f"order {', '.join(self.order)}",
+                next="name them in that order, or add --quaternion-order wxyz",
+            )
+
+    @property
+    def order(self) -> str:
+        """Order of the quaternion: ``"xyzw"`` or ``"wxyz"``."""
+        return self.quaternion_order or "xyzw"
+
+    def per_metre(self, names: tuple[str, ...], count: int) -> tuple[float, ...]:
+        """Return by what each of so many values in some columns is divided; InputError for another unit."""
+        lengths = min(count, _LENGTHS)
+        units = [length_per_metre(name, self.length_unit) for name in names[:lengths]]
+        whole = units * lengths if len(names) == 1 else units
+        return (*whole, *[1.0] * (count - len(whole)))
 
     def found_in(self, known: Collection[str]) -> ImportColumns:
         """Return these columns and, where none was named, those of our own exports among the known ones."""
 
-        def ours(chosen: Any, *names: str) -> Any:
-            found = (names if names[1:] else names[0]) if {*names} <= {*known} else None
-            return found if chosen is None else chosen
+        def ours(chosen: Any, *several: str | tuple[str, ...]) -> Any:
+            """Return what was chosen, or the first of several, a column or some of them, that is known."""
+            found = (each for each in several if {*([each] if isinstance(each, str) else each)} <= {*known})
+            return next(found, None) if chosen is None else chosen
 
         return replace(
             self,
-            label=ours(self.label, "label_name") or "label",
+            label=ours(self.label, "label_name", "label"),
             round=ours(self.round, "round_id"),
             object_id=ours(self.object_id, "object_id"),
-            position=ours(self.position, *POSITION_COLUMNS),
-            pose=ours(self.pose, *POSE_COLUMNS),
+            position=ours(self.position, POSITION_COLUMNS),
+            pose=ours(self.pose, POSE_COLUMNS, FOTA_POSE_COLUMNS),
             split=ours(self.split, "split"),
         )
 

@@ -32,6 +32,7 @@ from realtouch.contact import (
     difference,
     require_method,
 )
+from realtouch.convert.file_names import file_stem
 from realtouch.convert.plan import (
     Conversion,
     JobOptions,
@@ -68,7 +69,6 @@ from tactile_toolkit.read.columns import class_names, column_types
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import sha256_hex
 from tactile_toolkit.touch.contact import height_text
 from tactile_toolkit.touch.jpeg import (
@@ -332,8 +332,9 @@ def frames(
     Returns
     -------
     Manifest
-        Each file is named in ``index.csv`` with its checksum, label, position and pose. A round whose id is
-        no file name, or stands in a round before it, is left out like a damaged one.
+        Each file is named in ``index.csv`` with its checksum, label, position and pose. Whatever in an id is
+        not a letter, a digit, ``-`` or ``_`` is escaped in names of files, as in addresses. A round whose
+        id stands in a round before it is left out like a damaged one.
 
     Raises
     ------
@@ -564,10 +565,10 @@ _INDEX_SCHEMA = pa.schema(
 
 def columns_of_touches(row: TouchRow, shown: Sequence[Shown], names: Sequence[str]) -> dict[str, Any]:
     """Return what a table says of the touches of a round, by column; only of what the source stores."""
-    label, count = row.int_value("label"), len(shown)
+    label, count = row.label_value(), len(shown)
     columns: dict[str, Any] = {
         "label": np.full(count, label),
-        "label_name": [names[label] if label < len(names) else None] * count,
+        "label_name": [dict(enumerate(names)).get(label)] * count,
         "round_id": [str(row.plain_value("id"))] * count,
         "touch": np.arange(count),
         "frame": [each.frame for each in shown],
@@ -603,10 +604,9 @@ class WritePictures:
     def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Return the lines of the index of a row, and its pictures.
 
-        A row with a damaged touch, or whose id cannot name a folder of its own, is left out with all of its
-        pictures.
+        A row with a damaged touch is left out with all of its pictures.
         """
-        name = _folder_name(row)
+        name = file_stem(str(row.plain_value("id")))
         shown = list(shown_touches(row, self.method))
         base = None
         if self.difference is not None and row.has("sensor_image") and shown:
@@ -631,16 +631,6 @@ class WritePictures:
         if self.kind == "jpeg" and stored[:2] == _JPEG_START:
             return bytes(stored)
         return encode_image(pixels, self.kind)
-
-
-def _folder_name(row: TouchRow) -> str:
-    """Return the id of a round as the name of its folder: one that leads nowhere else on any system."""
-    name = str(row.plain_value("id"))
-    problem = "has slashes" if "/" in name else problem_of_name(name)
-    if problem:
-        shown = name if len(name) <= 80 else f"{name[:80]}..."
-        raise row.damaged("id", f"{shown!r} cannot name a folder: it {problem}")
-    return name
 
 
 def write_index(folder: DataFolder, manifest: Manifest) -> dict[str, str]:

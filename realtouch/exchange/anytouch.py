@@ -12,14 +12,17 @@ from itertools import groupby
 
 import pyarrow as pa
 
+from realtouch.convert.file_names import file_stem, id_of_stem
 from realtouch.convert.plan import Made, with_files, write_changed
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
-from realtouch.exchange.items import HERE, Item, as_jpeg, background_of, size_below
+from realtouch.exchange.items import Item, as_jpeg, background_of, open_source, path_of, source_of
 from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.inside import size_inside
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER, _IMAGES, _FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
@@ -30,12 +33,14 @@ _LEFT_OUT = "-1"
 
 def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
     """Return the touches of each round as numbered images, and their median as the background."""
+    if (rows["label"].to_numpy() < 0).any():
+        raise InputError("touches without a class; in this format the label -1 leaves an image out")
     files: dict[str, bytes] = {}
     paths: list[str] = []
     backgrounds: list[str] = []
     stored = zip(rows["round_id"].to_pylist(), rows["touch"].to_pylist(), rows[IMAGE], strict=True)
     for name, touches in groupby(stored, key=lambda each: each[0]):
-        home = f"{_FOLDER}/{_IMAGES}/{shard.split}-{name}/{_FRAMES}"
+        home = f"{_FOLDER}/{_IMAGES}/{shard.split}-{file_stem(name)}/{_FRAMES}"
         images = {f"{home}/{touch:010d}.jpg": as_jpeg(image.as_py()["bytes"]) for _, touch, image in touches}
         background = f"{home}/{_BACKGROUND}"
         files |= {**images, background: background_of(list(images.values()), list(images))}
@@ -62,22 +67,26 @@ plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_lists)
 
 def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each line of the lists (or one, by its name); of a file that is not there, why."""
-    lists = [name for name in home.sizes() if name.endswith(_LIST_END) and table in (None, name)]
+    found = [(home, name) for name in home.sizes() if name.endswith(_LIST_END) and not is_hidden(name)]
+    lists = found if table is None else [source_of(table)]
     if not lists:
-        raise InputError(f"{home.address()!r} holds no lists (*{_LIST_END}){f' {table!r}' if table else ''}")
+        raise InputError(f"{home.address()!r} holds no lists (*{_LIST_END})")
     sizes = cache(home.sizes)
-    for each in lists:
-        for line in home.read_bytes(each).decode(errors="replace").splitlines():
+    for place, each in lists:
+        with open_source(place, each) as stream:
+            content = stream.read().decode(errors="replace")
+        for line in content.splitlines():
             image, _, rest = line.partition(",")
-            folder, _, base = HERE.sub("", image.strip()).rpartition("/")
+            folder, _, base = path_of(image).rpartition("/")
             label = rest.partition(",")[0].strip()
             name = f"{_IMAGES}/{folder}/{_FRAMES}/{base}"
             problem, size, split = None, 0, each.removesuffix(_LIST_END)
             try:
                 if label == _LEFT_OUT:
                     raise ItemError("label", "the list leaves it out: its label is -1")
-                size = size_below(home, name, sizes)
+                size = size_inside(home, name, sizes)
             except ItemError as error:
                 problem = error
-            values = {"label": label, "round_id": folder.removeprefix(f"{split}-"), "split": split}
-            yield Item(name, f"{home.address()}/{name}", 0, size, values, problem)
+            round_id = id_of_stem(folder.removeprefix(f"{split}-"))
+            values = {"label": label, "round_id": round_id, "split": split}
+            yield Item(name, home.address(), name, 0, size, values, problem)

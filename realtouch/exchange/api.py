@@ -13,7 +13,6 @@ import re
 import struct
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import asdict, dataclass
 from importlib import import_module
 from itertools import groupby
@@ -22,24 +21,34 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any, Literal, Unpack, get_args
 
-import numpy as np
 import pyarrow as pa
 
 from realtouch.card import write_card
 from realtouch.contact import require_method
 from realtouch.convert.plan import Conversion, JobOptions, Source, convert, first_rows
-from realtouch.exchange.items import NUMBERED, Item, contents_of, require_intact
+from realtouch.exchange.fields import (
+    NUMBERED,
+    UNKNOWN,
+    integer_text,
+    label_of,
+    object_of,
+    pose_of,
+    position_of,
+    shown,
+    text_of,
+)
+from realtouch.exchange.items import Item, ReadContents, common_size, contents_of, require_intact
 from realtouch.kind import KIND
-from realtouch.poses import bad_pose
 from realtouch.spec import ImportColumns
 from tactile_toolkit.catalog.locate import refuse_source
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.places.place import Name, Place
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.build import RunOptions, build
-from tactile_toolkit.store.folder import DataFolder, split_uri
+from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import BuildPlan
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
 from tactile_toolkit.store.shards import ShardName, Skipped
 from tactile_toolkit.store.task import ShardContent, ShardTask
@@ -114,12 +123,14 @@ def export(
 NOT_IMPORTED = "not_imported"
 """What the statistics call the fields of the source that were not imported: touches that had one, by name."""
 
+CONVERSION = "images_were"
+"""What the options of an import say of images that were not taken as they are."""
+
 _SPLIT = re.compile(r"\w+")
 _OUR_TAR = re.compile(r"(\w+)-[0-9]{6}\.tar")
-_NUMBER = re.compile(r"(0|[1-9][0-9]*)(?:\.0+)?")
+_INTEGER = re.compile(r"0|[1-9][0-9]{0,3}")
 _UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
 _LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
-_LONGEST_SHOWN = 80  # letters of a value that a message repeats
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
 _SHARD_BYTES = 256 << 20
@@ -161,9 +172,10 @@ def import_images(
     columns : ImportColumns, optional
         The meaning of columns; those of exports of this toolkit are found by their names.
     table : str, optional
-        The table, below the folder; by default the only CSV file there.
+        Path of the table; by default the only CSV file in the folder.
     classes : sequence of str, optional
-        Names of the classes in order; by default those in the data, or the numbers from 0 to at least 9.
+        Names of the classes in order; by default those in the data, or the numbers from 0 to at least 9;
+        none, and labels of -1, where nothing is known of classes.
     split : str, optional
         Split of touches where no column states it; by default that of a tar called ``test-000000.tar``, else
         ``train``.
@@ -202,12 +214,13 @@ def import_images(
 def _items(home: DataFolder, layout: str, columns: ImportColumns, table: str | None) -> list[Item]:
     """Read what a folder holds: of an export of ours below the name of the format, and in all splits."""
     folders = [DataFolder(home.address(layout)) if layout in home.entries() else home]
-    splits = [name for name, size in folders[0].entries().items() if size is None]
-    if layout in _SPLIT_FOLDERS and splits and not folders[0].sizes():
+    found = {name: size for name, size in folders[0].entries().items() if not is_hidden(name)}
+    splits = [name for name, size in found.items() if size is None]
+    if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
         folders = [DataFolder(folders[0].address(split)) for split in splits]
     read = format_of(layout, get_args(ImportLayout)).items
-    found = (item for folder in folders for item in read(folder, columns, table))
-    items = [item.used(number, columns) for number, item in enumerate(found)]
+    every = (item for folder in folders for item in read(folder, columns, table))
+    items = [item.used(number, columns) for number, item in enumerate(every)]
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected images")
     return items
@@ -218,17 +231,12 @@ def _plan(
 ) -> BuildPlan:
     """Divide the touches into splits, rounds and shards. InputError where nothing can be imported."""
     names = classes or _class_names(items, columns.label)
-    if len(set(map(_integer_text, classes))) < len(classes):
+    if len(set(map(integer_text, classes))) < len(classes):
         raise InputError(f"the classes are {', '.join(names)}; expected each once")
     rounds = _rounds(items, columns, split)
-    size: tuple[int, int] | None = None
-    for content in _images(items, layout):
-        with suppress(ValueError):
-            size = require_intact(content) if isinstance(content, bytes) else None
-        if size is not None:
-            break
-    held = Counter(item.path for item in items)
-    versions = {path: _version(path) for path, count in held.items() if count > 1}
+    size = common_size(items, _reader(layout))
+    held = Counter(map(_file_of, items))
+    versions = {file: _version(file) for file, count in held.items() if count > 1}
     work = _ImportTouches(layout, columns, names, size, _schema(columns, names), versions)
     tasks: list[ShardTask[NamedItem]] = []
     for each, found in rounds.items():
@@ -243,6 +251,7 @@ def _plan(
             "columns": {key: value for key, value in asdict(columns).items() if value},
             "classes": list(names),
             "image_size": None if size is None else [size[1], size[0]],
+            **_conversion_of(items, layout),
         },
         "source": {
             each: [{"file": "images", "rows": sum(map(len, found.values()))}]
@@ -284,11 +293,14 @@ def _class_names(items: Sequence[Item], column: str | None) -> tuple[str, ...]:
     """Return the classes in the data: numbers count from 0, ten at least; names stay as they are."""
     numbered: dict[str, str] = {}  # our exports have name and number, which keeps the order
     for item in items:
-        number = "" if column == NUMBERED else _text(item.values, NUMBERED)
-        numbered.setdefault(_text(item.values, column), number if number.isdecimal() else "")
-    numbered.pop("", None)
-    matches = [_NUMBER.fullmatch(name) for name in numbered]
-    numbers = [int(match[1]) for match in matches if match is not None and len(match[1]) < 5]
+        number = "" if column == NUMBERED else text_of(item.values, NUMBERED)
+        numbered.setdefault(text_of(item.values, column), number if number.isdecimal() else "")
+    for unknown in ("", *UNKNOWN):
+        numbered.pop(unknown, None)
+    if not numbered:  # of a recording without classes
+        return ()
+    texts = list(map(integer_text, numbered))
+    numbers = [int(text) for text in texts if _INTEGER.fullmatch(text)]
     if len(numbers) == len(numbered):
         return tuple(map(str, range(max([len(CLASS_NAMES), *(number + 1 for number in numbers)]))))
     return tuple(sorted(numbered, key=lambda name: (len(numbered[name]), numbered[name], name)))
@@ -300,33 +312,37 @@ def _rounds(
     """Return the touches of each round of each split, in order; a touch without a round is one."""
     found: dict[str, dict[str, list[Item]]] = {}
     home: dict[str, str] = {}
-    named = {_text(item.values, columns.round) for item in items}
+    named = {text_of(item.values, columns.round) for item in items}
     for item in items:
         tar = _OUR_TAR.fullmatch(item.path.rpartition("/")[2])
-        part = _text(item.values, columns.split) or split or (tar[1] if tar is not None else "train")
+        part = text_of(item.values, columns.split) or split or (tar[1] if tar is not None else "train")
         if not _SPLIT.fullmatch(part):
-            raise InputError(
-                f"{item.name!r}: the split {part[:_LONGEST_SHOWN]!r}; expected letters and digits"
-            )
-        name = _text(item.values, columns.round)
+            raise InputError(f"{item.name!r}: the split {shown(part)!r}; expected letters and digits")
+        name = text_of(item.values, columns.round)
         if not name:
             name = _UNNAMED.sub("_", item.name.rpartition(".")[0] or item.name)[-_LONGEST_ID:]
             while name in home or name in named:
                 name = f"{name}_{item.number}"
         if home.setdefault(name, part) != part:
             raise InputError(
-                f"{item.name!r}: round {name[:_LONGEST_SHOWN]!r} lies in the splits {home[name]!r} and "
+                f"{item.name!r}: round {shown(name)!r} lies in the splits {home[name]!r} and "
                 f"{part!r}; expected each round in one"
             )
         found.setdefault(part, {}).setdefault(name, []).append(item)
     return found
 
 
-def _images(items: Iterable[Item], layout: str) -> Iterator[bytes | Exception]:
-    """Yield the bytes of the images of all items without a problem, in order, or why one cannot be read."""
-    read = getattr(format_of(layout, get_args(ImportLayout)), "contents", contents_of)
-    found: Iterator[bytes | Exception] = read(item for item in items if item.problem is None)
+def _reader(layout: str) -> ReadContents:
+    """Return what yields the bytes of the images of items, in order, or why one cannot be read."""
+    found: ReadContents = getattr(format_of(layout, get_args(ImportLayout)), "contents", contents_of)
     return found
+
+
+def _conversion_of(items: Sequence[Item], layout: str) -> dict[str, str]:
+    """Return, for the specification, what is done to the images before they are stored, if anything."""
+    describe = getattr(format_of(layout, get_args(ImportLayout)), "conversion", None)
+    words = "" if describe is None else describe(items)
+    return {CONVERSION: words} if words else {}
 
 
 def _schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
@@ -344,16 +360,20 @@ def _schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
     return with_features(pa.schema(fields), names)
 
 
-def _version(path: str) -> tuple[object, ...] | None:
-    """Return what changes whenever a file is replaced; ``#`` ends its name where an array of it is meant."""
-    folder, name = split_uri(path.partition("#")[0])
-    return folder.version(name)
+def _file_of(item: Item) -> tuple[str, str]:
+    return item.home, item.path
 
 
-def _noted(contents: Iterable[bytes | Exception], digest: Any) -> Iterator[bytes | Exception]:
+def _version(file: tuple[str, str]) -> tuple[object, ...] | None:
+    """Return what changes whenever a file, by folder and path, is replaced."""
+    folder, path = file
+    return DataFolder(folder).version(path)
+
+
+def _noted(contents: Iterable[bytes | ItemError], digest: Any) -> Iterator[bytes | ItemError]:
     """Yield contents, and add each to a digest."""
     for content in contents:
-        if isinstance(content, Exception):
+        if isinstance(content, ItemError):
             digest.update(b"unreadable\n")
         else:
             digest.update(b"%d\n" % len(content))
@@ -373,12 +393,15 @@ class _ImportTouches:
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
-    versions: Mapping[str, tuple[object, ...] | None]
+    versions: Mapping[tuple[str, str], tuple[object, ...] | None]
+
+    def _contents(self, touches: Sequence[NamedItem]) -> Iterator[bytes | ItemError]:
+        return _reader(self.layout)(item for _, item in touches if item.problem is None)
 
     def digest(self, touches: Sequence[NamedItem]) -> str:
         """Read the images of touches and return the checksum of all."""
         found = hashlib.sha256()
-        deque(_noted(_images((item for _, item in touches), self.layout), found), maxlen=0)
+        deque(_noted(self._contents(touches), found), maxlen=0)
         return found.hexdigest()
 
     def __call__(self, shard: ShardName, touches: Sequence[NamedItem]) -> ShardContent:
@@ -388,7 +411,7 @@ class _ImportTouches:
         used |= {NUMBERED} if self.columns.label == f"{NUMBERED}_name" else set()
         others = Counter[str]()
         digest = hashlib.sha256()
-        contents = _noted(_images((item for _, item in touches), self.layout), digest)
+        contents = _noted(self._contents(touches), digest)
         for name, of_round in groupby(touches, key=itemgetter(0)):
             made: list[dict[str, Any]] = []
             for _, item in of_round:
@@ -403,42 +426,30 @@ class _ImportTouches:
             if made:
                 of_touch = {each: [touch[each] for touch in made] for each in made[0]}
                 rows.append({"id": name, **of_touch, **{each: made[0][each] for each in _OF_ROUND}})
-        for path in self.versions.keys() & {item.path for _, item in touches}:
-            if _version(path) != self.versions[path]:
+        for file in self.versions.keys() & {_file_of(item) for _, item in touches}:
+            if _version(file) != self.versions[file]:
                 problem = "was replaced or changed while it was imported: images would be taken for others"
-                raise IntegrityError(f"{path!r} {problem}", next="run the same command with --overwrite")
+                raise IntegrityError(
+                    f"{'/'.join(file)!r} {problem}", next="run the same command with --overwrite"
+                )
         counted = {printable(name): count for name, count in others.most_common(_MOST_FIELDS)}
         statistics = {NOT_IMPORTED: dict(sorted(counted.items()))} if counted else None
         table = pa.Table.from_pylist(rows, self.schema)
         return ShardContent(table, tuple(skipped), statistics=statistics, source_digest=digest.hexdigest())
 
-    def _touch(self, item: Item, contents: Iterator[bytes | Exception]) -> dict[str, Any]:
+    def _touch(self, item: Item, contents: Iterator[bytes | ItemError]) -> dict[str, Any]:
         """Return what the columns hold of a touch; ItemError where it cannot be used."""
         if item.problem is not None:
             raise item.problem
         image = next(contents)
-        if isinstance(image, Exception):
-            raise ItemError("image", str(image)) from image
+        if isinstance(image, ItemError):
+            raise image
         self._require_image(image)
-        values, columns = item.values, self.columns
-        label, object_id = _text(values, columns.label), 0
-        label = label if label in self.names else _integer_text(label)
-        if label not in self.names:
-            raise ItemError("label", f"the label {label[:_LONGEST_SHOWN]!r}; expected a class")
-        if columns.object_id:
-            text = _integer_text(_text(values, columns.object_id))
-            if not (text.isdecimal() and text.isascii() and len(text) < 19):
-                raise ItemError("object", f"the object {text[:_LONGEST_SHOWN]!r}; expected an integer")
-            object_id = int(text)
-        position = _numbers(values, columns.position, 2, "position")
-        pose = _numbers(values, columns.pose, 7, "pose")
-        wrong = bad_pose(np.array([pose[:3]]), np.array([pose[3:]])) if pose else None
-        if wrong is not None:
-            raise ItemError("pose", wrong[1])
+        pose = pose_of(item.values, self.columns)
         return {
-            "label": self.names.index(label),
-            "object_id": object_id,
-            "pos_in_cell": position,
+            "label": label_of(item.values, self.columns.label, self.names),
+            "object_id": object_of(item.values, self.columns.object_id),
+            "pos_in_cell": position_of(item.values, self.columns),
             f"{_POSE}.position": pose[:3],
             f"{_POSE}.quaternion": pose[3:],
             "sensor_image": {"bytes": image, "path": Path(item.name).name},
@@ -454,8 +465,8 @@ class _ImportTouches:
             problem = "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
             raise ItemError("image", problem)
         if self.image_size is not None and size != self.image_size:
-            (height, width), (first_height, first_width) = size, self.image_size
-            problem = f"{width} x {height} pixels; expected {first_width} x {first_height} as in the first"
+            (height, width), (common_height, common_width) = size, self.image_size
+            problem = f"{width} x {height} pixels; expected {common_width} x {common_height} as most images"
             raise ItemError("size", problem)
 
 
@@ -470,35 +481,3 @@ def _is_turned(image: bytes) -> bool:
             return opened.getexif().get(_ORIENTATION) in _TURNED
     except (OSError, SyntaxError, ValueError, TypeError, struct.error):
         return False  # such data turn nothing
-
-
-def _text(values: Mapping[str, Any], name: str | None) -> str:
-    """Return a value as text; nothing for what is none: JSON has NaN, lists and objects too."""
-    value = values.get(name) if name else None
-    is_none = value is None or value != value or isinstance(value, (list, dict))
-    return "" if is_none else str(value).strip()
-
-
-def _integer_text(text: str) -> str:
-    """Return ``"3"`` for ``"3.0"``: so tables have integers whose column has a gap."""
-    match = _NUMBER.fullmatch(text)
-    return text if match is None else match[1]
-
-
-def _numbers(
-    values: Mapping[str, Any], names: Sequence[str] | None, count: int, reason: str
-) -> tuple[float, ...]:
-    """Return the numbers of some columns, or of one that holds all of them; none for no columns."""
-    if not names:
-        return ()
-    found: Any = [values.get(name) for name in names]
-    if len(names) == 1:
-        found = found[0]
-        if isinstance(found, str):
-            found = found.replace(",", " ").strip("[]() ").split()
-    numbers: tuple[float, ...] = ()
-    with suppress(TypeError, ValueError, OverflowError):
-        numbers = tuple(float(value) for value in found)
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ItemError(reason, f"{str(found)[:_LONGEST_SHOWN]}; expected {count} finite numbers")
-    return numbers

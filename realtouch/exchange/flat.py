@@ -5,7 +5,6 @@ Formats whose unit is a touch pack these rows; of clips, a touch shows one frame
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -15,6 +14,7 @@ import pyarrow as pa
 from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod
 from realtouch.convert.api import columns_of_touches, shown_touches
+from realtouch.convert.file_names import file_stem
 from realtouch.convert.plan import (
     Choices,
     Conversion,
@@ -41,7 +41,6 @@ IMAGE = "image"
 _GROUP_BYTES = 32 << 20
 _FRAMES_PER_CLIP = 64  # about; how much smaller the image of a clip is than the clip
 _MOST_ROWS_PER_GROUP = 1 << 14
-_NAME = re.compile(r"[A-Za-z0-9_-]{1,80}")
 
 
 def plan(
@@ -106,9 +105,6 @@ class _Touches:
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)
         name = str(row.value("id"))
-        if _NAME.fullmatch(name) is None:
-            problem = f"{name[:80]!r} cannot name files; expected letters, digits, '-' and '_'"
-            raise row.damaged("id", problem)
         images: list[Any] = []
         for each in shown:
             images.append(each.stored)
@@ -116,5 +112,6 @@ class _Touches:
             with row.naming(MEDIA_COLUMN[row.kind], each.touch, where):
                 require_intact(images[-1])
         columns["id"] = [touch_id(name, each.touch) for each in shown]
-        columns[IMAGE] = image_column(images, columns["id"])
+        stem = file_stem(name)
+        columns[IMAGE] = image_column(images, [touch_id(stem, each.touch) for each in shown])
         return table_of(self.schema(row.group.table.schema), columns), {}

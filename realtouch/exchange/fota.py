@@ -7,9 +7,9 @@ Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm`
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import replace
 from functools import partial
+from pathlib import PurePath
 from typing import Any
 
 import pyarrow as pa
@@ -18,14 +18,13 @@ from realtouch.convert.plan import Made, checksums, with_files, write_changed
 from realtouch.exchange import webdataset
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
 from realtouch.exchange.items import Item, as_jpeg
-from realtouch.spec import POSE_COLUMNS, ImportColumns
+from realtouch.spec import FOTA_POSE_COLUMNS, POSE_COLUMNS, ImportColumns
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER = "fota"
-_POSE = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
 _LENGTHS = 3  # of these, the first so many are lengths
 _MM_PER_M = 1000.0
 
@@ -39,9 +38,10 @@ def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
             next="leave it out (`realtouch select`)",
         )
     index = rows.drop_columns([IMAGE])
+    images = [(PurePath(image["path"]).stem, as_jpeg(image["bytes"])) for image in rows[IMAGE].to_pylist()]
     samples = (
-        (f"{fields['id']}.jpg", as_jpeg(image.as_py()["bytes"]), {**fields, **_pose_mm(fields)})
-        for image, fields in zip(rows[IMAGE], index.to_pylist(), strict=True)
+        (f"{stem}.jpg", image, {**fields, **_pose_mm(fields)})
+        for (stem, image), fields in zip(images, index.to_pylist(), strict=True)
     )
     return with_files(
         index, {f"{_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": webdataset.tar_of(samples)}
@@ -52,9 +52,9 @@ def _pose_mm(fields: Mapping[str, Any]) -> dict[str, float]:
     """Return the pose of a touch by the names and in the units of the format; nothing without one."""
     if POSE_COLUMNS[0] not in fields:
         return {}
-    factors = [_MM_PER_M] * _LENGTHS + [1.0] * (len(_POSE) - _LENGTHS)
+    factors = [_MM_PER_M] * _LENGTHS + [1.0] * (len(POSE_COLUMNS) - _LENGTHS)
     values = (fields[name] * factor for name, factor in zip(POSE_COLUMNS, factors, strict=True))
-    return dict(zip(_POSE, values, strict=True))
+    return dict(zip(FOTA_POSE_COLUMNS, values, strict=True))
 
 
 def _write_counts(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
@@ -73,12 +73,4 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
     """Yield a touch for each sample of the tars of one split; the folder's name is that of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
     for item in webdataset.items(home, columns, table):
-        values = {"split": split, **item.values}
-        if set(_POSE) <= set(values) and POSE_COLUMNS[0] not in values:
-            for number, (theirs, ours) in enumerate(zip(_POSE, POSE_COLUMNS, strict=True)):
-                value = values.pop(theirs)
-                is_length = number < _LENGTHS and isinstance(value, (int, float))
-                with suppress(OverflowError):  # JSON has integers of any size, which are refused later
-                    value = value / _MM_PER_M if is_length else value
-                values[ours] = value
-        yield replace(item, values=values)
+        yield replace(item, values={"split": split, **item.values})

@@ -5,47 +5,50 @@ Stored images are checked, named, and encoded again only where they must be.
 
 from __future__ import annotations
 
-import csv
-import io
+import os
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import groupby
-from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
 
 from realtouch.contact import median_in_memory
+from realtouch.exchange.fields import NUMBERED
 from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.names import is_remote, problem_of_name
+from tactile_toolkit.store.inside import open_inside
+from tactile_toolkit.store.names import is_remote
+from tactile_toolkit.text_tables import table_lines
 from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES, Pixels, decode_image, encode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_TYPE
 from tactile_toolkit.wording import did_you_mean
 
-NUMBERED = "label"
-"""The field of our own exports that numbers the classes."""
-
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
-HERE = re.compile(r"^(?:\./+)+")
-"""What a path may begin with to no effect."""
+_HERE = re.compile(r"^(?:\./+)+")
 
 # Images of a store that are asked for at a time: each answer takes long, and they are small.
 _FAR_READERS = 16
+# Images that are looked at for the size of all, where they agree.
+_SIZES_SEEN = 32
 
 
 @dataclass(frozen=True, slots=True)
 class Item:
     """A touch to import: where its image is, its fields, and why it cannot be used, if so.
 
+    ``path`` is below ``home``, the address of the source; of a group of arrays, ``part`` names what is meant.
     ``fields`` names all fields of the source that have a value.
     """
 
     name: str
+    home: str
     path: str
     start: int
     size: int
@@ -53,6 +56,7 @@ class Item:
     problem: ItemError | None = None
     number: int = 0
     fields: tuple[str, ...] = field(default=(), repr=False)
+    part: str = ""
 
     def used(self, number: int, columns: ImportColumns) -> Item:
         """Return the item with its number among all, the names of its fields, and the values in use."""
@@ -71,47 +75,83 @@ class Item:
         return replace(self, number=number, values=values, problem=problem, fields=fields)
 
 
-def contents_of(items: Iterable[Item]) -> Iterator[bytes | Exception]:
+ReadContents = Callable[[Iterable[Item]], Iterator[bytes | ItemError]]
+"""Yields the bytes of the image of each item, in order, or why it cannot be read."""
+
+
+def common_size(items: Sequence[Item], read: ReadContents) -> tuple[int, int] | None:
+    """Return height and width of most images, the first of equals; None where none can be read.
+
+    All are looked at only where some, spread over all, differ: to read each twice takes long.
+    """
+    usable = [item for item in items if item.problem is None]
+    # The pictures of one array are of one size.
+    few = usable[:: max(1, len(usable) // _SIZES_SEEN)] if read is contents_of else usable[:1]
+    sizes = _sizes(few, read)
+    if len(sizes) > 1 or not sizes:
+        sizes = _sizes(usable, read)
+    return sizes.most_common(1)[0][0] if sizes else None
+
+
+def _sizes(items: Iterable[Item], read: ReadContents) -> Counter[tuple[int, int]]:
+    """Count the sizes of images; those that are not intact do not count."""
+    sizes = Counter[tuple[int, int]]()
+    for content in read(items):
+        if isinstance(content, bytes):
+            with suppress(ValueError):
+                sizes[require_intact(content)] += 1
+    return sizes
+
+
+def contents_of(items: Iterable[Item]) -> Iterator[bytes | ItemError]:
     """Yield the bytes of each image, in order, or why it cannot be read.
 
     A tar is opened once for all that follow each other in it.
     """
-    groups = [tuple(group) for _, group in groupby(items, key=lambda item: item.path)]
-    threads = _FAR_READERS if groups and is_remote(groups[0][0].path) else 1
+    groups = [tuple(group) for _, group in groupby(items, key=lambda item: (item.home, item.path))]
+    threads = _FAR_READERS if groups and is_remote(groups[0][0].home) else 1
     for found in in_threads(_contents, groups, threads):
         yield from found
 
 
-def _contents(items: Sequence[Item]) -> list[bytes | Exception]:
-    folder, name = split_uri(items[0].path)
-    found: list[bytes | Exception] = []
+def _contents(items: Sequence[Item]) -> list[bytes | ItemError]:
+    found: list[bytes | ItemError] = []
     try:
-        with folder.open(name) as stream:
+        with open_inside(DataFolder(items[0].home), items[0].path) as stream:
             for item in items:
                 stream.seek(item.start)
                 found.append(stream.read(item.size))
-    except (OSError, InputError) as error:
+    except ItemError as error:
         return [*found, *[error] * (len(items) - len(found))]
+    except (OSError, InputError):  # what they say differs between systems
+        unreadable = ItemError("image", "the file cannot be read")
+        return [*found, *[unreadable] * (len(items) - len(found))]
     return found
 
 
-def read_table(home: DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
+def path_of(text: str) -> str:
+    """Return the path that a table or tar names, with slashes: programs of Windows write backslashes."""
+    return _HERE.sub("", text.strip().replace("\\", "/"))
+
+
+def source_of(place: str) -> tuple[DataFolder, str]:
+    """Return the folder of a file that the user named, and its name there; it may be a link itself."""
+    return split_uri(place if is_remote(place) else os.path.realpath(place))
+
+
+def open_source(folder: DataFolder, name: str) -> IO[bytes]:
+    """Open a file of a source that holds many touches or what is known of them; InputError names it."""
+    try:
+        return open_inside(folder, name)
+    except ItemError as error:
+        raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
+
+
+def read_table(folder: DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
     """Return the columns and lines of a table; InputError where it cannot be read."""
-    path = home.address(name)
-    try:
-        text = home.read_bytes(name).decode("utf-8-sig")
-    except (IntegrityError, UnicodeDecodeError) as error:
-        raise InputError(
-            f"{path!r} cannot be read as UTF-8 text ({error}); expected a table with commas"
-        ) from error
-    lines = csv.DictReader(io.StringIO(text, newline=""), strict=True)
-    try:
-        return list(lines.fieldnames or ()), list(lines)
-    except csv.Error as error:
-        # Of a line that was not read it counts none; a quote that never ends reaches over all that follow.
-        raise InputError(
-            f"{path!r}, line {lines.line_num + 1}: {error}; expected a table with commas"
-        ) from error
+    with open_source(folder, name) as stream:
+        content = stream.read()
+    return table_lines(content, folder.address(name))
 
 
 def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
@@ -127,31 +167,6 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
             )
 
 
-def size_below(home: DataFolder, name: str, sizes: Callable[[str], Mapping[str, int]]) -> int:
-    """Return the size of a file below a folder; ItemError where there is none, or its name leads elsewhere.
-
-    ``sizes`` lists a folder of a store, such as ``functools.cache(home.sizes)``.
-    """
-    words = problem_of_name(name)
-    if words:
-        raise ItemError("name", f"the name {words}; expected a path below the folder")
-    if not home.is_local:
-        folder, _, base = name.rpartition("/")
-        size = sizes(folder).get(base)
-    else:
-        path = Path(home.address(name))
-        try:
-            is_below = path.resolve().is_relative_to(Path(home.address()).resolve())
-        except (OSError, RuntimeError):  # links in a circle
-            is_below = False
-        if not is_below:
-            raise ItemError("name", "a link leads out of the folder; expected a path below it")
-        size = path.stat().st_size if path.is_file() else None
-    if size is None:
-        raise ItemError("missing", "the file does not exist")
-    return size
-
-
 _JPEG = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
 
@@ -159,16 +174,20 @@ _JPEG_END = b"\xff\xd9"
 def require_intact(data: bytes | memoryview) -> tuple[int, int]:
     """Return height and width of an image that begins and ends as an intact one does.
 
-    The pixels of a JPEG are not decoded: that alone would take longer than all other work. Raises ValueError.
+    The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
+    mark of its end: cameras send whole buffers, and encoders of clips fill up to even lengths. Raises
+    ValueError.
     """
     size = image_size(data)
     if data[:2] != _JPEG:
         decode_image(data)
-    # Encoders of clips fill up to even lengths.
     elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
-        raise ValueError(
-            f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
-        )
+        try:
+            decode_image(data)
+        except ValueError as error:
+            raise ValueError(
+                f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
+            ) from error
     return size
 
 

@@ -60,6 +60,8 @@ def plan(source: Source, choices: Choices, method: ContactMethod, options: Mappi
     # Numbers of the first episode and frame of each shard, and of one more.
     starts = ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist()
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
+    if (dataset_of(source.shards[split]).labels < 0).any():
+        tasks += ("touch an object",)  # the last, as -1 counts from the end
     image_bytes = source.media_bytes() if source.kind == "single" else source.media_bytes() // 64 or 1
     return Conversion(
         source,
@@ -127,11 +129,11 @@ class _PackEpisodes:
         for name, values in (
             ("episode_index", np.repeat(episodes, lengths)),
             ("index", firsts[:1] + np.arange(len(rows))),
-            ("task_index", rows["label"].to_numpy()),
+            ("task_index", rows["label"].to_numpy() % len(self.tasks)),
         ):
             frames = frames.append_column(name, pa.array(values, pa.int64()))
         # What `datasets` makes of the columns; a class is a number here.
-        frames = frames.cast(with_features(frames.schema, ()))
+        frames = frames.cast(with_features(frames.schema, None))
         labels = rows["label"].to_numpy()[starts]
         chunk, number = divmod(shard.index, FILES_PER_CHUNK)
         place = f"chunk-{chunk:03d}/file-{number:03d}.parquet"

@@ -2,21 +2,24 @@
 
 Facts of the format (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
 length along time, ``meta/episode_ends`` the number of the frame behind each episode; images are pixels. What
-the buffer is made of stays in ``data``: a row a frame, its image as it was stored. Writing needs no package;
-buffers of others, whose compressors are many, are read by Zarr itself. ``.zgroup`` and ``.zarray`` are JSON;
-a chunk is a file named by its number along each axis.
+the buffer is made of stays in ``data``: a row a frame, its image as it was stored. ``.zgroup`` and
+``.zarray`` are JSON; a chunk is a file named by its number along each axis. Ids of rounds and names of
+classes, for which the format has no place, are attributes of ``meta``; they mark the buffer as ours, so that
+its ``state`` is known to be a pose.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 import shutil
 import tempfile
 import zipfile
 import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import IO, Any, Self
 
 import numpy as np
@@ -27,19 +30,29 @@ from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import Choices, Conversion, Source
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
-from realtouch.exchange.items import Item, decoded
+from realtouch.exchange.fields import NUMBERED
+from realtouch.exchange.items import Item, decoded, source_of
+from realtouch.exchange.picture_arrays import PictureArray
+from realtouch.exchange.zarr_arrays import ZarrArray, ZarrGroup
+from realtouch.rounds import touch_id
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
-from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.parquet import is_unchanged
 from tactile_toolkit.touch.jpeg import encode_image
 
 _FOLDER = "replay"
 _FILE = f"{_FOLDER}/touches.zarr.zip"
 _PIXELS = "data/tactile"
+_ENDS, _ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
+_IDS, _CLASSES = "round_ids", "class_names"  # attributes of ``meta`` in what is written here
 _ARRAYS = {STATE: "state", ACTION: "action", TIME: "time_s", "label": "label", "object_id": "object_id"}
+_OUR_ARRAYS = {"state": POSE_COLUMNS, "action": POSITION_COLUMNS}
+_ENDINGS = (".zarr", ".zarr.zip")
+_ENDS_SHOWN = 8
 _CHUNK_BYTES = 2 << 20
 _IN_MEMORY_BYTES = 64 << 20
 
@@ -48,7 +61,7 @@ def plan(source: Source, choices: Choices, method: ContactMethod, options: Mappi
     """Plan a replay buffer; reads footers and one header. InputError for several splits."""
     step = Episodes.of(source, only_split(source, choices, "replay buffer"))
     options = {**options, "image_size": [step.size[1], step.size[0]]}
-    write = _WriteBuffer(step.size)
+    write = _WriteBuffer(step.size, step.names)
     return Conversion(source, "export", options, step, choices, extra_dirs=(_FOLDER,), write_files=write)
 
 
@@ -62,6 +75,7 @@ class _WriteBuffer:
     """Writes the group, once the frames of all shards are there."""
 
     size: tuple[int, int]
+    names: tuple[str, ...]
 
     def __call__(self, folder: DataFolder, manifest: Manifest) -> dict[str, str]:
         """Return the checksum of the file by its path; one that is as it should be is left alone."""
@@ -76,13 +90,15 @@ class _WriteBuffer:
 
     def _write(self, stream: IO[bytes], shards: Sequence[Shard]) -> None:
         names = [name for name in _ARRAYS if name in shards[0].types]
-        table = pa.concat_tables([shard.read(columns=[*names, "frame_index"]) for shard in shards])
+        more = [name for name in ("round_id", "touch", "frame_index") if name in shards[0].types]
+        table = pa.concat_tables([shard.read(columns=[*names, *more]) for shard in shards])
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
         arrays = {f"data/{_ARRAYS[name]}": _numbers(table[name]) for name in names}
-        arrays["meta/episode_ends"] = np.append(starts[1:], len(table)).astype("<i8")
+        arrays[_ENDS] = np.append(starts[1:], len(table)).astype("<i8")
         shape = (len(table), *self.size, 3)
         length = max(1, _CHUNK_BYTES // (3 * self.size[0] * self.size[1]))
         with ZarrWriter(stream, ("data", "meta")) as group:
+            group.add_json(_ATTRIBUTES, {_IDS: _episode_ids(table.take(starts)), _CLASSES: self.names})
             for path, values in arrays.items():
                 group.describe(path, values.shape, values.shape, values.dtype.str)
                 group.chunk(path, 0, values)
@@ -93,6 +109,25 @@ class _WriteBuffer:
                 if (number + 1) % length == 0 or number + 1 == len(table):
                     chunk[number % length + 1 :] = 0  # as a chunk is filled behind the end
                     group.chunk(_PIXELS, number // length, chunk)
+
+
+def _episode_ids(firsts: pa.Table) -> list[str]:
+    """Return the ids of the rounds that episodes are, or of the touches whose clips they are."""
+    names: list[str] = firsts["round_id"].to_pylist()
+    if "touch" not in firsts.schema.names:
+        return names
+    return [touch_id(*each) for each in zip(names, firsts["touch"].to_pylist(), strict=True)]
+
+
+def conversion(items: Sequence[Item]) -> str:
+    """Return what is done to the pictures of a buffer; empty where they are taken as they are."""
+    return _pictures(items[0]).described()
+
+
+def _pictures(item: Item) -> PictureArray:
+    """Open the pictures that an item is one of."""
+    divisor, _, name = item.part.partition(" ")
+    return PictureArray(ZarrGroup(DataFolder(item.home), item.path).array(name), float(divisor))
 
 
 def _images(shards: Sequence[Shard]) -> Any:
@@ -110,54 +145,93 @@ def _numbers(column: pa.ChunkedArray) -> NDArray[Any]:
 
 
 def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
-    """Yield a touch for each frame of the buffer; an episode is a round, other arrays are its fields."""
-    path = path_of_group(home)
-    data, ends = _arrays(path)
-    pixels = _PIXELS.rpartition("/")[2] if columns.image in (None, "file") else str(columns.image)
-    if pixels not in data or data[pixels].ndim != 4:
+    """Yield a touch for each frame of the buffer; an episode is a round, other arrays are its fields.
+
+    Only arrays that a column names are read. What an array of others means does not follow from its shape.
+    """
+    home, path = _group_in(home)
+    group = ZarrGroup(home, path)
+    names = group.arrays("data")
+    name = _PIXELS.rpartition("/")[2] if columns.image in (None, "file") else str(columns.image)
+    if name not in names:
         raise InputError(
-            f"{path!r} has no array of pictures {pixels!r}; found {', '.join(data)}",
+            f"{group.place!r} has no array of pictures {name!r}; found {', '.join(names) or 'none'}",
             next="name it with --image-column",
         )
-    fields = {name: array[:] for name, array in data.items() if name != pixels and array.ndim < 3}
-    size = int(np.prod(data[pixels].shape[1:]))
+    pictures = PictureArray.of(group.array(f"data/{name}"))
+    ends, stated = _episode_ends(group.array(_ENDS), len(pictures)), group.json(_ATTRIBUTES)
+    ids, class_names = ([str(each) for each in stated.get(key) or ()] for key in (_IDS, _CLASSES))
+    is_ours = len(ids) == len(ends)
+    wanted = {*columns.found_in(names).names(), NUMBERED, *(_OUR_ARRAYS if is_ours else ())}
+    others = dict.fromkeys((each for each in names if each != name), "not read")
+    fields = {each: _rows(group.array(f"data/{each}"), len(pictures)) for each in others if each in wanted}
+    part, size = f"{pictures.divisor!r} data/{name}", math.prod(pictures.shape[1:])
     start = 0
     for episode, end in enumerate(ends):
-        for number in range(start, int(end)):
-            values = {name: array[number].tolist() for name, array in fields.items()}
-            for name, names in (("state", POSE_COLUMNS), ("action", POSITION_COLUMNS)):
-                if np.shape(values.get(name, ())) == (len(names),):
-                    values |= dict(zip(names, values.pop(name), strict=True))
-            name = f"episode-{episode:06d}"
-            values.setdefault("round_id", name)
-            yield Item(f"{name}_{number - start:06d}.png", f"{path}#{pixels}", number, size, values)
-        start = int(end)
+        stem = f"episode-{episode:06d}"
+        for number in range(start, end):
+            values = {**others, **{field: array[number].tolist() for field, array in fields.items()}}
+            if is_ours:
+                _name_ours(values, class_names)
+            values.setdefault("round_id", ids[episode] if is_ours else stem)
+            frame = f"{stem}_{number - start:06d}.png"
+            yield Item(frame, home.address(), path, number, size, values, part=part)
+        start = end
 
 
-def contents(items: Iterable[Item]) -> Iterator[bytes | Exception]:
+def _name_ours(values: dict[str, Any], class_names: Sequence[str]) -> None:
+    """Give the fields of a buffer that this toolkit wrote the names that they have in its tables."""
+    for name, names in _OUR_ARRAYS.items():
+        values |= dict(zip(names, np.ravel(values.pop(name, ())).tolist(), strict=False))
+    label = values.get(NUMBERED)
+    if isinstance(label, int) and 0 <= label < len(class_names):
+        values[f"{NUMBERED}_name"] = class_names[label]
+
+
+def _episode_ends(array: ZarrArray, frames: int) -> list[int]:
+    """Return the number of the frame behind each episode; InputError unless they rise to all frames."""
+    is_list = len(array.shape) == 1 and array.dtype.kind in "iu" and 0 < array.shape[0] <= frames
+    ends = list(map(int, array.rows(0, array.shape[0]))) if is_list else []
+    if not is_list or ends[-1] != frames or any(end <= start for start, end in pairwise([0, *ends])):
+        found = f"{array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN]))}"
+        expected = f"integers that rise to {frames:,}, the number of frames"
+        raise array.group.refused(array.path, f"episodes end at {found}; expected {expected}")
+    return ends
+
+
+def _rows(array: ZarrArray, frames: int) -> NDArray[Any]:
+    """Read what is known of each frame; InputError for another number of rows, or tables in it."""
+    if array.shape[:1] != (frames,) or len(array.shape) > 2:
+        expected = f"{frames:,} rows of numbers, as frames"
+        raise array.group.refused(array.path, f"an array {array.shape}; expected {expected}")
+    rows = array.rows(0, frames)
+    return rows[:, 0] if rows.shape[1:] == (1,) else rows
+
+
+def contents(items: Iterable[Item]) -> Iterator[bytes | ItemError]:
     """Yield the pixels of each frame as PNG, in order; a chunk of the array is unpacked once."""
-    name, last, chunk = "", -1, np.zeros(0, np.uint8)
-    array: Any = None
+    shown, last, chunk = ("", "", ""), -1, np.zeros(0, np.uint8)
+    pictures: Any = None
     for item in items:
-        if item.path != name:
-            name, last = item.path, -1
-            path, _, pixels = name.rpartition("#")
-            array = _arrays(path)[0][pixels]
-        length = array.chunks[0]
+        if shown != (item.home, item.path, item.part):
+            shown, last, pictures = (item.home, item.path, item.part), -1, _pictures(item)
+        length = pictures.array.chunks[0]
         if item.start // length != last:
             last = item.start // length
-            chunk = array[last * length : (last + 1) * length]
-        yield encode_image(np.ascontiguousarray(chunk[item.start % length]), "png")
+            chunk = pictures.pixels(last * length, min((last + 1) * length, len(pictures)))
+        yield encode_image(chunk[item.start % length], "png")
 
 
-def _arrays(path: str) -> tuple[dict[str, Any], Any]:
-    """Open the arrays of a buffer and read the ends of its episodes."""
-    try:
-        group = open_group(path)
-        data = {name: array for name, array in group["data"].arrays() if array.shape}
-        return data, group["meta/episode_ends"][:]
-    except (KeyError, ValueError, OSError) as error:
-        raise InputError(f"{path!r} is not a replay buffer of Zarr 2 ({error})") from error
+def _group_in(home: DataFolder) -> tuple[DataFolder, str]:
+    """Return where the group lies that a folder or zip is, or the only one that it holds."""
+    if home.address().lower().endswith(".zip"):
+        return source_of(home.address())
+    if home.exists(".zgroup") or home.exists("zarr.json"):
+        return home, ""
+    names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not is_hidden(name)]
+    if len(names) != 1:
+        raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}")
+    return home, names[0]
 
 
 _LEVEL = 1
@@ -169,7 +243,7 @@ class ZarrWriter(zipfile.ZipFile):
     def __init__(self, stream: IO[bytes], groups: Sequence[str]) -> None:
         super().__init__(stream, "w")
         for path in ("", *(f"{name}/" for name in groups)):
-            self._add(f"{path}.zgroup", json.dumps({"zarr_format": 2}).encode())
+            self.add_json(f"{path}.zgroup", {"zarr_format": 2})
 
     def __enter__(self) -> Self:
         return self
@@ -184,30 +258,16 @@ class ZarrWriter(zipfile.ZipFile):
             "order": "C",
         }
         stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
-        self._add(f"{path}/.zarray", json.dumps(stated, indent=4).encode())
+        self.add_json(f"{path}/.zarray", stated, indent=4)
 
     def chunk(self, path: str, number: int, values: NDArray[Any]) -> None:
         """Write a chunk, which holds the other axes completely."""
         name = ".".join([str(number), *"0" * (values.ndim - 1)])
         self._add(f"{path}/{name}", zlib.compress(np.ascontiguousarray(values).tobytes(), _LEVEL))
 
+    def add_json(self, path: str, stated: Mapping[str, Any], indent: int | None = None) -> None:
+        """Write a file of JSON."""
+        self._add(path, json.dumps(stated, indent=indent).encode())
+
     def _add(self, path: str, content: bytes) -> None:
         self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing
-
-
-def path_of_group(home: DataFolder) -> str:
-    """Return the group that a folder is, or the only one that it holds."""
-    if home.exists(".zgroup") or home.address().endswith(".zip"):
-        return home.address()
-    found = [name for name in home.names() if name.endswith((".zarr", ".zarr.zip"))]
-    if len(found) != 1:
-        raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(found) or 'none'}")
-    return home.address(found[0])
-
-
-def open_group(path: str) -> Any:
-    """Open a group, in a zip or not, with the package; raises what it raises."""
-    with needs_extra("importing a replay buffer", "zarr", "zarr"):
-        import zarr
-    place: Any = zarr.storage.ZipStore(path, mode="r") if path.endswith(".zip") else path
-    return zarr.open_group(place, mode="r", zarr_format=2)

@@ -19,17 +19,20 @@ from pyarrow import csv as arrow_csv
 
 from realtouch.convert.plan import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
-from realtouch.exchange.items import Item, background_of, read_table
+from realtouch.exchange.items import Item, background_of, open_source, read_table, source_of
 from realtouch.spec import ImportColumns
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER = "sparsh"
 _BACKGROUND = "bgs/bg_gs.jpg"
 _PROTOCOL = 4
 _MOST_IN_MEDIAN = 256
+# No image is smaller: a million empty ones would be looked at one by one.
+_LEAST_IMAGE_BYTES = 24
 # How many bytes of an opcode come before the content.
 _HEADER_BYTES = {"SHORT_BINBYTES": 2, "BINBYTES": 5, "BINBYTES8": 9}
 _OF_LISTS = frozenset(
@@ -76,26 +79,31 @@ def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
     try:
         for opcode, content, position in pickletools.genops(stream):
             if opcode.name in _HEADER_BYTES and content is not None and position is not None:
+                if len(content) < _LEAST_IMAGE_BYTES:
+                    raise InputError(
+                        f"{name!r} holds {len(content)} bytes at {position:,}; expected an encoded image"
+                    )
                 yield position + _HEADER_BYTES[opcode.name], len(content)
             elif opcode.name not in _OF_LISTS:
                 raise InputError(
                     f"{name!r} holds something else than a list of encoded images ({opcode.name})"
                 )
     except (ValueError, OverflowError, MemoryError) as error:
-        raise InputError(f"{name!r} is not an intact pickle ({error!r})", next="fetch it again") from error
+        raise InputError(f"{name!r} is not an intact pickle", next="fetch it again") from error
 
 
 def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
     split = home.address().rstrip("/").rpartition("/")[2]
-    names = [name for name in home.sizes() if name.endswith(".pkl")]
+    files = home.sizes()
+    names = [name for name in files if name.lower().endswith(".pkl") and not is_hidden(name)]
     if not names:
         raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
     for name in names:
-        stem = name.removesuffix(".pkl")
-        beside = table or f"{stem}.csv"
-        found: Any = read_table(home, beside)[1] if table or home.exists(beside) else None
-        with home.open(name) as stream:
+        stem = name.rpartition(".")[0]
+        folder, beside = source_of(table) if table else (home, f"{stem}.csv")
+        found: Any = read_table(folder, beside)[1] if table or beside in files else None
+        with open_source(home, name) as stream:
             places = list(_places(stream, name))
         lines = [{}] * len(places) if found is None else found
         if len(lines) != len(places):  # else they would be of other images
@@ -105,4 +113,4 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
             )
         for count, ((start, size), line) in enumerate(zip(places, lines, strict=True)):
             values = {"split": split, **line}
-            yield Item(f"{stem}_{count:06d}", f"{home.address()}/{name}", start, size, values)
+            yield Item(f"{stem}_{count:06d}", home.address(), name, start, size, values)

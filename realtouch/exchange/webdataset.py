@@ -16,12 +16,12 @@ import pyarrow as pa
 
 from realtouch.convert.plan import Made, with_files
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
-from realtouch.exchange.items import HERE, IMAGE_ENDINGS, Item, require_columns
+from realtouch.exchange.items import IMAGE_ENDINGS, Item, open_source, path_of, require_columns, source_of
 from realtouch.spec import ImportColumns
 from realtouch.tars import files_of_tar
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.names import problem_of_name
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.names import is_hidden, problem_of_name
 from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER = "webdataset"
@@ -45,28 +45,29 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
     """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
     if table is not None:
         raise InputError("--table is about folders of images; a WebDataset has JSON files")
-    seen, known = set[str](), dict[str, None]()
+    known = dict[str, None]()
     for folder, name in _tars(home):
+        seen = set[str]()  # of one tar: many number their samples from 0 in each
         for key, members in groupby(_members(folder, name), key=lambda each: each[0]):
-            item = _sample(folder.address(name), key, list(members), columns)
+            item = _sample(folder, name, key, list(members), columns)
             if key in seen:
-                problem = ItemError("duplicate", f"the key {key!r} stands in an earlier sample")
+                problem = ItemError("duplicate", f"the key {key!r} stands in an earlier sample of this tar")
                 item = replace(item, problem=problem)
             seen.add(key)
             known |= dict.fromkeys(item.values)
             yield item
-    if seen:
+    if known:
         require_columns(list(known), columns.found_in(known).names(), home.address())
 
 
 def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:
     """Return the tars of a folder, or the one that was named itself, each with its folder."""
-    names = [name for name in home.sizes() if name.endswith(".tar") and not name.startswith(".")]
+    names = [name for name in home.sizes() if name.lower().endswith(".tar") and not is_hidden(name)]
     if names:
         return [(home, name) for name in names]
     place = home.address()
-    if Path(place).is_file() if home.is_local else place.endswith(".tar"):
-        return [split_uri(place)]
+    if Path(place).is_file() if home.is_local else place.lower().endswith(".tar"):
+        return [source_of(place)]
     raise InputError(f"{place!r} holds no tars (*.tar); compressed ones are unpacked first")
 
 
@@ -76,10 +77,12 @@ _Member = tuple[str, str, int, int, bytes]
 
 def _members(folder: DataFolder, name: str) -> Iterator[_Member]:
     try:
-        with folder.open(name) as stream:
+        with open_source(folder, name) as stream:
             for member in files_of_tar(stream, folder.size_bytes(name)):
-                start = member.offset_data
-                directory, slash, base = HERE.sub("", member.name).rpartition("/")
+                start, path = member.offset_data, path_of(member.name)
+                if is_hidden(path):  # as archives of a Mac have, one for each file
+                    continue
+                directory, slash, base = path.rpartition("/")
                 stem, _, ending = base.partition(".")
                 content = b""
                 if not _is_image(ending) and member.size <= _MOST_TEXT_BYTES:
@@ -98,7 +101,9 @@ def _is_image(ending: str) -> bool:
     return ending.lower().rpartition(".")[2] in IMAGE_ENDINGS
 
 
-def _sample(path: str, key: str, members: Sequence[_Member], columns: ImportColumns) -> Item:
+def _sample(
+    folder: DataFolder, name: str, key: str, members: Sequence[_Member], columns: ImportColumns
+) -> Item:
     """Put the files of one key together."""
     wanted = None if columns.image in (None, "file") else str(columns.image).lower()
     named = problem_of_name(key)
@@ -117,7 +122,7 @@ def _sample(path: str, key: str, members: Sequence[_Member], columns: ImportColu
         elif not _is_image(ending):
             values.setdefault(ending, content.decode(errors="replace").strip())
     _, _, start, size, _ = images[0] if images else ("", "", 0, 0, b"")
-    return Item(key, path, start, size, values, problem)
+    return Item(key, folder.address(), name, start, size, values, problem)
 
 
 def _fields(content: bytes) -> dict[str, Any]:
@@ -125,7 +130,7 @@ def _fields(content: bytes) -> dict[str, Any]:
         return dict(json.loads(content))
     except (ValueError, TypeError, RecursionError) as error:
         raise ItemError(
-            "json", f"its JSON file cannot be read ({error}); expected an object of at most 1 MiB"
+            "json", "its JSON file cannot be read; expected an object of at most 1 MiB"
         ) from error
 
 

@@ -24,14 +24,17 @@ MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
 CLASS_NAMES = tuple(str(digit) for digit in range(10))
 
 
-def with_features(schema: pa.Schema, label_names: Sequence[str]) -> pa.Schema:
-    """Add the metadata from which `datasets` reads the features: classes (if named), images, numbers."""
+def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Schema:
+    """Add the metadata from which `datasets` reads the features: classes, images, numbers.
+
+    Without ``label_names`` a class is a plain number; an empty list states that there are no classes.
+    """
     features = {field.name: _feature(field.name, field.type, label_names) for field in schema}
     return schema.with_metadata(feature_metadata(features))
 
 
-def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str]) -> Mapping[str, Any]:
-    if name == "label" and label_names:
+def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | None) -> Mapping[str, Any]:
+    if name == "label" and label_names is not None:
         return label_feature(label_names)
     if list_depth(data_type)[0]:
         length = data_type.list_size if pa.types.is_fixed_size_list(data_type) else -1

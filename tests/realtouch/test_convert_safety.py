@@ -13,8 +13,10 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
+from realtouch.convert.file_names import file_stem, id_of_stem
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.run.processes import Check
+from tactile_toolkit.store.names import problem_of_name
 from tactile_toolkit.store.parquet import sha256_hex
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -193,18 +195,32 @@ def test_what_is_no_picture_is_found_though_its_checksum_is_right(small: Path, t
     "name",
     ["../../../escaped", "/tmp/escaped", "..", ".", "", "a/b", "a\\b", "x" * 300, "x\0y", "two\nlines"],
 )
-def test_ids_that_are_no_file_names_are_left_out(name: str, single_rows: list[dict], tmp_path: Path) -> None:
+def test_ids_that_are_no_file_names_are_escaped(name: str, single_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", single_rows, "single", with_ids("good", name, "日本 ü.1"))
     inside = tmp_path / "deep" / "in" / "here"
     manifest = realtouch.frames(source, inside)
-    assert manifest.split_table()["train"]["rows"] == 10
-    (skipped,) = manifest.shards[0].skipped
-    assert skipped.id == 1
-    assert "row 1, field 'id'" in skipped.message
-    shown = name if len(name) <= 80 else f"{name[:80]}..."
-    assert f"{shown!r} cannot name a folder: it " in skipped.message
-    assert {path.name for path in (inside / "images" / "train").iterdir()} == {"good", "日本 ü.1"}
+    assert manifest.split_table()["train"]["rows"] == 15
+    stem = file_stem(name)
+    assert not problem_of_name(stem)
+    assert "/" not in stem
+    folders = {path.name for path in (inside / "images" / "train").iterdir()}
+    assert folders == {"good", stem, "%E6%97%A5%E6%9C%AC%20%C3%BC%2E1"}
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["in"]
+    index = pq.read_table(inside / "data")
+    assert index["round_id"].to_pylist()[5:10] == [name] * 5
+    assert realtouch.verify(inside).ok
+    back = realtouch.import_images(inside, tmp_path / "back", "folder")
+    assert not back.skipped_reasons()
+
+
+def test_names_of_files_are_those_of_one_id() -> None:
+    names = ["a", "A", "a.b", "a%2Eb", "a%b", "con", "Con", "%63on", "%"]
+    longer = ["", "x" * 101, "x" * 102, "\u00e9" * 20, "e\u0301" * 20]
+    stems = list(map(file_stem, [*names, *longer]))
+    assert len(set(stems)) == len(stems)
+    assert stems[0] == "a"
+    assert not any(map(problem_of_name, stems))
+    assert list(map(id_of_stem, stems[: len(names)])) == names
 
 
 def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Path) -> None:

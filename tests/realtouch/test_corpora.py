@@ -19,6 +19,7 @@ import pytest
 from PIL import Image
 
 import realtouch
+from realtouch.exchange import replay
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part
 from tactile_toolkit.touch.jpeg import decode_image
@@ -271,7 +272,8 @@ def test_no_pickle_is_executed(tmp_path: Path) -> None:
         (b"no pickle", "something else|not an intact pickle"),
         # An opcode may state any length, and a line may never end.
         (b"\x80\x04]\x8e" + (1 << 45).to_bytes(8, "little"), "is not an intact pickle"),
-        (b"I" + b"9" * 5000, "no newline found"),
+        (b"I" + b"9" * 5000, "is not an intact pickle"),
+        (pickle.dumps([b"", b"a" * 300]), "dataset.pkl' holds 0 bytes at .*; expected an encoded image"),
     ):
         (home / "dataset.pkl").write_bytes(content)
         with pytest.raises(InputError, match=words):
@@ -400,8 +402,23 @@ def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
         (source / name).mkdir(parents=True)
     refused(InputError, "should hold one Zarr group; found a.zarr, b.zarr.zip$")
     (source / "a.zarr").rmdir()
-    monkeypatch.setitem(sys.modules, "zarr", None)
-    refused(MissingExtraError, "importing a replay buffer needs the package 'zarr'.*the extra `zarr`")
+    refused(InputError, "has no array of pictures 'tactile'; found none")
+    (source / "b.zarr.zip").rmdir()
+    pixels = np.zeros((2, 4, 4, 3), np.uint8)
+    with (
+        (source / "b.zarr.zip").open("wb") as stream,
+        replay.ZarrWriter(stream, ("data", "meta")) as group,
+    ):
+        for name, values in (("data/tactile", pixels), ("meta/episode_ends", np.array([2]))):
+            group.describe(name, values.shape, values.shape, values.dtype.str)
+            group.chunk(name, 0, values)
+    with zipfile.ZipFile(source / "b.zarr.zip") as archive:
+        archive.extractall(source / "b.zarr")
+    (source / "b.zarr.zip").unlink()
+    stated = source / "b.zarr" / "data" / "tactile" / ".zarray"
+    stated.write_text(stated.read_text().replace('"id": "zlib"', '"id": "blosc"'))
+    monkeypatch.setitem(sys.modules, "numcodecs.blosc", None)
+    refused(MissingExtraError, "reading this Zarr group needs the package 'numcodecs'.*the extra `zarr`")
 
 
 def test_a_replay_buffer_that_zarr_wrote_is_read(tmp_path: Path) -> None:

@@ -1,0 +1,344 @@
+"""Tables, folders and tars as other programs write them: read as they mean, or refused with the reason."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import pickle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from PIL import Image
+
+import realtouch
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.touch.jpeg import decode_image
+from tests.command_line import call
+from tests.realtouch import factories
+from tests.realtouch.images_of_others import line, picture, write_table, write_tar
+from tests.tactile_toolkit.toy import folder_bytes
+
+QUATERNION = ("qx", "qy", "qz", "qw")
+
+
+def imported(home: Path, out: Path, columns: realtouch.ImportColumns | None = None, **options: Any) -> Any:
+    manifest = realtouch.import_images(home, out, options.pop("layout", "folder"), columns, **options)
+    return realtouch.load(out, next(iter(manifest.split_table())))
+
+
+@pytest.mark.parametrize(
+    "table",
+    [
+        "file,label\npictures/0.jpg,a\npictures/1.jpg,b\n",
+        "file;label\npictures/0.jpg;a\npictures/1.jpg;b\n",
+        "file\tlabel\npictures/0.jpg\ta\npictures/1.jpg\tb\n",
+        '"file";"label"\r\n"pictures/0.jpg";"a"\r\n"pictures/1.jpg";"b"\r\n',
+        "sep=;\r\nfile;label\r\npictures/0.jpg;a\r\npictures/1.jpg;b\r\n",
+        ",file,label\n0,pictures/0.jpg,a\n1,pictures/1.jpg,b\n",
+        "file,label\npictures\\0.jpg,a\n.\\pictures\\1.jpg,b\n",
+        'file,label,"a;b;c"\npictures/0.jpg,a,1\npictures/1.jpg,b,2\n',
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+def test_tables_of_spreadsheets_and_other_systems(
+    table: str, encoding: str, home: Path, tmp_path: Path
+) -> None:
+    (home / "LABELS.CSV").write_bytes(table.encode(encoding))
+    found = imported(home, tmp_path / "out")
+    assert [found.label_names[label] for label in found.labels] == ["a", "b"]
+    assert bytes(found[1].sensor_image.encoded(0)) == (home / "pictures" / "1.jpg").read_bytes()
+
+
+def test_a_table_is_named_from_the_working_folder(
+    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write_table(home, [line("pictures/0.jpg", "inside")])
+    write_table(tmp_path, [line("pictures/1.jpg", "outside")], "mine.csv")
+    monkeypatch.chdir(tmp_path)
+    for name, label in ((None, "inside"), ("mine.csv", "outside"), ("home/index.csv", "inside")):
+        out = tmp_path / f"out {name and name[0]}"
+        assert imported(home, out, table=name).label_names == (label,)
+
+
+def poses_in(unit: str, scale: float, decimal: str = ".") -> list[dict[str, str]]:
+    """Return a line whose pose is (0.01, -0.02, 0.003) m, in columns that end in a unit or say none."""
+    ending = f"_{unit}" if unit else ""
+    place = dict(zip([f"{axis}{ending}" for axis in "xyz"], (0.01, -0.02, 0.003), strict=True))
+    values = {name: f"{scale * value:g}".replace(".", decimal) for name, value in place.items()}
+    return [{"file": "pictures/0.jpg", **values, "qx": "0", "qy": "0", "qz": "0", "qw": "1"}]
+
+
+@pytest.mark.parametrize(
+    ("stated", "given", "scale"),
+    [("mm", None, 1e3), ("CM", None, 1e2), ("m", None, 1), ("", None, 1), ("", "mm", 1e3), ("mm", "mm", 1e3)],
+)
+def test_lengths_are_in_the_unit_that_their_column_states(
+    stated: str, given: str | None, scale: float, home: Path, tmp_path: Path
+) -> None:
+    lines = poses_in(stated, scale)
+    write_table(home, lines)
+    names = tuple(lines[0])[1:]
+    columns = realtouch.ImportColumns(pose=names, position=names[:2], length_unit=given)
+    (only,) = imported(home, tmp_path / "out", columns)
+    np.testing.assert_allclose(only.gel_pose_cell_frame.position_m, [[0.01, -0.02, 0.003]], rtol=1e-15)
+    np.testing.assert_allclose(only.pos_in_cell_m, [[0.01, -0.02]], rtol=1e-15)
+
+
+def test_decimal_commas_and_lists_in_a_unit(home: Path, tmp_path: Path) -> None:
+    lines = poses_in("mm", 1e3, decimal=",")
+    table = "\n".join(";".join(values) for values in (lines[0], lines[0].values()))
+    (home / "a.csv").write_text(table.replace("0.jpg;10;-20;3", "0.jpg;10,0;-20,0;3,0"))
+    (only,) = imported(home, tmp_path / "out", realtouch.ImportColumns(pose=tuple(lines[0])[1:]))
+    np.testing.assert_allclose(only.gel_pose_cell_frame.position_m, [[0.01, -0.02, 0.003]], rtol=1e-15)
+    (home / "a.csv").write_text('file,pose_cm\npictures/0.jpg,"[1.0, -2.0, 0.3, 1, 0, 0, 0]"\n')
+    columns = realtouch.ImportColumns(pose=("pose_cm",), quaternion_order="wxyz")
+    (only,) = imported(home, tmp_path / "list", columns)
+    np.testing.assert_allclose(only.gel_pose_cell_frame.position_m, [[0.01, -0.02, 0.003]], rtol=1e-15)
+    assert only.gel_pose_cell_frame.quaternion.tolist() == [[0, 0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"pose": ("x_mm", "y", "z", *QUATERNION), "length_unit": "m"}, "'x_mm' states mm"),
+        ({"position": ("x_deg", "y")}, "'x_deg' states deg in its name; expected a length"),
+        (
+            {"pose": ("x", "y", "z", "qw", "qx", "qy", "qz")},
+            "are qw, qx, qy, qz; expected the order x, y, z, w",
+        ),
+        ({"pose": ("x", "y", "z", *QUATERNION), "quaternion_order": "wxyz"}, "expected the order w, x, y, z"),
+        ({"length_unit": "inch"}, "length_unit of the columns is 'inch'; expected None or one of mm, cm, m"),
+        ({"quaternion_order": "zyxw"}, "expected None or one of xyzw, wxyz"),
+    ],
+)
+def test_columns_that_contradict_what_is_said_of_them(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        realtouch.ImportColumns(**options)
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        ("10 -20 3 0 0 0 1", "expected metres"),
+        ("0.19 0 0 0 0 0 1", "expected metres"),
+        ("0 0 -0.4 0 0 0 1", "expected metres"),
+        ("0 0 0 0 0 0 2", "a quaternion of length 2; expected length one"),
+        ("0 0 0 0 0 0 1.0011", "a quaternion of length 1.001; expected length one"),
+        ("0 -0.78 0 -2.36 0 1.57 0.785", "a quaternion of length 2.94"),
+        ("0 0 0 0 0 0 -0.9995", ""),
+        ("0.17 -0.17 0.2 0.5 0.5 -0.5 -0.5", ""),
+    ],
+)
+def test_what_is_no_pose_in_metres_is_refused(pose: str, words: str, home: Path, tmp_path: Path) -> None:
+    write_table(home, [line("pictures/0.jpg", pose=pose)])
+    columns = realtouch.ImportColumns(pose=("pose",))
+    if not words:
+        assert len(imported(home, tmp_path / "out", columns)) == 1
+        return
+    with pytest.raises(InputError, match=words):
+        imported(home, tmp_path / "out", columns)
+
+
+@pytest.mark.parametrize("kind", ["single", "seq"])
+def test_every_reader_refuses_a_quaternion_that_is_not_of_length_one(
+    kind: Any, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    name = "gel_pose_cell_frame.quaternion" if kind == "single" else "gel_pose_cell_frame_seq.quaternion"
+
+    def double(row: dict[str, Any], index: int) -> None:
+        if index == 1:
+            row[name] = (2 * np.array(row[name])).tolist()
+
+    rows = request.getfixturevalue(f"{kind}_rows")
+    source = factories.write_set(tmp_path / "source", {"train": rows}, kind, factories.Layout(edit=double))
+    (finding,) = {finding.row for finding in realtouch.verify(source).findings}
+    assert finding == 1
+    with pytest.raises(IntegrityError, match="a quaternion of length 2; expected length one"):
+        _poses(source)
+    (skipped,) = realtouch.export(source, tmp_path / "flat", "flat").shards[0].skipped
+    assert "a quaternion of length 2" in skipped.message
+
+
+def _poses(source: Path) -> Any:
+    return [touch.gel_pose for touch in realtouch.load(source, "train").touches()]
+
+
+@pytest.mark.parametrize("end", [b"\n", b"\0" * 32, bytes(range(96)), b"\xff\xd9 twice", b"\xff\xd8\xff\xd9"])
+def test_bytes_after_the_end_of_a_jpeg_are_no_part_of_it(end: bytes, home: Path, tmp_path: Path) -> None:
+    whole = picture(77)
+    for number, content in enumerate(
+        (whole + end, whole[:-2] + end.replace(b"\xff\xd9", b"")[:8], whole[:-4])
+    ):
+        (home / "pictures" / f"{number}.jpg").write_bytes(content)
+    write_table(home, [line(f"pictures/{number}.jpg") for number in range(3)])
+    (only,) = imported(home, tmp_path / "out")
+    assert np.array_equal(only.sensor_image[0], decode_image(whole))
+    skipped = json.loads((tmp_path / "out" / "manifest.json").read_text())["shards"][0]["skipped"]
+    assert [item["reason"] for item in skipped] == ["image"] * 2
+    assert all("without the mark of its end; expected a whole JPEG" in item["message"] for item in skipped)
+
+
+def test_the_size_of_most_images_is_kept(home: Path, tmp_path: Path) -> None:
+    """Whichever comes first, and where those of another size are many and stand together."""
+    sizes = [(30, 40), *[(24, 32)] * 70, *[(30, 40)] * 50]
+    for number, size in enumerate(sizes):
+        (home / f"{number:03d}.jpg").write_bytes(picture(number, size))
+    write_table(home, [line(f"{number:03d}.jpg") for number in range(len(sizes))])
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder")
+    assert manifest.split_table()["train"]["rows"] == 70
+    assert manifest.skipped_reasons() == {"size": 51}
+    assert "40 x 30 pixels; expected 32 x 24 as most images" in manifest.shards[0].skipped[0].message
+
+
+def test_a_recording_without_labels_is_a_set(home: Path, tmp_path: Path) -> None:
+    """It states that there are no classes, is read by all that reads touches, and passes through exports."""
+    import datasets
+
+    write_table(home, [{"file": f"pictures/{number}.jpg", "session": "a.b"} for number in range(4)])
+    found = imported(home, tmp_path / "out", realtouch.ImportColumns(round="session"))
+    assert (found.labels.tolist(), found.label_names) == ([-1], ())
+    assert (found[0].label, found.touches()[2].label) == (-1, -1)
+    assert realtouch.verify(tmp_path / "out").ok
+    rows = datasets.load_dataset(str(tmp_path / "out"), split="train", cache_dir=str(tmp_path / "cache"))
+    assert (rows["label"][0], rows.features["label"].names) == (-1, [])
+    for layout in ("webdataset", "sparsh", "fota"):
+        realtouch.export(tmp_path / "out", tmp_path / layout, layout)  # type: ignore[arg-type]
+        back = imported(tmp_path / layout, tmp_path / f"{layout}-back", layout=layout)
+        assert (back.ids.tolist(), back.labels.tolist(), back.label_names) == (["a.b"], [-1], ())
+    realtouch.export(tmp_path / "out", tmp_path / "lerobot", "lerobot")
+    tasks = pq.read_table(tmp_path / "lerobot" / "lerobot" / "meta" / "tasks.parquet")["task"].to_pylist()
+    frames = pq.read_table(tmp_path / "lerobot" / "lerobot" / "data")
+    assert (tasks, set(frames["task_index"].to_pylist())) == (["touch an object"], {0})
+    flat = realtouch.export(tmp_path / "out", tmp_path / "flat", "flat")
+    assert pq.read_table(tmp_path / "flat" / "data")["label_name"].null_count == 4
+    assert flat.skipped_reasons() == {}
+    with pytest.raises(InputError, match="touches without a class"):
+        realtouch.export(tmp_path / "out", tmp_path / "anytouch", "anytouch")
+
+
+@pytest.mark.parametrize("options", [(), ("--label-column=",)])
+def test_an_empty_label_column_means_none(
+    options: tuple[str, ...], home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_table(home, [{"file": f"pictures/{number}.jpg", "class": number} for number in range(4)])
+    words = ("import", home, "--format", "folder", *options, "--out", tmp_path / "out", "-w", 1)
+    assert call("realtouch", *words) == 0
+    said = capsys.readouterr().err
+    assert "no classes are known (--label-column names their column): the label of all is -1" in said
+    assert "fields that were not imported, and of how many touches: class (4)" in said
+
+
+def test_pictures_of_sparsh_never_have_labels(tmp_path: Path) -> None:
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "DATASET.PKL").write_bytes(pickle.dumps([picture(9), picture(99)]))
+    (tmp_path / "set" / "._DATASET.pkl").write_bytes(b"no pickle")
+    found = imported(tmp_path / "set", tmp_path / "out", layout="sparsh")
+    assert (found.labels.tolist(), found.touch_counts.tolist()) == ([-1, -1], [1, 1])
+
+
+def test_what_systems_leave_in_folders_and_tars_is_passed_over(home: Path, tmp_path: Path) -> None:
+    tars = tmp_path / "tars"
+    tars.mkdir()
+    members = [
+        (f"{prefix}{number:04d}.{ending}", content)
+        for number in range(3)
+        for ending, content in (("jpg", picture(number)), ("json", b'{"label": 3}'))
+        for prefix in ("__MACOSX/._", "._", "")
+    ]
+    write_tar(tars / "A.TAR", [*members, (".DS_Store", b"x"), ("Thumbs.db", b"x")])
+    (tars / "._A.TAR").write_bytes(b"no tar")
+    for name in (".DS_Store", "Thumbs.db", "desktop.ini"):
+        (tars / name).write_bytes(b"x")
+    (tars / "@eaDir").mkdir()
+    found = imported(tars, tmp_path / "out", layout="webdataset")
+    assert found.labels.tolist() == [3, 3, 3]
+    write_table(home, [line("pictures/0.jpg")])
+    (home / "._index.csv").write_bytes(b"\0\5\x16\7")
+    assert len(imported(home, tmp_path / "from-folder")) == 1
+
+
+def test_samples_of_several_tars_may_have_equal_keys(tmp_path: Path) -> None:
+    tars = tmp_path / "tars"
+    tars.mkdir()
+    for tar in range(2):
+        fields = [json.dumps({"label": 2 * tar + number}).encode() for number in range(2)]
+        images = [picture(40 * tar + number) for number in range(2)]
+        pairs = zip(("0000", "0001"), images, fields, strict=True)
+        members = []
+        for name, image, text in pairs:
+            members += [(f"{name}.jpg", image), (f"{name}.json", text)]
+        write_tar(tars / f"train-00000{tar}.tar", members)
+    found = imported(tars, tmp_path / "out", layout="webdataset")
+    assert found.labels.tolist() == [0, 1, 2, 3]
+    levels = [int(each.sensor_image[0].mean().round()) for each in found]
+    assert levels == [0, 1, 40, 41]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_no_importer_opens_what_is_no_file_below_the_source(home: Path, tmp_path: Path) -> None:
+    """A link may lead to a private key, whose bytes would be stored; a pipe is waited for."""
+    secret = tmp_path / "id_rsa"
+    secret.write_bytes(picture(1))
+    (home / "pictures" / "4.jpg").symlink_to(secret)
+    os.mkfifo(home / "pictures" / "5.jpg")
+    (home / "pictures" / "6.jpg").symlink_to("0.jpg")  # which stays inside
+    (home / "there").symlink_to(tmp_path)
+    names = ["pictures/4.jpg", "pictures/5.jpg", "pictures/6.jpg", "there/id_rsa", "pictures"]
+    write_table(home, [line(name) for name in names])
+    manifest = realtouch.import_images(home, tmp_path / "out", "folder")
+    reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
+    assert reasons == [(0, "name"), (1, "missing"), (3, "name"), (4, "missing")]
+    for layout, name in (
+        ("webdataset", "a.tar"),
+        ("sparsh", "a.pkl"),
+        ("anytouch", "a_bg.txt"),
+        ("folder", "a.csv"),
+    ):
+        for make in (lambda place: place.symlink_to(secret), os.mkfifo):
+            source = tmp_path / f"{layout}-{make.__name__}"
+            source.mkdir()
+            make(source / name)
+            with pytest.raises(
+                (InputError, IntegrityError), match=r"a link leads out|not a regular file|holds no|one CSV"
+            ):
+                realtouch.import_images(source, tmp_path / "none", layout)  # type: ignore[arg-type]
+            assert not (tmp_path / "none").exists()
+
+
+def test_the_user_may_name_a_link(home: Path, tmp_path: Path) -> None:
+    write_table(home, [line("pictures/0.jpg")])
+    write_tar(tmp_path / "real.tar", [("a.jpg", picture(1))])
+    (tmp_path / "folder").symlink_to(home)
+    (tmp_path / "linked.tar").symlink_to(tmp_path / "real.tar")
+    (tmp_path / "table.csv").symlink_to(home / "index.csv")
+    assert len(imported(tmp_path / "folder", tmp_path / "1", table=str(tmp_path / "table.csv"))) == 1
+    assert len(imported(tmp_path / "linked.tar", tmp_path / "2", layout="webdataset")) == 1
+
+
+def test_what_is_stored_holds_no_text_of_libraries_nor_addresses_of_objects(
+    home: Path, tmp_path: Path
+) -> None:
+    stream = io.BytesIO()
+    Image.new("RGB", (32, 24)).save(stream, "BMP")
+    spoiled = bytearray(picture(9))
+    spoiled[20:60] = bytes(40)
+    images = {
+        "0.bmp": stream.getvalue(),
+        "1.png": b"\x89PNG\r\n\x1a\nno",
+        "2.jpg": bytes(spoiled),
+        "3.webp": b"RIFF",
+    }
+    for name, content in images.items():
+        (home / name).write_bytes(content)
+    write_table(home, [line(name) for name in (*images, "pictures/0.jpg")])
+    for out in ("one", "two"):
+        realtouch.import_images(home, tmp_path / out, "folder")
+    assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "two")
+    text = (tmp_path / "one" / "manifest.json").read_text()
+    assert text.count("cannot be decoded; expected a JPEG, PNG or WebP") >= 3
+    for words in (" object at 0x", "BytesIO", "cannot identify", str(tmp_path), "Errno"):
+        assert words not in text
