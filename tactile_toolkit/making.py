@@ -52,8 +52,6 @@ class Layout:
         Path of the report, where there is one.
     together : int
         Items that are made of one thing, and so stand in one shard where that is possible.
-    former : Layout or None
-        Layout of the first version of the schema, where more than pages was different.
     """
 
     style: ParquetStyle
@@ -64,7 +62,6 @@ class Layout:
     sampled: int = 1
     report_file: str | None = None
     together: int = 1
-    former: Layout | None = None
 
 
 class Making(ABC):
@@ -135,7 +132,7 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
             f"no {making.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
             next="choose another --split, or larger ones",
         )
-    plan = BuildPlan(
+    return BuildPlan(
         making.kind.name,
         making.manifest(),
         known,
@@ -144,10 +141,6 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
         layout.report_file,
         libraries=layout.libraries,
     )
-    if layout.former is None:
-        return plan
-    former = replace(plan, tasks=_tasks(making, chosen, layout.former), style=layout.former.style)
-    return replace(plan, former=former)
 
 
 def _tasks(making: Making, items: Mapping[str, Any], layout: Layout) -> tuple[ShardTask[Any], ...]:

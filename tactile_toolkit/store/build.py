@@ -254,7 +254,7 @@ def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     manifest = read_manifest(folder)
     if manifest is None:
         return
-    if manifest.identity != plan.in_version(manifest.schema_version).new_manifest().identity:
+    if manifest.identity != plan.new_manifest().identity:
         return
     listed = {record.shard for record in manifest.shards}
     pending = pending_records(folder, manifest.identity)

@@ -24,7 +24,6 @@ from tactile_toolkit.run.processes import Check, Finish, Part, Runner
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
-    SCHEMA_VERSION,
     Manifest,
     read_manifest,
     write_manifest,
@@ -67,10 +66,6 @@ class BuildPlan:
     write_files : callable
         Writes files that follow from all rows, such as an index, once those are there; takes the folder and
         the manifest, returns the checksum of each by path.
-    schema_version : int
-        Version of the schema in which it is stored.
-    former : BuildPlan or None
-        The same rows as the first version stored them, where more than pages is different.
     """
 
     kind: str
@@ -87,8 +82,6 @@ class BuildPlan:
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
     )
-    schema_version: int = SCHEMA_VERSION
-    former: BuildPlan | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         # As in a manifest: JSON has made lists of tuples.
@@ -112,13 +105,6 @@ class BuildPlan:
                     next="rename it",
                 )
 
-    def in_version(self, version: int) -> BuildPlan:
-        """Return the plan by which a data set of a version is continued."""
-        if version == self.schema_version:
-            return self
-        former = self.former or self
-        return replace(former, style=first_style(former.style), schema_version=version, former=None)
-
     def new_manifest(self) -> Manifest:
         """Return the manifest of a folder in which nothing is finished."""
         return Manifest(
@@ -126,15 +112,9 @@ class BuildPlan:
             toolkit_version(),
             self.spec,
             self.split_order,
-            schema_version=self.schema_version,
             trees=self.extra_dirs,
             libraries=library_versions(*self.libraries),
         )
-
-
-def first_style(style: ParquetStyle) -> ParquetStyle:
-    """Return a style with the pages of the first version."""
-    return replace(style, values_per_page=None, chunks_by_content=False, page_index=False)
 
 
 class MissingPartsError(IntegrityError):
@@ -211,8 +191,6 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
     """
     check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
     manifest = read_manifest(folder)
-    if manifest is not None:
-        plan = plan.in_version(manifest.schema_version)
     new, tasks = plan.new_manifest(), tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
     if manifest is None:
         refuse_unknown_files(folder)
