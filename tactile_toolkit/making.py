@@ -231,7 +231,7 @@ def forecast(
     folder = DataFolder(os.fspath(out))
     if overwrite:
         refuse_overwriting_parts(folder, workers.workers if isinstance(workers, Check) else workers)
-        require_replaceable(folder)
+    if overwrite and require_replaceable(folder, plan):
         job = Job(folder, plan, plan.new_manifest(), plan.tasks)
     else:
         job = inspect_job(folder, plan, workers)

@@ -10,7 +10,8 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import groupby
@@ -28,13 +29,18 @@ from tactile_toolkit.store.manifest import (
     read_manifest,
     write_manifest,
 )
-from tactile_toolkit.store.names import Count, decode, is_hidden
-from tactile_toolkit.store.ownership import is_pending, remove_next
+from tactile_toolkit.store.names import Count, decode, is_hidden, require_seal, seal
+from tactile_toolkit.store.ownership import is_pending
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.store.task import ShardTask
 
 _LONGEST_SHOWN = 200
+_DIFFERENCES_SHOWN = 5
+_START_AGAIN = (
+    "choose another folder (--out or OUT), or start again there with --overwrite (without --part and in no "
+    "object store; there, remove it first)"
+)
 
 
 @dataclass(frozen=True)
@@ -112,6 +118,7 @@ class BuildPlan:
             toolkit_version(),
             self.spec,
             self.split_order,
+            planned=Counter(task.shard.split for task in self.tasks),
             trees=self.extra_dirs,
             libraries=library_versions(*self.libraries),
         )
@@ -174,7 +181,7 @@ def begin_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int) -> Job:
     while True:
         job = inspect_job(folder, plan, runner)
         current = read_manifest(folder)
-        if current is None and job.remaining:
+        if current is None and (job.remaining or job.finished):
             folder.create_bytes(MANIFEST_FILE, job.manifest.to_json().encode())
             continue  # read back: another run may have been faster
         if current is not None and current.identity != job.manifest.identity:
@@ -190,27 +197,23 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
     MissingPartsError where shards are missing for a Finish.
     """
     check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
-    manifest = read_manifest(folder)
-    new, tasks = plan.new_manifest(), tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
+    manifest, new = read_manifest(folder), plan.new_manifest()
+    tasks = tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
     if manifest is None:
-        refuse_unknown_files(folder)
-        job = Job(folder, plan, new, tasks)
-    else:
-        found, wanted = (
-            {"kind": each.kind, "toolkit_version": each.toolkit_version, **each.spec}
-            for each in (manifest, new)
+        # Another set may have been begun, and removed, on top of what the records are of: all is read.
+        refuse_unknown_files(folder, plan)
+        manifest, check = new, True
+    _refuse_specification(folder, manifest, new)
+    _reject_unexpected_files(folder, plan)
+    intact = _intact_records(folder, plan, manifest, {task.shard: task for task in tasks}, check)
+    job = Job(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
+    if job.remaining and manifest.libraries and manifest.libraries != new.libraries:
+        begun = {record.shard for record in manifest.shards}.union(
+            _pending_shards(folder.names(PENDING_FOLDER))
         )
-        _refuse_difference(folder, found, wanted)
-        _reject_unexpected_files(folder, plan)
-        intact = _intact_records(folder, plan, manifest, {task.shard: task for task in tasks}, check)
-        job = Job(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
-        if job.remaining and manifest.libraries and manifest.libraries != new.libraries:
-            begun = {record.shard for record in manifest.shards}.union(
-                _pending_shards(folder.names(PENDING_FOLDER))
-            )
-            if begun - {task.shard for task in job.remaining}:
-                _refuse_difference(folder, {"libraries": manifest.libraries}, {"libraries": new.libraries})
-            job = replace(job, manifest=new)
+        if begun - {task.shard for task in job.remaining}:
+            _refuse_versions(folder, {"libraries": manifest.libraries}, {"libraries": new.libraries})
+        job = replace(job, manifest=new)
     if isinstance(runner, Finish):
         require_parts(job, job.finished)
     return job
@@ -307,7 +310,7 @@ class _Pending(msgspec.Struct):
 def write_record(folder: DataFolder, record: ShardRecord, of: str, report_bytes: int | None = None) -> None:
     """Write the record of a finished shard."""
     values = {**record.to_dict(), "of": of, "report_bytes": report_bytes}
-    folder.write_bytes(record.shard.record_path, json.dumps(values, indent=1).encode())
+    folder.write_bytes(record.shard.record_path, seal(json.dumps(values, indent=1)).encode())
 
 
 def _pending_shards(waiting: Iterable[str]) -> list[ShardName]:
@@ -331,6 +334,7 @@ def pending_records(
         # The shard of one that cannot be read is made again. It may also have been removed since it was
         # listed, because the run has just ended.
         with contextlib.suppress(IntegrityError, ValueError):
+            require_seal(content or b"", shard.record_path)
             pending = decode(content or b"", _Pending, shard.record_path)
             if (pending.of, pending.report_bytes) == (of, waiting.get(shard.report_path.rpartition("/")[2])):
                 record = decode(content or b"", ShardRecord, shard.record_path)
@@ -361,9 +365,9 @@ def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
 
 
 def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
-    """Remove what a finished set does not need: its pending records, temporary files, an abandoned next set.
+    """Remove what a finished set does not need: its pending records and temporary files.
 
-    The records of another split stay until that is finished.
+    The records of another split stay until that is finished. What is to replace the set is of another run.
     """
     shards = [record.shard for record in _begun_records(folder, manifest)]
     kept = {path for shard in shards for path in (shard.record_path, shard.report_path)}
@@ -371,11 +375,15 @@ def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
         if is_pending(path) and path not in kept:
             folder.remove(path)
     folder.remove_empty(PENDING_FOLDER)
-    remove_next(folder)
 
 
-def refuse_unknown_files(folder: DataFolder) -> None:
-    """Refuse a folder without a data set that holds a user's files: a run must never mix with them."""
+def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> None:
+    """Refuse a folder without manifest that holds files: a run must never mix with those of a user.
+
+    Where there are records of a run of the plan, the files are of that run, and somebody took the manifest.
+    """
+    if plan is not None and pending_records(folder, plan.new_manifest().identity):
+        return
     unknown = [name for name in folder.names() if not is_hidden(name)]
     if unknown and MANIFEST_FILE not in unknown:  # another run may have begun at this moment
         raise InputError(
@@ -385,27 +393,43 @@ def refuse_unknown_files(folder: DataFolder) -> None:
         )
 
 
-def _refuse_difference(folder: DataFolder, found: object, wanted: object) -> None:
-    differing = "; ".join(_differences(found, wanted))
+def _refuse_specification(folder: DataFolder, there: Manifest, wanted: Manifest) -> None:
+    found, asked = ({"kind": each.kind, **each.spec} for each in (there, wanted))
+    differing = _differences(found, asked)
     if differing:
         raise SpecMismatchError(
-            f"{folder.address()!r} holds a data set of another specification, or was begun with other "
-            f"versions of libraries, which write other bytes: {differing}; nothing was changed",
-            next="choose another folder (--out or OUT), or start again there with --overwrite (without "
-            "--part and in no object store; there, remove it first), or install those versions",
+            f"{differing}: {folder.address()!r} holds a data set of another specification; nothing was "
+            "changed",
+            next=_START_AGAIN,
+        )
+    _refuse_versions(
+        folder, {"toolkit_version": there.toolkit_version}, {"toolkit_version": wanted.toolkit_version}
+    )
+
+
+def _refuse_versions(folder: DataFolder, there: object, here: object) -> None:
+    differing = _differences(there, here)
+    if differing:
+        raise SpecMismatchError(
+            f"{differing}: {folder.address()!r} was begun with other versions, which write other bytes; "
+            "nothing was changed",
+            next=f"install those versions, or {_START_AGAIN}",
         )
 
 
-def _differences(found: Any, wanted: Any, path: str = "") -> list[str]:
-    """State how two JSON values differ, one line for each difference."""
+def _differences(found: Any, wanted: Any) -> str:
+    """State the first places in which two JSON values differ; empty where they do not."""
+    lines = list(_different(found, wanted))
+    more = len(lines) - _DIFFERENCES_SHOWN
+    return "; ".join(lines[:_DIFFERENCES_SHOWN] + [f"and {more:,} more"] * (more > 0))
+
+
+def _different(found: Any, wanted: Any, path: str = "") -> Iterator[str]:
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
-        lines = []
         for key in dict.fromkeys((*found, *wanted)):
-            lines += _differences(found.get(key), wanted.get(key), f"{path}.{key}".lstrip("."))
-        return lines
-    if found == wanted:
-        return []
-    return [f"{path} is {_short(found)} there, {_short(wanted)} was asked for"]
+            yield from _different(found.get(key), wanted.get(key), f"{path}.{key}".lstrip("."))
+    elif found != wanted:
+        yield f"{path} is {_short(found)} there, {_short(wanted)} was asked for"
 
 
 def _short(value: Any) -> str:

@@ -38,6 +38,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
+from tests.sealed import sealed
 
 
 def head_of(folder: Path) -> dict:
@@ -108,7 +109,7 @@ def test_a_folder_whose_manifest_records_no_sizes_gets_a_card(folder, made):
     manifest = json.loads((folder / "manifest.json").read_text())
     for shard in manifest["shards"]:
         assert shard.pop("unpacked_bytes") > 0
-    (folder / "manifest.json").write_text(json.dumps(manifest))
+    (folder / "manifest.json").write_text(sealed(manifest))
     (folder / "README.md").unlink()
     place = DataFolder(str(folder))
     write_card(place, read_manifest(place))

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.store.files import locked
+from tactile_toolkit.errors import BusyError
+from tactile_toolkit.store.locks import locked
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="asks how a system with the module does it")
 
@@ -22,7 +23,7 @@ def test_a_folder_is_held_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     if not has_locks:
         monkeypatch.setattr("fcntl.flock", refuse)
     for _ in range(2):
-        with locked(tmp_path), pytest.raises(BlockingIOError), locked(tmp_path, patience_s=0):
+        with locked(tmp_path), pytest.raises(BusyError), locked(tmp_path, patience_s=0):
             pytest.fail("two hold it")
         assert list(tmp_path.iterdir()) == []
 

@@ -129,13 +129,13 @@ from dataclasses import replace
 from pathlib import Path
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store import build as module
+from tactile_toolkit.store import locks
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.store.test_ownership import seeded
 from tests.tactile_toolkit.toy import folder_bytes
 
-module._PATIENCE_S = 0.0
+locks.PATIENCE_S = 0.0
 base, scenario, stride = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 
 def few(seed):
