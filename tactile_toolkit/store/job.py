@@ -182,11 +182,23 @@ def begin_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int) -> Job:
         job = inspect_job(folder, plan, runner)
         current = read_manifest(folder)
         if current is None and (job.remaining or job.finished):
+            _remove_outdated_records(folder, plan, job.manifest)
             folder.create_bytes(MANIFEST_FILE, job.manifest.to_json().encode())
             continue  # read back: another run may have been faster
         if current is not None and current.identity != job.manifest.identity:
             write_manifest(folder, job.manifest)  # of other versions, and none of its shards is left
         return job
+
+
+def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Manifest) -> None:
+    """Remove records of a job whose manifest somebody removed, where their files are not what they state.
+
+    Another set may have been begun on top of them, and removed: from here on only sizes are compared.
+    """
+    records = pending_records(folder, manifest.identity)
+    intact = _intact_records(folder, plan, manifest, {task.shard for task in plan.tasks}, check=True)
+    for shard in records.keys() - intact.keys():
+        folder.remove(shard.record_path)
 
 
 def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -> Job:
@@ -200,9 +212,8 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
     manifest, new = read_manifest(folder), plan.new_manifest()
     tasks = tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
     if manifest is None:
-        # Another set may have been begun, and removed, on top of what the records are of: all is read.
         refuse_unknown_files(folder, plan)
-        manifest, check = new, True
+        manifest, check = new, True  # as in `_remove_outdated_records`
     _refuse_specification(folder, manifest, new)
     _reject_unexpected_files(folder, plan)
     intact = _intact_records(folder, plan, manifest, {task.shard: task for task in tasks}, check)
