@@ -298,8 +298,11 @@ class Shard:
             except OSError:
                 pass  # without locks no process waits
             except BusyError as error:
+                if lock not in _HELD_UP:
+                    warnings.warn(
+                        f"{error.what}; it is not waited for any more", RuntimeWarning, stacklevel=2
+                    )
                 _HELD_UP.add(lock)
-                warnings.warn(f"{error.what}; it is not waited for any more", RuntimeWarning, stacklevel=2)
             # Each time: a notebook may set the variable at any time.
             _UNPACKED.limit_bytes = cache_limit_bytes()
             # Whoever held the lock may have unpacked it meanwhile, or a part of it.

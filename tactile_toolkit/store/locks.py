@@ -112,14 +112,13 @@ def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
     stopped = [each for each in holders if each.state in _STOPPED]
     who = ", ".join(map(str, stopped or holders)) or "another process"
     state = ", which was stopped," if stopped else ""
-    then = "wait until it has ended, or end it, and run the same command again"
-    if stopped:
-        then = f"continue it (kill -CONT {stopped[0].pid}) or end it, and run the same command again"
-    if (path / LOCK_FILE).exists():
-        then += f"; or remove {str(path / LOCK_FILE)!r} if no process is at work there"
+    first = f"continue it (kill -CONT {stopped[0].pid})" if stopped else "wait until it has ended"
+    left = f", or remove {str(path / LOCK_FILE)!r} if no process is at work there"
+    then = left if (path / LOCK_FILE).exists() else ""
     waited = f", and has done so for {patience_s:.0f} s" if patience_s else ""
     return BusyError(
-        f"{who}{state} holds {str(path)!r}{waited}; nothing was changed, finished files stay", next=then
+        f"{who}{state} holds {str(path)!r}{waited}",
+        next=f"{first}, or end it{then}, and run the same command again; what is finished stays",
     )
 
 
