@@ -196,7 +196,7 @@ def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Mani
     Another set may have been begun on top of them, and removed: from here on only sizes are compared.
     """
     records = pending_records(folder, manifest.identity)
-    intact = _intact_records(folder, plan, manifest, {task.shard for task in plan.tasks}, check=True)
+    intact = _intact_records(folder, plan, manifest, {task.shard: task for task in plan.tasks}, check=True)
     for shard in records.keys() - intact.keys():
         folder.remove(shard.record_path)
 

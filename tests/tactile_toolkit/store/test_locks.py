@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.cache import LOCKS, cache_folder
-from tactile_toolkit.catalog.locate import find_shards
 from tactile_toolkit.errors import BusyError
+from tactile_toolkit.places.place import open_place
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store import locks
 from tactile_toolkit.store.build import Progress, build
@@ -193,7 +193,7 @@ def test_a_run_that_cannot_begin_waits_once(tmp_path: Path, clock: Clock) -> Non
 @needs_list
 def test_a_stopped_reader_keeps_no_other_from_reading(tmp_path: Path, clock: Clock) -> None:
     build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
-    (shard, *_) = find_shards(str(tmp_path), "train")
+    (shard, *_) = open_place(str(tmp_path)).shards("train")
     lock = cache_folder() / LOCKS / shard.digest[:2]
     lock.parent.mkdir(parents=True)
     with held(lock):
