@@ -118,7 +118,8 @@ def verify(
     from tactile_toolkit.store.verify import require_finished
 
     place = opening.open(sink, name)
-    if place.folder is not None:
+    if place.folder is not None and place.unfinished:
+        place.require(KIND, "verify")
         require_finished(place.folder)
     result = _verified(sink, place, split, workers, quick=quick)
     findings = list(map(asdict, result.findings))

@@ -82,7 +82,7 @@ def test_verify_says_that_a_run_has_not_finished(tmp_path, capsys):
 
 
 def test_verify_of_touches_says_it_too(tmp_path):
-    plan = replace(toy_plan(("test",)), kind="touch-single", report_file=None, spec={"operation": "resize"})
+    plan = replace(toy_plan(("test",)), kind="realtouch", report_file=None, spec={"operation": "resize"})
     build(DataFolder(str(tmp_path)), plan, Part(0, 2))
     result = CliRunner().invoke(touches, ["verify", str(tmp_path)])
     assert result.exit_code == 1, result.output
