@@ -11,7 +11,7 @@ import contextlib
 import json
 import socket
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import groupby
@@ -37,10 +37,6 @@ from tactile_toolkit.store.task import ShardTask
 
 _LONGEST_SHOWN = 200
 _DIFFERENCES_SHOWN = 5
-_START_AGAIN = (
-    "choose another folder (--out or OUT), or start again there with --overwrite (without --part and in no "
-    "object store; there, remove it first)"
-)
 
 
 @dataclass(frozen=True)
@@ -191,7 +187,7 @@ def begin_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int) -> Job:
 
 
 def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Manifest) -> None:
-    """Remove records of a job whose manifest somebody removed, where their files are not what they state.
+    """Remove records of a job whose manifest was removed, where their files are not what they state.
 
     Another set may have been begun on top of them, and removed: from here on only sizes are compared.
     """
@@ -214,16 +210,19 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
     if manifest is None:
         refuse_unknown_files(folder, plan)
         manifest, check = new, True  # as in `_remove_outdated_records`
-    _refuse_specification(folder, manifest, new)
+    found, wanted = (
+        {"kind": each.kind, **each.spec, "toolkit_version": each.toolkit_version} for each in (manifest, new)
+    )
+    _refuse_difference(folder, found, wanted)
     _reject_unexpected_files(folder, plan)
     intact = _intact_records(folder, plan, manifest, {task.shard: task for task in tasks}, check)
     job = Job(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
-    if job.remaining and manifest.libraries and manifest.libraries != new.libraries:
+    if job.remaining and manifest.libraries != new.libraries:
         begun = {record.shard for record in manifest.shards}.union(
             _pending_shards(folder.names(PENDING_FOLDER))
         )
         if begun - {task.shard for task in job.remaining}:
-            _refuse_versions(folder, {"libraries": manifest.libraries}, {"libraries": new.libraries})
+            _refuse_difference(folder, {"libraries": manifest.libraries}, {"libraries": new.libraries})
         job = replace(job, manifest=new)
     if isinstance(runner, Finish):
         require_parts(job, job.finished)
@@ -404,43 +403,29 @@ def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> N
         )
 
 
-def _refuse_specification(folder: DataFolder, there: Manifest, wanted: Manifest) -> None:
-    found, asked = ({"kind": each.kind, **each.spec} for each in (there, wanted))
-    differing = _differences(found, asked)
-    if differing:
+def _refuse_difference(folder: DataFolder, found: object, wanted: object) -> None:
+    lines = _differences(found, wanted)
+    if lines:
+        more = [f"and {len(lines) - _DIFFERENCES_SHOWN:,} more"] if len(lines) > _DIFFERENCES_SHOWN else []
+        differing = "; ".join(lines[:_DIFFERENCES_SHOWN] + more)
         raise SpecMismatchError(
-            f"{differing}: {folder.address()!r} holds a data set of another specification; nothing was "
-            "changed",
-            next=_START_AGAIN,
-        )
-    _refuse_versions(
-        folder, {"toolkit_version": there.toolkit_version}, {"toolkit_version": wanted.toolkit_version}
-    )
-
-
-def _refuse_versions(folder: DataFolder, there: object, here: object) -> None:
-    differing = _differences(there, here)
-    if differing:
-        raise SpecMismatchError(
-            f"{differing}: {folder.address()!r} was begun with other versions, which write other bytes; "
-            "nothing was changed",
-            next=f"install those versions, or {_START_AGAIN}",
+            f"{differing}: {folder.address()!r} holds a data set of another "
+            "specification, or was begun with other versions, which write other bytes; nothing was changed",
+            next="choose another folder (--out or OUT), or start again there with --overwrite (without "
+            "--part and in no object store; there, remove it first), or install those versions",
         )
 
 
-def _differences(found: Any, wanted: Any) -> str:
-    """State the first places in which two JSON values differ; empty where they do not."""
-    lines = list(_different(found, wanted))
-    more = len(lines) - _DIFFERENCES_SHOWN
-    return "; ".join(lines[:_DIFFERENCES_SHOWN] + [f"and {more:,} more"] * (more > 0))
-
-
-def _different(found: Any, wanted: Any, path: str = "") -> Iterator[str]:
+def _differences(found: Any, wanted: Any, path: str = "") -> list[str]:
+    """State how two JSON values differ, one line for each difference."""
     if isinstance(found, Mapping) and isinstance(wanted, Mapping):
+        lines = []
         for key in dict.fromkeys((*found, *wanted)):
-            yield from _different(found.get(key), wanted.get(key), f"{path}.{key}".lstrip("."))
-    elif found != wanted:
-        yield f"{path} is {_short(found)} there, {_short(wanted)} was asked for"
+            lines += _differences(found.get(key), wanted.get(key), f"{path}.{key}".lstrip("."))
+        return lines
+    if found == wanted:
+        return []
+    return [f"{path} is {_short(found)} there, {_short(wanted)} was asked for"]
 
 
 def _short(value: Any) -> str:

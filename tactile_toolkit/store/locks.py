@@ -56,7 +56,7 @@ def locked(
             except BlockingIOError as error:
                 if time.monotonic() >= deadline_s:
                     holders = _holders_of(path)
-                    if not (is_patient and holders and all(each.is_at_work for each in holders)):
+                    if not (is_patient and holders and all(each.state in _AT_WORK for each in holders)):
                         raise _busy(path, holders, patience_s) from error
                     deadline_s += patience_s
                 time.sleep(_LOOK_AGAIN_S)
@@ -75,20 +75,15 @@ class _Holder(NamedTuple):
                 return Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[0]
         return ""
 
-    @property
-    def is_at_work(self) -> bool:
-        """Whether the process is known to run."""
-        return self.state in _AT_WORK
-
     def __str__(self) -> str:
-        words = list[str]()
-        with contextlib.suppress(OSError):
-            if self.state:
-                words = Path(f"/proc/{self.pid}/cmdline").read_bytes().decode(errors="replace").split("\0")
-        # No options: these may hold what is not to be shown.
-        named = [Path(words[0]).name, *takewhile(lambda word: word[:1] not in ("-", ""), words[1:])]
-        command = f" (`{redact(shlex.join(named))[:_LONGEST_COMMAND]}`)" if words else ""
-        return f"process {self.pid} on {self.host}{command}"
+        name = f"process {self.pid} on {self.host}"
+        if self.state:
+            with contextlib.suppress(OSError):
+                first, *words = os.fsdecode(Path(f"/proc/{self.pid}/cmdline").read_bytes()).split("\0")
+                # No options: these may hold what is not to be shown.
+                shown = [Path(first).name, *takewhile(lambda word: word[:1] not in ("-", ""), words)]
+                return f"{name} (`{redact(shlex.join(shown))[:_LONGEST_COMMAND]}`)"
+        return name
 
 
 def _holders_of(path: Path) -> list[_Holder]:
