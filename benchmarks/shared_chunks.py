@@ -1,11 +1,11 @@
-"""How much of a data set the Hub has already where 1 % of its rows differ, in both versions of the schema.
+"""How much of a data set the Hub has already where 1 % of its rows differ.
 
     python benchmarks/shared_chunks.py digits touches
 
 The Hub's storage cuts files by content (a rolling gear hash, 64 KiB on average) and keeps equal chunks once.
-The shards of each folder given are written in the style of the first version of the schema, and in that of
-now: as they are, and with 1 % of the rows replaced by others or removed. Printed is the share of the second
-set's bytes that lie in chunks of the first.
+The shards of each folder given are written with pages of a fixed size, and in the style of their kind: as
+they are, and with 1 % of the rows replaced by others or removed. Printed is the share of the second set's
+bytes that lie in chunks of the first.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -26,7 +27,6 @@ from mnist3d.columns import PARQUET_STYLE
 from tactile_sim import GenerateSpec, TouchPlan
 from tactile_sim.generation import TouchMaking
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import first_style
 from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
 
@@ -65,17 +65,15 @@ def shared(first: list[bytes], second: list[bytes]) -> float:
     return sum(size for digest, size in chunks(second) if digest in known) / sum(map(len, second))
 
 
-def styles(folder: DataFolder) -> tuple[ParquetStyle, ParquetStyle]:
-    """Return the style in which the first version stored such a set, and that of now."""
+def style_of(folder: DataFolder) -> ParquetStyle:
+    """Return the style in which such a set is stored."""
     manifest = read_manifest(folder)
     assert manifest is not None
     if manifest.kind == "mnist3d":
-        return first_style(PARQUET_STYLE), PARQUET_STYLE
+        return PARQUET_STYLE
     options = manifest.spec["options"]
     spec = GenerateSpec(tuple(options["size_px"]), plan=TouchPlan(touches=options["plan"]["touches"]))
-    layout = TouchMaking(spec, {}, {}).layout()
-    assert layout.former is not None
-    return first_style(layout.former.style), layout.style
+    return TouchMaking(spec, {}, {}).layout().style
 
 
 def changed(tables: list[pa.Table]) -> tuple[list[pa.Table], list[pa.Table], list[pa.Table]]:
@@ -100,10 +98,12 @@ def main() -> None:
         paths = sorted(Path(name, "data").glob("*.parquet"))
         sets = changed([pq.read_table(path).combine_chunks() for path in paths])
         print(f"{name}: {sum(map(len, sets[0])):,} rows in {len(paths):,} shards")
-        for version, style in zip(("before", "now"), styles(DataFolder(name)), strict=True):
+        now = style_of(DataFolder(name))
+        plain = replace(now, values_per_page=None, chunks_by_content=False, page_index=False)
+        for pages, style in (("plain", plain), ("ours", now)):
             first, *others = ([encode_parquet(table, style) for table in tables] for tables in sets)
             shares = " ".join(f"{shared(first, other):6.1%}" for other in others)
-            print(f"  {version:6} {sum(map(len, first)):>12,} bytes; replaced, removed: {shares}")
+            print(f"  {pages:6} {sum(map(len, first)):>12,} bytes; replaced, removed: {shares}")
 
 
 if __name__ == "__main__":

@@ -19,7 +19,13 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from tactile_toolkit.checked_fields import OptionText, Rule, check_value, metavar_of, rule_of, text
-from tactile_toolkit.errors import InputError, StorageError, ToolkitError, require_public
+from tactile_toolkit.errors import (
+    InputError,
+    SpecMismatchError,
+    StorageError,
+    ToolkitError,
+    require_public,
+)
 from tactile_toolkit.wording import printable
 
 EXIT_FAILED = 1
@@ -187,7 +193,10 @@ class _Command(TyperCommand):
             if os.environ.get(_DEBUG_VARIABLE):
                 raise
             if isinstance(error, ToolkitError):
-                message, code = self._with_option(str(error)), error.exit_code
+                # What differs is a field of the manifest, which need not be an option of this command.
+                is_of_folder = isinstance(error, SpecMismatchError)
+                message = str(error) if is_of_folder else self._with_option(str(error))
+                code = error.exit_code
             elif error.filename is not None:
                 # A path that the system refuses, such as too long a name. As a traceback it would end with 1:
                 # a validation failed.

@@ -119,8 +119,9 @@ def verify(
     from tactile_toolkit.cards.card import check_card
     from tactile_toolkit.places.place import open_place
     from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store.manifest import MANIFEST_FILE
     from tactile_toolkit.store.origin import read_record
-    from tactile_toolkit.store.verify import verify
+    from tactile_toolkit.store.verify import require_finished, verify
 
     place = DataFolder(folder)
     manifest = open_place(folder).require(kind, "verify").manifest
@@ -138,10 +139,12 @@ def verify(
             sink.document(document)
         return
     sink.document(document)
+    if [finding.file for finding in result.findings] == [MANIFEST_FILE]:  # else damage is what counts
+        require_finished(place)
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
     record = read_record(place)
-    again = f"remove those files, then run the same `{kind.command_of(manifest)}` again"
+    again = f"run the same `{kind.command_of(manifest)}` with --check, which makes damaged shards again"
     if record is not None:
         again = f"download {record.repo_id} there again, only what is damaged is fetched"
     # Unknown files, links and cards: what no run would repair states itself what to do.

@@ -146,8 +146,7 @@ def print_set(
     from tactile_toolkit.store.origin import read_record
 
     table = manifest.split_table()
-    # The name of a shard states of how many it is one, so any of them will do.
-    planned = {split: manifest.shards_of(split)[0].shard.count for split in manifest.splits}
+    planned = {split: count for split, count in manifest.shards_planned().items() if split in table}
     sink.document(
         {
             "folder": out,

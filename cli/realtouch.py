@@ -115,7 +115,13 @@ def verify(
 
     Example: realtouch verify real-single-64x64 --split test
     """
-    result = _verified(sink, opening.open(sink, name), split, workers, quick=quick)
+    from tactile_toolkit.store.verify import require_finished
+
+    place = opening.open(sink, name)
+    if place.folder is not None and place.unfinished:
+        place.require(KIND, "verify")
+        require_finished(place.folder)
+    result = _verified(sink, place, split, workers, quick=quick)
     findings = list(map(asdict, result.findings))
     counts_of = {"rounds": result.rounds, "touches": result.touches}
     unprotected = list(result.unprotected)

@@ -30,8 +30,9 @@ from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
 from tactile_toolkit.places.place import kind_of_rows, open_place
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.store.files import expanded, locked, named_failures, path_exists
+from tactile_toolkit.store.files import expanded, named_failures, path_exists
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.wording import did_you_mean
 
@@ -340,7 +341,7 @@ class AssetProvider:
         with named_failures(str(lock)):
             self.root.mkdir(parents=True, exist_ok=True)
             lock.touch()
-        with locked(lock):
+        with locked(lock, is_patient=True):
             try:
                 # Another process may have made it while this one waited.
                 return open_place(place).shards(split)

@@ -20,8 +20,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.cache import DiskCache
+from tactile_toolkit.errors import BusyError
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.store.files import locked, resource_shortage
+from tactile_toolkit.store.files import resource_shortage
+from tactile_toolkit.store.locks import locked
 
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""
@@ -81,8 +83,9 @@ class MeshPool:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 # Whoever comes later finds it made.
-                stack.enter_context(locked(path.with_suffix(".lock")))
-            except OSError:  # nothing can be kept there
+                stack.enter_context(locked(path.with_suffix(".lock"), is_patient=True))
+            except (OSError, BusyError) as error:  # nothing can be kept there, or is not released
+                _LOG.warning("meshes are sorted again each time: %s", error)
                 return cls.packed(records)
             found = _found(path)
             if found is None:

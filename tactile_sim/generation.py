@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import os
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache, partial
 from importlib.util import find_spec
 from typing import Any, Literal, Unpack
@@ -227,25 +227,23 @@ class TouchMaking(making.Making):
 
     def layout(self) -> making.Layout:
         """Return how rows are stored: pictures and drawn numbers have no dictionary."""
-        most, former = self._rounds_for(_SHARD_BYTES), ((_IMAGE_BYTES, "PLAIN"),)
+        drawn = (f"{name}.list.element.list.element" for name in DRAWN)
         has_small_rounds = self._rounds_for(_PAGE_BYTES) >= _ROUNDS_PER_PAGE
         style = ParquetStyle(
             self._rounds_for(_GROUP_BYTES),
             compression_level=3,
-            encodings=(*former, *((f"{name}.list.element.list.element", "PLAIN") for name in DRAWN)),
+            encodings=tuple((path, "PLAIN") for path in (_IMAGE_BYTES, *drawn)),
             values_per_page=_ROUNDS_PER_PAGE * self.spec.plan.touches if has_small_rounds else None,
         )
-        layout = making.Layout(
+        return making.Layout(
             style,
             libraries=("numpy", "pillow", "pyarrow", *(["torch"] if self.spec.optics == "cyclegan" else [])),
             smallest=self._rounds_for(_SMALLEST_SHARD_BYTES),
-            largest=most,
+            largest=self._rounds_for(_SHARD_BYTES),
             wanted=_SHARDS,
             sampled=3,  # a round of 32 touches takes some 10 ms, the first look at a solid 28
             together=self.spec.plan.rounds,
         )
-        first = replace(layout, style=replace(style, encodings=former), smallest=most, together=1)
-        return replace(layout, former=first)
 
     def _rounds_for(self, size_bytes: int) -> int:
         width, height = self.spec.size_px

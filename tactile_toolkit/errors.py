@@ -6,8 +6,10 @@
     +-- InputError               change what you gave: a path, an option, a file        (2)
     |   +-- SpecMismatchError    the folder belongs to another specification
     |   +-- MissingExtraError    install an optional package
+    |   +-- BusyError            another process holds the folder or file: wait for it, or end it
     |   +-- StorageError         make room, or choose a folder that can be written (4: in a download)
     |   +-- ItemError            one image or mesh cannot be used; a run lists it and continues
+    +-- UnfinishedError          wait for the run that makes the data set, or give its command again (1)
     +-- IntegrityError           stored data is damaged: fetch or make it again       (3)
     +-- RemoteError              an object store or the network did not do what was asked (4)
         +-- HubError             so with the Hub
@@ -116,6 +118,10 @@ def install_line(extra: str) -> str:
     return f"pip install {packages} (the extra `{extra}`)"
 
 
+class BusyError(InputError):
+    """Another process holds the lock of a file or folder."""
+
+
 class StorageError(InputError):
     """Data could not be written: no space left, no permission, a read-only folder."""
 
@@ -137,6 +143,10 @@ class ItemError(InputError):
         super().__init__(message, next)
         self.reason = reason
         self.args = (reason, self.message)
+
+
+class UnfinishedError(ToolkitError):
+    """The run that makes a data set is under way or was interrupted; what is there is intact."""
 
 
 class IntegrityError(ToolkitError):

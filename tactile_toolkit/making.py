@@ -53,8 +53,6 @@ class Layout:
         Path of the report, where there is one.
     together : int
         Items that are made of one thing, and so stand in one shard where that is possible.
-    former : Layout or None
-        Layout of the first version of the schema, where more than pages was different.
     """
 
     style: ParquetStyle
@@ -65,7 +63,6 @@ class Layout:
     sampled: int = 1
     report_file: str | None = None
     together: int = 1
-    former: Layout | None = None
 
 
 class Making(ABC):
@@ -136,7 +133,7 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
             f"no {making.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
             next="choose another --split, or larger ones",
         )
-    plan = BuildPlan(
+    return BuildPlan(
         making.kind.name,
         making.manifest(),
         known,
@@ -145,10 +142,6 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
         layout.report_file,
         libraries=layout.libraries,
     )
-    if layout.former is None:
-        return plan
-    former = replace(plan, tasks=_tasks(making, chosen, layout.former), style=layout.former.style)
-    return replace(plan, former=former)
 
 
 def _tasks(making: Making, items: Mapping[str, Any], layout: Layout) -> tuple[ShardTask[Any], ...]:
@@ -239,7 +232,7 @@ def forecast(
     folder = DataFolder(os.fspath(out))
     if overwrite:
         refuse_overwriting_parts(folder, workers.workers if isinstance(workers, Check) else workers)
-        require_replaceable(folder)
+    if overwrite and require_replaceable(folder, plan):
         job = Job(folder, plan, plan.new_manifest(), plan.tasks)
     else:
         job = inspect_job(folder, plan, workers)

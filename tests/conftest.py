@@ -46,7 +46,8 @@ if os.environ.pop("PYTHONDONTWRITEBYTECODE", None):
 os.environ.pop("SSL_CERT_FILE", None)
 os.environ["SSL_CERT_DIR"] = str(Path(__file__).parent)
 
-# What a power cut leaves cannot be seen here, and waiting for the disk would take a fifth of the time.
+# What a power cut leaves cannot be seen here, and waiting for the disk would take a fifth of the time;
+# `test_durable.py` counts the calls.
 os.fsync = lambda _handle: None
 
 # To remove a folder from a disk takes up to 2 ms, and tests remove tens of thousands: they work in memory,

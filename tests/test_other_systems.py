@@ -82,7 +82,7 @@ def test_a_set_is_made_loaded_and_verified(tmp_path: Path) -> None:
     code = """
 import sys
 from pathlib import Path
-import tactile_toolkit.store.files as system
+import tactile_toolkit.store.locks as system
 
 def main():
     import env_assets, starstruck_gen
@@ -127,11 +127,11 @@ def _imports(path: Path) -> set[str]:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="asks how a system with the module does it")
 def test_a_lock_keeps_others_waiting(tmp_path: Path) -> None:
-    from tactile_toolkit.store.files import locked
+    from tactile_toolkit.store.locks import locked
 
     code = f"""
 from pathlib import Path
-from tactile_toolkit.store.files import locked
+from tactile_toolkit.store.locks import locked
 with locked(Path({str(tmp_path / "lock")!r})):
     print("got it", flush=True)
 """

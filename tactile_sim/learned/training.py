@@ -19,10 +19,9 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing, contextmanager, nullcontext
+from contextlib import closing, contextmanager, nullcontext
 from dataclasses import dataclass
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -50,7 +49,6 @@ from tactile_toolkit.errors import (
     SpecMismatchError,
     ToolkitError,
 )
-from tactile_toolkit.store.files import locked
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import decode, is_hidden
 from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
@@ -366,20 +364,13 @@ class _Run:
 
 @contextmanager
 def _locked(folder: DataFolder, place: _Place) -> Iterator[None]:
-    """Hold the folder, so that no other training writes there; InputError where one is at work."""
+    """Hold the folder, so that no other training writes there; BusyError where one is at work."""
     # Object stores know no locks; the other processes of torchrun belong to the first.
     if place.rank or not folder.is_local:
         yield
         return
     folder.require_folder()
-    with ExitStack() as held:
-        try:
-            held.enter_context(locked(Path(folder.address()), patience_s=0))
-        except BlockingIOError as error:
-            raise InputError(
-                f"another training is at work in {folder.address()!r}; nothing was changed",
-                next="wait for it, or choose another folder (--out)",
-            ) from error
+    with folder.locked(patience_s=0):
         yield
 
 

@@ -84,7 +84,7 @@ def folder_facts(
     IntegrityError when one is missing or damaged.
     """
     manifest = manifest or read_manifest(folder)
-    splits, recorded = [], manifest is not None
+    splits = []
     if manifest is None:
         held = (place or folder_place(folder)).all_shards()
     else:
@@ -93,14 +93,15 @@ def folder_facts(
         records = () if manifest is None else manifest.shards_of(split)
         paths = tuple(shard.path.removeprefix(f"{folder.address()}/") for shard in shards)
         sizes: Iterable[Sequence[Any]] = [(each.rows, each.bytes, each.unpacked_bytes) for each in records]
-        if not records or any(None in each for each in sizes):
-            recorded = False
+        if manifest is None:
             files = zip(shards, paths, strict=True)
             sizes = in_threads(partial(_sizes, folder), files, usable_cores())
         splits.append(SplitFacts(split, shards, paths, *map(sum, zip(*sizes, strict=True))))
     if not splits:
         raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
-    return FolderFacts(tuple(splits), splits[0].shards[0].schema, recorded, viewer_files(manifest))
+    return FolderFacts(
+        tuple(splits), splits[0].shards[0].schema, manifest is not None, viewer_files(manifest)
+    )
 
 
 def _recorded(folder: DataFolder, records: Iterable[ShardRecord]) -> tuple[Shard, ...]:

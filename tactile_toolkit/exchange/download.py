@@ -25,7 +25,7 @@ from tactile_toolkit.cards.facts import (
     viewer_files,
     with_head,
 )
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, ToolkitError
+from tactile_toolkit.errors import BusyError, InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.hub.calls import not_cached
 from tactile_toolkit.hub.repository import HubRepository, open_repository
 from tactile_toolkit.kind import DatasetKind
@@ -250,9 +250,9 @@ def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambd
         with contextlib.ExitStack() as stack:
             try:
                 stack.enter_context(folder.locked(patience_s=0))
-            except InputError as error:
+            except BusyError as error:
                 repository.on_wait(f"{error.what}; this download begins when that has ended")
-                stack.enter_context(folder.locked())
+                stack.enter_context(folder.locked(is_patient=True))
             if read_record(folder) != plan.earlier:  # another download was here, maybe of other splits
                 plan = _plan(repository, plan.held, plan.splits, folder)
             if not plan.is_done:

@@ -27,8 +27,9 @@ from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask
 from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.files import DRAFT, LOCK_FILE, draft_of, locked, named_failures, remove_drafts
+from tactile_toolkit.store.files import DRAFT, draft_of, named_failures, remove_drafts
 from tactile_toolkit.store.folder import local_folder
+from tactile_toolkit.store.locks import LOCK_FILE, locked
 from tactile_toolkit.wording import natural_key
 
 PAGE_FILE = "index.html"
@@ -145,11 +146,6 @@ def _unfinished_folder(path: Path) -> Iterator[Path]:
                 yield folder
             finally:
                 _remove_unfinished(path)
-    except BlockingIOError as error:
-        raise InputError(
-            f"another run makes a gallery in {str(path)!r}; nothing was changed",
-            next="wait until it has ended, or choose another folder with --out",
-        ) from error
     finally:
         if is_new:
             with suppress(OSError):  # where it holds the page

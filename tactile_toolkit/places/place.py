@@ -124,13 +124,7 @@ class Place:
     @property
     def unfinished(self) -> str:
         """How much of an unfinished data set is there, such as ``"3 of 8 shards"``; else empty."""
-        if self.complete or self.manifest is None:
-            return ""
-        counts = {record.split: record.shard.count for record in self.manifest.shards}
-        known, done = sum(counts.values()), len(self.manifest.shards)
-        if {*counts} == {*self.manifest.split_order}:
-            return f"{done:,} of {counted(known, 'shards')}"
-        return f"{done:,} of {known:,} or more shards"
+        return "" if self.complete or self.manifest is None else self.manifest.progress
 
     @cached_property
     def kind(self) -> DatasetKind | None:

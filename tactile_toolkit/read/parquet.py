@@ -14,6 +14,7 @@ import io
 import os
 import re
 import struct
+import warnings
 from array import array
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -28,7 +29,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
-from tactile_toolkit.errors import IntegrityError, ToolkitError
+from tactile_toolkit.errors import BusyError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import (
     RowGroup,
     Rows,
@@ -39,8 +40,9 @@ from tactile_toolkit.read.columns import (
 )
 from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import locked, resource_shortage
+from tactile_toolkit.store.files import resource_shortage
 from tactile_toolkit.store.folder import VERSION_KEYS, split_uri
+from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.parquet import SOURCE_DIGEST, named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
@@ -78,6 +80,7 @@ _UNPACKED = DiskCache(
     warning="row groups cannot be kept unpacked, {problem}; what was used last stays in the memory of this "
     "process, all else is decoded again",
 )
+_HELD_UP: set[Path] = set()  # locks that others did not release: this process does not wait for them again
 
 # A file of a block holds an Arrow stream and the checksum of that. A disk may change what it holds, and a
 # file of another program may bear the name of one of ours: neither is served.
@@ -286,11 +289,20 @@ class Shard:
         if _UNPACKED.is_given_up or _are_kept(files):
             return not _UNPACKED.is_given_up
         with contextlib.ExitStack() as stack:
-            with contextlib.suppress(OSError):  # without locks no process waits
-                # 256 files for all: one each would stay in the cache for good.
-                lock = cache_folder() / LOCKS / self.digest[:2]
+            # 256 files for all: one each would stay in the cache for good.
+            lock = cache_folder() / LOCKS / self.digest[:2]
+            try:
                 lock.parent.mkdir(parents=True, exist_ok=True)
-                stack.enter_context(locked(lock))
+                patience_s = 0.0 if lock in _HELD_UP else None
+                stack.enter_context(locked(lock, patience_s=patience_s, is_patient=True))
+            except OSError:
+                pass  # without locks no process waits
+            except BusyError as error:
+                if lock not in _HELD_UP:
+                    warnings.warn(
+                        f"{error.what}; it is not waited for any more", RuntimeWarning, stacklevel=2
+                    )
+                _HELD_UP.add(lock)
             # Each time: a notebook may set the variable at any time.
             _UNPACKED.limit_bytes = cache_limit_bytes()
             # Whoever held the lock may have unpacked it meanwhile, or a part of it.

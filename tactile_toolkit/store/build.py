@@ -17,7 +17,7 @@ from typing import Any, TypedDict
 
 import msgspec
 
-from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
+from tactile_toolkit.errors import BusyError, InputError, IntegrityError, StorageError, ToolkitError
 from tactile_toolkit.run.processes import Check, Finish, Part, Runner, runner_for
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import (
@@ -31,6 +31,7 @@ from tactile_toolkit.store.job import (
     require_same_job,
     write_record,
 )
+from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
     Manifest,
@@ -52,8 +53,6 @@ from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord, Skip
 from tactile_toolkit.store.task import ShardTask
 
 _CAUSES_SHOWN = 3
-# How long a run waits for the lock of others; one that was stopped (Ctrl-Z) never releases it.
-_PATIENCE_S = 60.0
 
 WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
@@ -113,7 +112,7 @@ class _WriteShard:
             source_digest=content.source_digest,
         )
         # As late as can be: hours may have passed, and another data set may be in the folder now.
-        with folder.locked(shared=True):
+        with folder.locked(shared=True, is_patient=True):
             require_same_job(folder, self.identity)
             folder.write_bytes(shard.data_path, data)
             if report is not None:
@@ -156,13 +155,14 @@ def build(
         refuse_overwriting_parts(folder, kind)
     existed = folder.exists()
     folder.require_folder()
-    target, had_manifest = folder, True
+    target, had_manifest, held = folder, True, contextlib.ExitStack()
     try:
-        resume_promotion(folder, _PATIENCE_S)
+        resume_promotion(folder)
         # Parts begin as they write shards: of many at once, one would never find the folder free.
-        with folder.locked(shared=is_part, patience_s=_PATIENCE_S):
-            if overwrite and require_replaceable(folder):
+        with folder.locked(shared=is_part):
+            if overwrite and require_replaceable(folder, plan):
                 target, existed = prepare_next(folder, plan), False
+                held.enter_context(locked(folder.place(NEXT_FOLDER), shared=True, patience_s=0.0))
             had_manifest = target.exists(MANIFEST_FILE)
             job = begin_job(target, plan, runner)
         # By names and sizes alone; manifests are written last.
@@ -172,19 +172,25 @@ def build(
         records = [*job.finished, *_work(job, runner, on_progress)]
         if is_part:
             return _end_part(job, records)
-        with folder.locked():
+        with folder.locked(is_patient=True):
             manifest = _finish(job, records, write_card)
             if target is not folder:
+                held.close()
                 promote(folder)
         return manifest
-    except BaseException:
+    except BaseException as error:
+        # Who has waited in vain does not wait again.
+        patience_s = 0.0 if isinstance(error, BusyError) else None
         # What ended the run is what is reported, even where the disk does not let us remove anything.
-        with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=_PATIENCE_S):
+        with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
             if not isinstance(kind, (Part, Finish)):
                 _undo(target, plan, had_manifest)
+            held.close()
             if not existed:
                 target.remove_empty("")
         raise
+    finally:
+        held.close()
 
 
 def _work(job: Job, runner: Runner, on_progress: Callable[[Progress], None]) -> Iterator[ShardRecord]:
@@ -205,7 +211,7 @@ def _end_part(job: Job, records: Sequence[ShardRecord]) -> Manifest:
         current = require_same_job(job.folder, job.manifest.identity)
         listed = {record.shard for record in current.shards}
         if current.complete and all(task.shard in listed for task in job.tasks):
-            with job.folder.locked():
+            with job.folder.locked(is_patient=True):
                 remove_leftovers(job.folder, require_same_job(job.folder, job.manifest.identity))
             return current
     _require_records(job, records)
@@ -230,7 +236,7 @@ def _finish(job: Job, records: Sequence[ShardRecord], write_card: WriteCard | No
         files |= {plan.report_file: checksum} if checksum is not None else {}
     files |= write_small_columns(folder, manifest)
     files |= plan.write_files(folder, manifest)
-    finished = replace(manifest, files=files, complete=True)
+    finished = replace(manifest, files=files, complete=True, planned={})
     if write_card is not None:
         write_card(folder, finished)
     # A run that had nothing to do leaves the file as it is, with its time.
@@ -254,7 +260,7 @@ def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     manifest = read_manifest(folder)
     if manifest is None:
         return
-    if manifest.identity != plan.in_version(manifest.schema_version).new_manifest().identity:
+    if manifest.identity != plan.new_manifest().identity:
         return
     listed = {record.shard for record in manifest.shards}
     pending = pending_records(folder, manifest.identity)
@@ -294,18 +300,15 @@ def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
         )
 
 
-_PATIENCE_S = 60.0
-
-
-def require_replaceable(folder: DataFolder) -> list[str]:
+def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> list[str]:
     """Return the files of the data set that a run may replace, none where there is none; changes nothing.
 
-    All files of a data set are known by their names; other hidden files stay. Raises
-    InputError for any other file, a symbolic link above all, and for a set in an object store, which moves
-    no file.
+    All files of a data set are known by their names; other hidden files stay. What a run of the plan has left
+    is not replaced but continued. Raises InputError for any other file, a symbolic link above all, and for a
+    set in an object store, which moves no file.
     """
     if not folder.exists(MANIFEST_FILE):
-        refuse_unknown_files(folder)
+        refuse_unknown_files(folder, plan)
         return []
     if not folder.is_local:
         raise InputError(
@@ -353,21 +356,24 @@ def _manifest(folder: DataFolder) -> Manifest | None:
 def prepare_next(folder: DataFolder, plan: BuildPlan) -> DataFolder:
     """Return the folder in which the next data set is made, without files of any other one.
 
-    The run that was making the other one, if it is still at work, is asked to begin again.
+    Who makes a data set there holds that folder, shared with other runs of the same. Raises BusyError where
+    another one is being made.
     """
-    after = DataFolder(folder.address(NEXT_FOLDER))
+    place, after = folder.place(NEXT_FOLDER), DataFolder(folder.address(NEXT_FOLDER))
+    after.require_folder()
     begun = _manifest(after)
     if begun is None or begun.identity != plan.new_manifest().identity:
-        folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it no other file counts
-        remove_next(folder)
-    after.require_folder()
+        with locked(place, patience_s=0.0):
+            folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it no other file counts
+            remove_next(folder)
+        after.require_folder()
     return after
 
 
-def resume_promotion(folder: DataFolder, patience_s: float = _PATIENCE_S) -> None:
-    """Complete a replacement that was begun; raises InputError while another run does so."""
+def resume_promotion(folder: DataFolder) -> None:
+    """Complete a replacement that was begun; raises BusyError while another run does so."""
     if folder.is_local and folder.exists(PROMOTION_FILE):
-        with folder.locked(patience_s=patience_s):
+        with folder.locked():
             if folder.exists(PROMOTION_FILE):
                 _move_files(folder)
 

@@ -1,35 +1,26 @@
-"""Single local files: locked, written completely or not at all, and what the system says in words.
-
-No other module of the project imports what only some systems have, but for signals.
-"""
+"""Single local files: written completely or not at all, and what the system says in words."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import math
 import os
 import re
 import stat
 import tempfile
-import time
 import uuid
 from collections.abc import Callable, Iterator
-from importlib import import_module
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import IO, TypeVar
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError, require_public
 
 TEMPORARY_PREFIX = ".writing-"
 DRAFT = re.escape(TEMPORARY_PREFIX) + "[0-9a-f]{32}-"
 """How the name of every unfinished file begins, as a pattern: what has no such number may be any user's."""
-LOCK_FILE = ".lock"
-"""Is in a folder while a process holds it where the system or the file system knows no locks of folders."""
 
 T = TypeVar("T")
 
-_LOOK_AGAIN_S = 0.02
 _TRIES = 10
 _OF_THE_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 
@@ -122,77 +113,6 @@ def open_regular(path: Path) -> IO[bytes]:
             f"{str(path)!r} is not a file (it is a pipe or a device); nothing was read from it"
         )
     return stream
-
-
-@contextlib.contextmanager
-def locked(path: Path, *, shared: bool = False, patience_s: float = math.inf) -> Iterator[None]:
-    """Wait for the lock of a file, which is made, or of a folder that is there, and hold it.
-
-    Held by the open file: threads wait for one another too, and a killed process lets go. Any number hold it
-    ``shared`` at once, where the system knows that. A folder that cannot be locked is held by a file in it,
-    which a killed process leaves; for a file that cannot be locked, no one waits. Raises OSError where the
-    file cannot be opened, BlockingIOError where another has held it for so long, and FileNotFoundError for a
-    folder that was removed meanwhile.
-    """
-    deadline_s = time.monotonic() + patience_s
-    with contextlib.ExitStack() as stack:
-        while True:
-            try:
-                stack.enter_context(_locked_now(path, shared))
-                break
-            except BlockingIOError:
-                if time.monotonic() >= deadline_s:
-                    raise
-                time.sleep(_LOOK_AGAIN_S)
-        yield
-
-
-@contextlib.contextmanager
-def _locked_now(path: Path, shared: bool) -> Iterator[None]:
-    fcntl, msvcrt, is_folder = _module("fcntl"), _module("msvcrt"), path.is_dir()
-    needs_file = is_folder and fcntl is None  # Windows opens no folders
-    with contextlib.ExitStack() as stack:
-        if not needs_file:
-            handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
-            stack.callback(os.close, handle)
-            try:
-                if fcntl is not None:
-                    fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-                    # Not left to closing: a child forked meanwhile has the file open too.
-                    stack.callback(fcntl.flock, handle, fcntl.LOCK_UN)
-                elif msvcrt is not None:
-                    msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-            except OSError as error:
-                if isinstance(error, BlockingIOError) or fcntl is None:
-                    raise BlockingIOError from error
-                needs_file = is_folder
-            if is_folder and not os.path.samestat(os.fstat(handle), path.stat()):
-                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-        if needs_file:
-            stack.enter_context(_lock_file(path / LOCK_FILE))
-        yield
-
-
-@contextlib.contextmanager
-def _lock_file(path: Path) -> Iterator[None]:
-    try:
-        path.open("xb").close()
-    except (FileExistsError, PermissionError) as error:  # Windows refuses what is being removed
-        if isinstance(error, PermissionError) and os.name != "nt":
-            raise
-        raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN), str(path)) from error
-    try:
-        yield
-    finally:
-        path.unlink(missing_ok=True)
-
-
-def _module(name: str) -> Any:
-    """Return a module of Python's that this system may not have."""
-    try:
-        return import_module(name)
-    except ImportError:
-        return None
 
 
 def sync_folder(folder: Path) -> None:

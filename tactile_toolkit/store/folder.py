@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import contextlib
 import errno
-import math
 import os
 import re
 import shutil
@@ -30,7 +29,6 @@ from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import (
     expanded,
-    locked,
     make_folder,
     named_failures,
     open_regular,
@@ -39,6 +37,7 @@ from tactile_toolkit.store.files import (
     sync_folder,
     write_file,
 )
+from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.names import is_remote, normalize_uri, scheme_of
 from tactile_toolkit.store.remote import ask_store, client_of, has_buckets, open_in_store
 from tactile_toolkit.system import working_folder
@@ -333,11 +332,13 @@ class DataFolder:
             os.utime(self.place(folder))
 
     @contextlib.contextmanager
-    def locked(self, *, shared: bool = False, patience_s: float = math.inf) -> Iterator[None]:
+    def locked(
+        self, *, shared: bool = False, patience_s: float | None = None, is_patient: bool = False
+    ) -> Iterator[None]:
         """Hold a local folder against other runs; stores have no locks.
 
         What a run changes there it changes under the lock, its shards under a ``shared`` one. Raises
-        InputError when other runs have held it for so long.
+        BusyError as :func:`tactile_toolkit.store.locks.locked` does, which explains the arguments.
         """
         # Together with the data set that is to take its place.
         home = Path(self.root)
@@ -345,18 +346,13 @@ class DataFolder:
         with contextlib.ExitStack() as stack:
             while True:
                 try:
-                    stack.enter_context(locked(home, shared=shared, patience_s=patience_s))
+                    stack.enter_context(
+                        locked(home, shared=shared, patience_s=patience_s, is_patient=is_patient)
+                    )
                     break
                 except FileNotFoundError:  # a run that failed has removed it, empty as it was
                     with named_failures(str(home)):
                         make_folder(home)
-                except BlockingIOError as error:
-                    left = f", or remove {error.filename!r} if none is at work" if error.filename else ""
-                    raise InputError(
-                        f"another run writes to {str(home)!r}, and has done so for {patience_s:.0f} s; "
-                        f"nothing was changed",
-                        next=f"wait until it has ended, or end it{left}, and run the same command again",
-                    ) from error
             yield
 
 
@@ -478,7 +474,9 @@ class _StoreFolder(DataFolder):
         pass
 
     @contextlib.contextmanager
-    def locked(self, *, shared: bool = False, patience_s: float = math.inf) -> Iterator[None]:
+    def locked(
+        self, *, shared: bool = False, patience_s: float | None = None, is_patient: bool = False
+    ) -> Iterator[None]:
         yield
 
     def _no_bucket(self) -> InputError:

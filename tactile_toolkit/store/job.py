@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -24,18 +25,18 @@ from tactile_toolkit.run.processes import Check, Finish, Part, Runner
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
-    SCHEMA_VERSION,
     Manifest,
     read_manifest,
     write_manifest,
 )
-from tactile_toolkit.store.names import Count, decode, is_hidden
-from tactile_toolkit.store.ownership import is_pending, remove_next
+from tactile_toolkit.store.names import Count, decode, is_hidden, require_seal, seal
+from tactile_toolkit.store.ownership import is_pending
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.store.task import ShardTask
 
 _LONGEST_SHOWN = 200
+_DIFFERENCES_SHOWN = 5
 
 
 @dataclass(frozen=True)
@@ -67,10 +68,6 @@ class BuildPlan:
     write_files : callable
         Writes files that follow from all rows, such as an index, once those are there; takes the folder and
         the manifest, returns the checksum of each by path.
-    schema_version : int
-        Version of the schema in which it is stored.
-    former : BuildPlan or None
-        The same rows as the first version stored them, where more than pages is different.
     """
 
     kind: str
@@ -87,8 +84,6 @@ class BuildPlan:
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
     )
-    schema_version: int = SCHEMA_VERSION
-    former: BuildPlan | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         # As in a manifest: JSON has made lists of tuples.
@@ -112,13 +107,6 @@ class BuildPlan:
                     next="rename it",
                 )
 
-    def in_version(self, version: int) -> BuildPlan:
-        """Return the plan by which a data set of a version is continued."""
-        if version == self.schema_version:
-            return self
-        former = self.former or self
-        return replace(former, style=first_style(former.style), schema_version=version, former=None)
-
     def new_manifest(self) -> Manifest:
         """Return the manifest of a folder in which nothing is finished."""
         return Manifest(
@@ -126,15 +114,10 @@ class BuildPlan:
             toolkit_version(),
             self.spec,
             self.split_order,
-            schema_version=self.schema_version,
+            planned=Counter(task.shard.split for task in self.tasks),
             trees=self.extra_dirs,
             libraries=library_versions(*self.libraries),
         )
-
-
-def first_style(style: ParquetStyle) -> ParquetStyle:
-    """Return a style with the pages of the first version."""
-    return replace(style, values_per_page=None, chunks_by_content=False, page_index=False)
 
 
 class MissingPartsError(IntegrityError):
@@ -194,12 +177,24 @@ def begin_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int) -> Job:
     while True:
         job = inspect_job(folder, plan, runner)
         current = read_manifest(folder)
-        if current is None and job.remaining:
+        if current is None and (job.remaining or job.finished):
+            _remove_outdated_records(folder, plan, job.manifest)
             folder.create_bytes(MANIFEST_FILE, job.manifest.to_json().encode())
             continue  # read back: another run may have been faster
         if current is not None and current.identity != job.manifest.identity:
             write_manifest(folder, job.manifest)  # of other versions, and none of its shards is left
         return job
+
+
+def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Manifest) -> None:
+    """Remove records of a job whose manifest was removed, where their files are not what they state.
+
+    Another set may have been begun on top of them, and removed: from here on only sizes are compared.
+    """
+    records = pending_records(folder, manifest.identity)
+    intact = _intact_records(folder, plan, manifest, {task.shard: task for task in plan.tasks}, check=True)
+    for shard in records.keys() - intact.keys():
+        folder.remove(shard.record_path)
 
 
 def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -> Job:
@@ -210,29 +205,25 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
     MissingPartsError where shards are missing for a Finish.
     """
     check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
-    manifest = read_manifest(folder)
-    if manifest is not None:
-        plan = plan.in_version(manifest.schema_version)
-    new, tasks = plan.new_manifest(), tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
+    manifest, new = read_manifest(folder), plan.new_manifest()
+    tasks = tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
     if manifest is None:
-        refuse_unknown_files(folder)
-        job = Job(folder, plan, new, tasks)
-    else:
-        found, wanted = (
-            {"kind": each.kind, "toolkit_version": each.toolkit_version, **each.spec}
-            for each in (manifest, new)
+        refuse_unknown_files(folder, plan)
+        manifest, check = new, True  # as in `_remove_outdated_records`
+    found, wanted = (
+        {"kind": each.kind, **each.spec, "toolkit_version": each.toolkit_version} for each in (manifest, new)
+    )
+    _refuse_difference(folder, found, wanted)
+    _reject_unexpected_files(folder, plan)
+    intact = _intact_records(folder, plan, manifest, {task.shard: task for task in tasks}, check)
+    job = Job(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
+    if job.remaining and manifest.libraries != new.libraries:
+        begun = {record.shard for record in manifest.shards}.union(
+            _pending_shards(folder.names(PENDING_FOLDER))
         )
-        _refuse_difference(folder, found, wanted)
-        _reject_unexpected_files(folder, plan)
-        intact = _intact_records(folder, plan, manifest, {task.shard: task for task in tasks}, check)
-        job = Job(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
-        if job.remaining and manifest.libraries and manifest.libraries != new.libraries:
-            begun = {record.shard for record in manifest.shards}.union(
-                _pending_shards(folder.names(PENDING_FOLDER))
-            )
-            if begun - {task.shard for task in job.remaining}:
-                _refuse_difference(folder, {"libraries": manifest.libraries}, {"libraries": new.libraries})
-            job = replace(job, manifest=new)
+        if begun - {task.shard for task in job.remaining}:
+            _refuse_difference(folder, {"libraries": manifest.libraries}, {"libraries": new.libraries})
+        job = replace(job, manifest=new)
     if isinstance(runner, Finish):
         require_parts(job, job.finished)
     return job
@@ -329,7 +320,7 @@ class _Pending(msgspec.Struct):
 def write_record(folder: DataFolder, record: ShardRecord, of: str, report_bytes: int | None = None) -> None:
     """Write the record of a finished shard."""
     values = {**record.to_dict(), "of": of, "report_bytes": report_bytes}
-    folder.write_bytes(record.shard.record_path, json.dumps(values, indent=1).encode())
+    folder.write_bytes(record.shard.record_path, seal(json.dumps(values, indent=1)).encode())
 
 
 def _pending_shards(waiting: Iterable[str]) -> list[ShardName]:
@@ -353,6 +344,7 @@ def pending_records(
         # The shard of one that cannot be read is made again. It may also have been removed since it was
         # listed, because the run has just ended.
         with contextlib.suppress(IntegrityError, ValueError):
+            require_seal(content or b"", shard.record_path)
             pending = decode(content or b"", _Pending, shard.record_path)
             if (pending.of, pending.report_bytes) == (of, waiting.get(shard.report_path.rpartition("/")[2])):
                 record = decode(content or b"", ShardRecord, shard.record_path)
@@ -383,9 +375,9 @@ def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
 
 
 def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
-    """Remove what a finished set does not need: its pending records, temporary files, an abandoned next set.
+    """Remove what a finished set does not need: its pending records and temporary files.
 
-    The records of another split stay until that is finished.
+    The records of another split stay until that is finished. What is to replace the set is of another run.
     """
     shards = [record.shard for record in _begun_records(folder, manifest)]
     kept = {path for shard in shards for path in (shard.record_path, shard.report_path)}
@@ -393,11 +385,15 @@ def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
         if is_pending(path) and path not in kept:
             folder.remove(path)
     folder.remove_empty(PENDING_FOLDER)
-    remove_next(folder)
 
 
-def refuse_unknown_files(folder: DataFolder) -> None:
-    """Refuse a folder without a data set that holds a user's files: a run must never mix with them."""
+def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> None:
+    """Refuse a folder without manifest that holds files: a run must never mix with those of a user.
+
+    Where there are records of a run of the plan, the files are of that run, and somebody took the manifest.
+    """
+    if plan is not None and pending_records(folder, plan.new_manifest().identity):
+        return
     unknown = [name for name in folder.names() if not is_hidden(name)]
     if unknown and MANIFEST_FILE not in unknown:  # another run may have begun at this moment
         raise InputError(
@@ -408,11 +404,13 @@ def refuse_unknown_files(folder: DataFolder) -> None:
 
 
 def _refuse_difference(folder: DataFolder, found: object, wanted: object) -> None:
-    differing = "; ".join(_differences(found, wanted))
-    if differing:
+    lines = _differences(found, wanted)
+    if lines:
+        more = [f"and {len(lines) - _DIFFERENCES_SHOWN:,} more"] if len(lines) > _DIFFERENCES_SHOWN else []
+        differing = "; ".join(lines[:_DIFFERENCES_SHOWN] + more)
         raise SpecMismatchError(
-            f"{folder.address()!r} holds a data set of another specification, or was begun with other "
-            f"versions of libraries, which write other bytes: {differing}; nothing was changed",
+            f"{differing}: {folder.address()!r} holds a data set of another "
+            "specification, or was begun with other versions, which write other bytes; nothing was changed",
             next="choose another folder (--out or OUT), or start again there with --overwrite (without "
             "--part and in no object store; there, remove it first), or install those versions",
         )

@@ -13,22 +13,19 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Annotated, Any
-
-import msgspec
+from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import Sha256, damaged, decode, names_inside
+from tactile_toolkit.store.names import Count, Sha256, damaged, decode, names_inside, require_seal, seal
 from tactile_toolkit.store.shards import ShardRecord, add_up
-from tactile_toolkit.wording import printable_json
+from tactile_toolkit.wording import counted, printable_json
 
 MANIFEST_FILE = "manifest.json"
-SCHEMA_VERSION = 2
-"""Version of the folders that are begun now."""
-_FIRST_VERSION = 1
+SCHEMA_VERSION = 3
+"""The one version that is written and read."""
 # What the text of a manifest leaves out where there is none.
-_OPTIONAL = ("libraries", "statistics", "trees")
+_OPTIONAL = ("libraries", "planned", "statistics", "trees")
 
 
 @dataclass(frozen=True)
@@ -37,8 +34,9 @@ class Manifest:
 
     Equal ``spec`` (JSON values) and ``toolkit_version`` give equal rows. ``shards`` are in order of split and
     index. ``files`` are checksums of further data files, such as reports, by path. ``complete`` is False
-    while a run is under way or after it was interrupted. ``trees`` are the ``extra_dirs`` of the build plan.
-    ``libraries`` are the versions of the libraries that decide bytes, none where a manifest does not say.
+    while a run is under way or after it was interrupted; ``planned`` are then the shards that it was to make,
+    by split. ``trees`` are the ``extra_dirs`` of the build plan. ``libraries`` are the versions of the
+    libraries that decide bytes, none where a manifest does not say.
     """
 
     kind: str
@@ -47,17 +45,16 @@ class Manifest:
     split_order: tuple[str, ...]
     shards: tuple[ShardRecord, ...] = ()
     files: Mapping[str, Sha256] = field(default_factory=dict)
-    schema_version: Annotated[int, msgspec.Meta(ge=1)] = SCHEMA_VERSION
+    schema_version: int = SCHEMA_VERSION
     complete: bool = False
+    planned: Mapping[str, Count] = field(default_factory=dict)
     trees: tuple[str, ...] = ()
     libraries: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def identity(self) -> str:
         """Digest of all that decides the rows of a data set and their bytes."""
-        # Records of the first version lack it.
-        version = () if self.schema_version == _FIRST_VERSION else (self.schema_version,)
-        values = (self.kind, self.toolkit_version, dict(self.libraries), self.spec, *version)
+        values = (self.kind, self.toolkit_version, dict(self.libraries), self.spec, self.schema_version)
         return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
     @property
@@ -69,6 +66,17 @@ class Manifest:
     def shards_of(self, split: str) -> tuple[ShardRecord, ...]:
         """Return the records of one split in order of their index."""
         return tuple(record for record in self.shards if record.split == split)
+
+    def shards_planned(self) -> dict[str, int]:
+        """Count the shards of each split, finished or not; splits in canonical order."""
+        counts = {**self.planned, **{record.split: record.shard.count for record in self.shards}}
+        return {split: counts[split] for split in self.split_order if split in counts}
+
+    @property
+    def progress(self) -> str:
+        """How many shards are finished, such as ``"3 of 8 shards"``."""
+        planned = sum(self.shards_planned().values())
+        return f"{len(self.shards):,} of {counted(planned, 'shards')}"
 
     def split_table(self) -> dict[str, dict[str, int]]:
         """Rows, shards, bytes and skipped items of each split."""
@@ -121,33 +129,30 @@ class Manifest:
             "complete": self.complete,
             "spec": self.spec,
             "split_order": self.split_order,
+            "planned": self.planned,
             **self.sums(),
             "files": dict(sorted(self.files.items())),
             "trees": self.trees,
             "shards": [record.to_dict() for record in self.shards],
         }
         kept = {name: value for name, value in values.items() if value or name not in _OPTIONAL}
-        return printable_json(kept, indent=1) + "\n"
+        return seal(printable_json(kept, indent=1) + "\n")
 
     @classmethod
     def from_json(cls, content: str | bytes, where: str) -> Manifest:
-        """Parse ``manifest.json``; IntegrityError when it is not one, or one of a later layout."""
+        """Parse ``manifest.json``; IntegrityError when it is not one, was changed, or has another layout."""
         manifest = decode(content, cls, where)
-        if manifest.schema_version > SCHEMA_VERSION:
+        if manifest.schema_version != SCHEMA_VERSION:
             raise IntegrityError(
-                f"{where!r} has schema version {manifest.schema_version}, this toolkit reads up to "
-                f"{SCHEMA_VERSION}",
-                next="install a newer tactile-toolkit",
+                f"{where!r} has schema version {manifest.schema_version}, expected {SCHEMA_VERSION}",
+                next="install the tactile-toolkit that wrote it, or generate the data set again",
             )
-        # The text repeats what follows from the shards, so that a changed number is found.
-        stated = msgspec.structs.asdict(decode(content, _Sums, where))
+        require_seal(content, where)
         try:
             shards = {record.shard for record in manifest.shards}
-            agrees = manifest.sums() == stated
+            manifest.sums()  # of statistics that add up
         except (ValueError, TypeError, AttributeError) as error:
             raise damaged(where, f"shards: {error}") from error
-        if not agrees:
-            raise damaged(where, f"the numbers in {', '.join(stated)} are not those of the shards")
         names_inside(
             (
                 *{each.split: each.file for each in manifest.shards}.values(),
@@ -160,14 +165,6 @@ class Manifest:
         if len(shards) < len(manifest.shards) or splits - {*manifest.split_order}:
             raise damaged(where, "shards: one is listed twice, or of no split in 'split_order'")
         return manifest
-
-
-class _Sums(msgspec.Struct):
-    """What the text of a manifest states that its fields do not hold."""
-
-    splits: dict[str, dict[str, int]] = {}
-    skipped: dict[str, int] = {}
-    statistics: dict[str, dict[str, Any]] = {}
 
 
 def read_manifest(folder: DataFolder) -> Manifest | None:

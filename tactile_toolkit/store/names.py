@@ -6,6 +6,7 @@ one place.
 
 from __future__ import annotations
 
+import hashlib
 import re
 import unicodedata
 from collections.abc import Iterable
@@ -44,6 +45,8 @@ _LEFT_BY_SYSTEMS = frozenset(
         "desktop.ini",
     }
 )
+
+_FIRST_LINE = "{\n"
 
 LARGEST = (1 << 63) - 1
 Count = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
@@ -155,9 +158,35 @@ def decode(content: str | bytes, kind: type[T], where: str) -> T:
     return decoded
 
 
+def seal(text: str) -> str:
+    """Return the text of a JSON object, one line a field, with a digest of all that follows as its first."""
+    fields = text.removeprefix(_FIRST_LINE)
+    return f"{_head(fields.encode())}{fields}"
+
+
+def _head(fields: bytes) -> str:
+    digest = hashlib.sha256(fields.removesuffix(b"\n")).hexdigest()  # editors add or drop that one
+    return f'{_FIRST_LINE} "sha256_of_all_below": "{digest}",\n'
+
+
+_HEAD_BYTES = len(_head(b""))
+
+
+def require_seal(content: str | bytes, where: str) -> None:
+    """Raise IntegrityError, naming ``where`` a document is from, unless it is as :func:`seal` returned it."""
+    found = content.encode(errors="surrogatepass") if isinstance(content, str) else content
+    # Lines may end as git writes them on Windows; within a line JSON has no such character.
+    found = found.replace(b"\r\n", b"\n")
+    if found[:_HEAD_BYTES] != _head(found[_HEAD_BYTES:]).encode():
+        raise damaged(where, "it was changed since it was written")
+
+
 def damaged(where: str, problem: object) -> IntegrityError:
     """Return the error for a document in which a value cannot be right."""
-    return IntegrityError(f"{where!r} is damaged: {problem}", next="download or generate the data set again")
+    return IntegrityError(
+        f"{where!r} is damaged: {problem}",
+        next="download the data set again, or generate it again with --overwrite",
+    )
 
 
 def typed(values: Any, kind: type[T], where: str, field: str) -> T:

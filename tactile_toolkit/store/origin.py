@@ -16,7 +16,7 @@ import msgspec
 
 from tactile_toolkit.store.files import open_regular
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import Count, decode, names_inside
+from tactile_toolkit.store.names import Count, decode, names_inside, require_seal, seal
 
 RECORD_FILE = ".download.json"
 DIGEST = re.compile("[0-9a-f]{64}|[0-9a-f]{40}")
@@ -81,7 +81,9 @@ def read_record(folder: DataFolder) -> DownloadRecord | None:
     if not folder.exists(RECORD_FILE):
         return None
     where = folder.address(RECORD_FILE)
-    record = decode(folder.read_bytes(RECORD_FILE), DownloadRecord, where)
+    content = folder.read_bytes(RECORD_FILE)
+    record = decode(content, DownloadRecord, where)
+    require_seal(content, where)
     names_inside((*record.files, *record.metadata_files), repr(where))
     files = {path: msgspec.structs.replace(file, path=path) for path, file in record.files.items()}
     return msgspec.structs.replace(record, files=files)
@@ -91,4 +93,4 @@ def write_record(folder: DataFolder, record: DownloadRecord) -> None:
     """Write the record of a folder in one step."""
     files = {path: msgspec.structs.replace(file, path="") for path, file in sorted(record.files.items())}
     content = msgspec.json.encode(msgspec.structs.replace(record, files=files))
-    folder.write_bytes(RECORD_FILE, msgspec.json.format(content, indent=1) + b"\n")
+    folder.write_bytes(RECORD_FILE, seal(f"{msgspec.json.format(content.decode(), indent=1)}\n").encode())

@@ -56,8 +56,7 @@ class ParquetStyle:
     page_index: bool = True
 
 
-REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16, page_index=False)
-"""The same in all versions of the schema: reports are small, and read whole."""
+REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16, page_index=False)  # reports are small, and read whole
 
 
 def encode_parquet(table: Any, style: ParquetStyle) -> bytes:

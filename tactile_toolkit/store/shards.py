@@ -117,8 +117,8 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
 
     ``report_sha256`` is the checksum of its report rows, where there are any. ``statistics`` are counts over
     its rows that add up over shards, see :func:`add_up`. ``unpacked_bytes`` is the size of its rows in
-    memory, for the card; folders of before 0.2 have none. ``source_digest`` is the checksum of what it was
-    made of, where the specification does not identify that.
+    memory, for the card. ``source_digest`` is the checksum of what it was made of, where the specification
+    does not identify that.
     """
 
     file: str
@@ -129,7 +129,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
     report_sha256: Sha256 | None = None
     skipped: tuple[Skipped, ...] = ()
     statistics: dict[str, Any] | None = None
-    unpacked_bytes: Count | None = None
+    unpacked_bytes: Count = 0
     source_digest: Sha256 | None = None
 
     @classmethod
@@ -153,7 +153,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         values: dict[str, Any] = msgspec.to_builtins(self)
-        for name in ("statistics", "unpacked_bytes", "source_digest"):
+        for name in ("statistics", "source_digest"):
             if values[name] is None:
                 del values[name]
         return values

@@ -12,12 +12,19 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, UnfinishedError
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from tactile_toolkit.store.job import manifest_so_far
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import is_hidden
-from tactile_toolkit.store.origin import RECORD_FILE, HubFile, digest_like, kind_of, read_record
+from tactile_toolkit.store.origin import (
+    RECORD_FILE,
+    HubFile,
+    digest_like,
+    kind_of,
+    read_record,
+)
 from tactile_toolkit.store.parquet import named_damage, open_checked
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
 
@@ -52,7 +59,8 @@ def verify(
     """Check every checksum, row count, schema and the uniqueness of ids over all splits.
 
     A folder without a manifest that was downloaded, such as a copy of a published data set, is compared with
-    the sizes and checksums that the Hub gave for its files.
+    the sizes and checksums that the Hub gave for its files. Of an unfinished set, all finished shards are
+    checked.
 
     Parameters
     ----------
@@ -74,7 +82,7 @@ def verify(
     IntegrityError
         When the manifest, or the record of the download, is itself damaged.
     """
-    manifest = read_manifest(folder)
+    manifest = manifest_so_far(folder)
     record = read_record(folder) if manifest is None else None
     shards: dict[str, ShardRecord] = {}
     if manifest is not None:
@@ -177,8 +185,8 @@ def problem_of_place(folder: DataFolder, path: str) -> str:
 
 def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     """Find shards that are not in a manifest, and files that it does not list."""
-    if not manifest.complete:
-        return [Finding(MANIFEST_FILE, "the run was interrupted; the same command continues")]
+    if not manifest.complete:  # there may be shards that a run is about to record
+        return [Finding(MANIFEST_FILE, _not_finished(folder, manifest))]
     findings = []
     for split in manifest.splits:
         shards = [record.shard for record in manifest.shards_of(split)]
@@ -188,6 +196,20 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     # A run may be at work on a split of which nothing is listed.
     others = set(manifest.split_order) - set(manifest.splits)
     return findings + _unlisted(folder, {record.file for record in manifest.shards}, MANIFEST_FILE, others)
+
+
+def require_finished(folder: DataFolder) -> None:
+    """Raise UnfinishedError where the run that makes a data set is under way or was interrupted."""
+    manifest = manifest_so_far(folder)
+    if manifest is not None and not manifest.complete:
+        raise UnfinishedError(f"{folder.address()!r} is {_not_finished(folder, manifest)}")
+
+
+def _not_finished(folder: DataFolder, manifest: Manifest) -> str:
+    record = read_record(folder)
+    if record is not None:
+        return f"not finished; next: download {record.repo_id} there again, it continues where it stopped"
+    return f"not finished: {manifest.progress}; the same command continues"
 
 
 def _unlisted(

@@ -141,19 +141,17 @@ def test_an_unfinished_set_is_refused_unless_it_is_allowed(sets, tmp_path, capsy
             assert f"holds scenes; `{program} {command}` is for " in said
         elif command not in ("info", "verify"):
             assert code == 3
-            assert (
-                "is not finished (2 of 6 or more shards); next: run the same command again, it contin" in said
-            )
+            assert "is not finished (2 of 7 shards); next: run the same command again, it contin" in said
         assert not (tmp_path / "out").exists()
     if program == "starstruck":
         for command in ("merge", "split", "export", "gallery", "preview"):
             words = (*options_of(command, tmp_path / command), "--allow-incomplete")
             code, said = asked(capsys, program, command, place, *words)
             assert code == 0, said
-            assert f"note: {place} is unfinished: 2 of 6 or more shards" in said
+            assert f"note: {place} is unfinished: 2 of 7 shards" in said
         for made in (tmp_path / "merge", tmp_path / "split" / "part-1", tmp_path / "export"):
             assert call("starstruck", "info", str(made)) == 0
-            assert '"unfinished": "2 of 6 or more shards"' in (made / "manifest.json").read_text()
+            assert '"unfinished": "2 of 7 shards"' in (made / "manifest.json").read_text()
 
 
 def save_to_disk(folder: Path) -> None:

@@ -23,6 +23,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
+from tests.sealed import sealed
 from tests.tactile_toolkit.toy import folder_bytes
 
 KINDS = ("mnist3d", "starstruck", "single", "seq", "synthetic", "frames")
@@ -314,7 +315,7 @@ def test_a_specification_of_something_else_is_named(kind, folders, tmp_path, cap
     folder = shutil.copytree(folders[kind], tmp_path / "copy")
     manifest = json.loads((folder / "manifest.json").read_text())
     for spec in ({}, {"source": 5, "scene": [1]}, dict.fromkeys(manifest["spec"])):
-        (folder / "manifest.json").write_text(json.dumps({**manifest, "spec": spec}))
+        (folder / "manifest.json").write_text(sealed({**manifest, "spec": spec}))
         assert call(kind, "card", folder) in (2, 3)
         assert call(kind, "preview", folder, "--out", tmp_path / "out") in (0, 2, 3)
         assert "Traceback" not in capsys.readouterr().err

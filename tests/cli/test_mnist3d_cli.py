@@ -89,7 +89,7 @@ def test_verify(folder, tmp_path, capsys):
     assert call("verify", copy) == 3
     printed = capsys.readouterr()
     assert "damaged: data/test-00000-of-00001.parquet: sha256 is" in printed.err
-    assert "generate` again" in printed.err
+    assert "generate` with --check" in printed.err
     assert call("generate", *SMALL, "--out", copy, "--quiet") == 0
     assert folder_bytes(copy) == folder_bytes(folder)
 

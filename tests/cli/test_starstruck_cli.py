@@ -15,6 +15,7 @@ from tactile_toolkit.store.job import write_record
 from tactile_toolkit.store.manifest import read_manifest
 from tests.command_line import alone
 from tests.processes import start_held
+from tests.sealed import sealed
 
 
 def run(*words):
@@ -186,8 +187,7 @@ def test_finished_split_is_told_beside_what_an_unfinished_one_keeps(tmp_path):
     write_record(folder, there.shards[0], there.identity)
     (out / "data" / "train-00001-of-00002.parquet").unlink()
     (out / "data" / "test-00000-of-00001.parquet").unlink()
-    sums = {"splits": {}, "skipped": {}, "statistics": {}}
-    (out / "manifest.json").write_text(json.dumps({**manifest, **sums, "shards": [], "complete": False}))
+    (out / "manifest.json").write_text(sealed({**manifest, "shards": [], "complete": False}))
     made = run(*words, "--split", "test")
     assert made.exit_code == 0
     for line in ("1 of 2", "1 of 1"):

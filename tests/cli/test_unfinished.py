@@ -12,10 +12,11 @@ from cli.mnist3d import app
 from cli.realtouch import app as touches
 from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import StorageError
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.run.processes import InlineRunner, Part
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest, write_manifest
+from tests.command_line import call
 from tests.tactile_toolkit.toy import SPLITS, toy_plan
 
 
@@ -59,3 +60,30 @@ def test_conversions_of_touches_name_themselves(tmp_path):
     result = CliRunner().invoke(touches, ["info", str(tmp_path)])
     assert result.exit_code == 0, result.output
     assert "no shard is finished yet; the same `realtouch resize` continues" in result.stdout
+
+
+def test_verify_says_that_a_run_has_not_finished(tmp_path, capsys):
+    folder = tmp_path / "scenes"
+    words = ("--scenes", "train=3000,test=10", "--out", folder)
+    assert call("starstruck", "generate", *words, "--part", "1/4", "-q") == 0
+    capsys.readouterr()
+    assert call("starstruck", "verify", folder) == 1
+    said = capsys.readouterr().err
+    assert said == f"error: '{folder}' is not finished: 1 of 4 shards; the same command continues\n"
+    (shard,) = (folder / "data").iterdir()
+    shard.write_bytes(shard.read_bytes()[:-1] + b"2")
+    assert call("starstruck", "verify", folder) == 3
+    said = capsys.readouterr().err
+    assert "not finished: 1 of 4 shards" in said
+    assert "next: run the same `starstruck generate` with --check" in said
+    assert "remove" not in said
+    assert call("starstruck", "generate", *words, "--check", "-q") == 0
+    assert call("starstruck", "verify", folder) == 0
+
+
+def test_verify_of_touches_says_it_too(tmp_path):
+    plan = replace(toy_plan(("test",)), kind="realtouch", report_file=None, spec={"operation": "resize"})
+    build(DataFolder(str(tmp_path)), plan, Part(0, 2))
+    result = CliRunner().invoke(touches, ["verify", str(tmp_path)])
+    assert result.exit_code == 1, result.output
+    assert "is not finished: 1 of 2 shards; the same command continues" in result.output

@@ -163,7 +163,7 @@ def test_stored_text_that_is_not_unicode(
     (shard,) = (tmp_path / "out" / "data").iterdir()
     manifest, good = tmp_path / "out" / "manifest.json", (tmp_path / "out" / "manifest.json").read_text()
     for escape in ("\\ud800", "\\uDFFF"):
-        manifest.write_text(good.replace('"select"', f'"select{escape}"'))
+        manifest.write_text(good.replace('"select"', f'"select{escape}"'))  # damaged, whatever the digest is
         for command in ("verify", "info", "card"):
             assert call("realtouch", command, tmp_path / "out") == 3, command
             assert "surrogate" in capsys.readouterr().err

@@ -18,6 +18,7 @@ from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.realtouch.test_damage import damaged_set
+from tests.sealed import sealed
 
 Found = tuple[int | None, int | None, str]
 
@@ -281,7 +282,7 @@ def test_a_manifest_without_operation_is_damage(
 ) -> None:
     realtouch.select(single_folder, tmp_path / "out", split="test")
     manifest = tmp_path / "out" / "manifest.json"
-    manifest.write_text(manifest.read_text().replace(text, damaged))
+    manifest.write_text(sealed(json.loads(manifest.read_text().replace(text, damaged))))
     assert call("realtouch", "info", tmp_path / "out") == 3
     assert "spec.operation: Expected `str`, got " in capsys.readouterr().err
     assert call("realtouch", "verify", tmp_path / "out") == 3

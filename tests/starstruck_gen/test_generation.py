@@ -119,11 +119,11 @@ def test_another_seed_or_specification_is_refused_and_named(whole):
         generate(replace(small(), scene=SceneSpec(stars=(1, 2))), str(whole))
     six = Shape("star", 0.010, Star(points=6))
     with pytest.raises(
-        SpecMismatchError, match=r": scene.star.proportions.points is 5 there, 6 was asked for;"
+        SpecMismatchError, match=r"^scene.star.proportions.points is 5 there, 6 was asked for:"
     ):
         generate(replace(small(), scene=SceneSpec(star=six)), str(whole))
     others = (Shape("box"), Shape("disc", 0.010, Disc(segments=64)))
-    found = ": scene.distractor_shapes is .*'segments': 32.* there, .*'segments': 64.* was asked for;"
+    found = "^scene.distractor_shapes is .*'segments': 32.* there, .*'segments': 64.* was asked for:"
     with pytest.raises(SpecMismatchError, match=found):
         generate(replace(small(), scene=SceneSpec(distractor_shapes=others)), str(whole))
     assert folder_hashes(whole) == before

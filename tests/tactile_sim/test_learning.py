@@ -24,7 +24,14 @@ import tactile_sim
 import tactile_sim.optics
 from tactile_sim.noise import add_noise
 from tactile_sim.pairs import Pairs, PairsSpec, make_pairs
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
+from tactile_toolkit.errors import (
+    BusyError,
+    InputError,
+    IntegrityError,
+    SpecMismatchError,
+    StorageError,
+    ToolkitError,
+)
 from tactile_toolkit.store.folder import PENDING_FOLDER
 from tests.tactile_sim.sets import NOISE
 from tests.tactile_sim.training import CONFIG, SPEC, losses_of_steps, make_sources
@@ -61,6 +68,7 @@ from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.spec import TrainConfig  # noqa: E402
 from tactile_toolkit.store.folder import DataFolder  # noqa: E402
+from tests.sealed import edit  # noqa: E402
 
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
 
@@ -153,8 +161,7 @@ def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pai
     make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, window="center"), tmp_path / "untouched")
     with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no picture with contact"):
         train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
-    manifest = tmp_path / "few" / "manifest.json"
-    manifest.write_text(manifest.read_text().replace('"complete": true', '"complete": false'))
+    edit(tmp_path / "few" / "manifest.json", lambda values: values.update(complete=False))
     with pytest.raises(InputError, match="few' is not finished; next: run the same command"):
         train(str(tmp_path / "few"), tmp_path / "out", CONFIG, device="cpu")
     assert not (tmp_path / "out").exists()
@@ -175,7 +182,7 @@ def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_pa
         assert run.stdout is not None
         for line in run.stdout:
             if int(line) >= 3:
-                with pytest.raises(InputError, match="another training is at work"):
+                with pytest.raises(BusyError, match=f"process {run.pid} on .* holds "):
                     train(pairs, out, CONFIG, device="cpu")
                 run.send_signal(signal.SIGKILL)
                 break

@@ -13,7 +13,7 @@ import json
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
@@ -38,8 +38,6 @@ from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.printing.packing import arrange, measure
 from tactile_toolkit.printing.plates import draw_map
 from tactile_toolkit.printing.spec import PlateSpec
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest, write_manifest
 from tests.env_assets.factories import write_assets
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
@@ -192,16 +190,6 @@ def styles() -> dict[str, str]:
         package: repr(import_module(f"{package}.columns").PARQUET_STYLE)
         for package in ("mnist3d", "starstruck_gen")
     }
-
-
-def begin_as_first_version(sets: Path, folder: Path, names: str = "*") -> None:
-    """Put the manifests below a folder with which the first version of the schema began such sets."""
-    for file in sets.glob(f"{names}/manifest.json"):
-        begun = DataFolder(str(folder / file.parent.name))
-        begun.require_folder()
-        manifest = read_manifest(DataFolder(str(file.parent)))
-        assert manifest is not None
-        write_manifest(begun, replace(manifest, schema_version=1, shards=(), files={}, complete=False))
 
 
 def pictures(sets: Path) -> dict[str, str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from dataclasses import is_dataclass
 from importlib import import_module
@@ -18,7 +17,6 @@ from tests.unchanged.record import (
     HELP_LIBRARIES,
     OUR_PACKAGES,
     PACKAGES,
-    begin_as_first_version,
     data_sets,
     defaults_and_limits,
     help_of_commands,
@@ -34,8 +32,6 @@ from tests.unchanged.record import (
 )
 
 RECORD = recorded()
-FIRST_VERSION = json.loads((FOLDER / "first_version.json").read_text(encoding="utf-8"))
-"""Digests of the same sets of the first version of the schema, which is never recorded again."""
 
 
 UNFROZEN = re.compile(r"^@dataclass\b(?!.*frozen=True).*\n(?:@.*\n)*class (\w+)", re.MULTILINE)
@@ -118,20 +114,12 @@ def test_bytes_of_data_sets_and_their_pictures_are_unchanged(made):
     assert pictures(folder) == RECORD["pictures"]
 
 
-@pytest.mark.thorough
-def test_bytes_of_sets_of_the_first_version_are_unchanged(made, tmp_path):
-    begin_as_first_version(made[0], tmp_path)
-    assert data_sets(tmp_path) == FIRST_VERSION["parquet"]
-
-
 @pytest.mark.sim
 def test_bytes_of_synthetic_touches_are_unchanged(tmp_path):
     pytest.importorskip("taxim", reason="needs taxim, of the extra sim")
     if library_versions() != RECORD["libraries"]:
         pytest.skip(f"bytes follow from the versions of libraries; recorded with {RECORD['libraries']}")
-    assert synthetic_touches(tmp_path / "new") == RECORD["touches"]
-    begin_as_first_version(tmp_path / "new", tmp_path / "first", "touches-*")
-    assert synthetic_touches(tmp_path / "first") == FIRST_VERSION["touches"]
+    assert synthetic_touches(tmp_path) == RECORD["touches"]
 
 
 @pytest.mark.env

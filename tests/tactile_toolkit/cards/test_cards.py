@@ -21,7 +21,6 @@ from datasets.exceptions import (
 from huggingface_hub import DatasetCard, DatasetCardData
 from hypothesis import given, strategies as st
 
-from mnist3d.card import write_card
 from mnist3d.make import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
@@ -36,7 +35,6 @@ from tactile_toolkit.cards.card import (
 from tactile_toolkit.cards.facts import folder_facts, size_category, with_head, yaml_features
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
 from tactile_toolkit.store.verify import verify
 
 
@@ -101,23 +99,6 @@ def test_the_hubs_own_classes_read_the_card(made):
 def test_a_true_card_has_no_findings(made):
     assert problems(made) == []
     assert verify(DataFolder(str(made)), check_card=check_card).ok
-
-
-def test_a_folder_whose_manifest_records_no_sizes_gets_a_card(folder, made):
-    """Version 0.1.0 recorded none: its files are read."""
-    manifest = json.loads((folder / "manifest.json").read_text())
-    for shard in manifest["shards"]:
-        assert shard.pop("unpacked_bytes") > 0
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    (folder / "README.md").unlink()
-    place = DataFolder(str(folder))
-    write_card(place, read_manifest(place))
-    head, before = head_of(folder), head_of(made)
-    assert head["dataset_info"].pop("dataset_size") > 0  # an estimate
-    del before["dataset_info"]["dataset_size"]
-    for split in (*head["dataset_info"]["splits"], *before["dataset_info"]["splits"]):
-        assert split.pop("num_bytes") > 0
-    assert head == before
 
 
 def _drop_split(head: dict) -> None:

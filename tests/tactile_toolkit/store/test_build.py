@@ -313,7 +313,7 @@ def test_another_source_is_told_in_few_words(tmp_path):
         return [{"file": f"train-{index}.parquet", "rows": 9, "sha256": digest} for index in range(count)]
 
     make(tmp_path / "set", toy_plan(spec={"source": {"train": files(48, "a" * 64)}}))
-    wanted = r"source\.train is .*\(fingerprint \w+\) there, .* was asked for;"
+    wanted = r"source\.train is .*\(fingerprint \w+\) there, .* was asked for:"
     with pytest.raises(SpecMismatchError, match=wanted):
         make(tmp_path / "set", toy_plan(spec={"source": {"train": files(2, "a" * 64)}}))
     with pytest.raises(

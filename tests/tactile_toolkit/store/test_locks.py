@@ -1,15 +1,30 @@
-"""One at a time, also where the file system knows no locks of folders."""
+"""One at a time, also where the file system knows no locks of folders; who waits does not wait for ever."""
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
+import signal
+import socket
+import subprocess
 import sys
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.store.files import locked
+from tactile_toolkit.cache import LOCKS, cache_folder
+from tactile_toolkit.errors import BusyError
+from tactile_toolkit.places.place import open_place
+from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.store import locks
+from tactile_toolkit.store.build import Progress, build
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.locks import LOCK_FILE, locked
+from tests.processes import records_so_far
+from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="asks how a system with the module does it")
 
@@ -22,7 +37,7 @@ def test_a_folder_is_held_by_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     if not has_locks:
         monkeypatch.setattr("fcntl.flock", refuse)
     for _ in range(2):
-        with locked(tmp_path), pytest.raises(BlockingIOError), locked(tmp_path, patience_s=0):
+        with locked(tmp_path), pytest.raises(BusyError), locked(tmp_path, patience_s=0):
             pytest.fail("two hold it")
         assert list(tmp_path.iterdir()) == []
 
@@ -40,3 +55,149 @@ def test_a_folder_that_goes_while_it_is_locked_is_not_there(
     monkeypatch.setattr("fcntl.flock", replace)
     with pytest.raises(FileNotFoundError, match="set"), locked(folder):
         pytest.fail("it holds another folder than is there")
+
+
+_HOLD = """
+import sys
+from pathlib import Path
+from tactile_toolkit.store.locks import locked
+with locked(Path(sys.argv[1]), shared=sys.argv[2] == "shared"):
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+@contextlib.contextmanager
+def held(path: Path, how: str = "alone", *, is_stopped: bool = True) -> Iterator[subprocess.Popen[str]]:
+    """Have another process hold a lock, stopped as by Ctrl-Z, or at work."""
+    program = [sys.executable, "-c", _HOLD, str(path), how]
+    with subprocess.Popen(
+        program, cwd=Path(__file__).parents[3], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        if is_stopped:
+            process.send_signal(signal.SIGSTOP)
+            os.waitpid(process.pid, os.WUNTRACED)
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+class Clock:
+    """Time that passes when somebody waits; ``after_s`` something happens."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_s = 0.0
+        self.then: tuple[float, Callable[[], object]] | None = None
+        monkeypatch.setattr(locks, "time", self)
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+        if self.then is not None and self.now_s > self.then[0]:
+            self.then[1]()
+            self.then = None
+            time.sleep(0.05)
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    return Clock(monkeypatch)
+
+
+needs_list = pytest.mark.skipif(not Path("/proc/locks").exists(), reason="asks Linux who holds a lock")
+
+
+@needs_list
+@pytest.mark.parametrize("how", ["alone", "shared"])
+@pytest.mark.parametrize("is_patient", [False, True])
+def test_who_waits_for_a_stopped_process_is_told_which(
+    tmp_path: Path, clock: Clock, how: str, is_patient: bool
+) -> None:
+    with held(tmp_path, how) as process:
+        who = rf"process {process.pid} on {socket.gethostname()} \(`python\S*`\), which was stopped, holds "
+        said = rf"^{who}.*, and has done so for 60 s; next: continue it \(kill -CONT {process.pid}\), or end"
+        with pytest.raises(BusyError, match=said), locked(tmp_path, is_patient=is_patient):
+            pytest.fail("two hold it")
+        assert 60 <= clock.now_s < 61
+    with locked(tmp_path, patience_s=0):
+        pass
+
+
+@needs_list
+def test_who_is_patient_waits_for_a_process_that_is_at_work(tmp_path: Path, clock: Clock) -> None:
+    with held(tmp_path, is_stopped=False) as process:
+        who = rf"^process {process.pid} on .* holds .*; next: wait until it has ended"
+        with pytest.raises(BusyError, match=who), locked(tmp_path):
+            pytest.fail("two hold it")
+        clock.then = clock.now_s + 200, process.kill
+        with locked(tmp_path, is_patient=True):
+            assert clock.then is None
+
+
+def test_without_locks_of_folders_the_holder_is_noted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr("fcntl.flock", refuse)
+    said = (
+        rf"process {os.getpid()} on {socket.gethostname()} .*, or remove '.*\.lock' if no process is at work"
+    )
+    with locked(tmp_path), pytest.raises(BusyError, match=said), locked(tmp_path, patience_s=0):
+        pytest.fail("two hold it")
+    (tmp_path / LOCK_FILE).write_text("what is this")  # of a process that was killed in this moment
+    with pytest.raises(BusyError, match=r"^another process holds "), locked(tmp_path, patience_s=0):
+        pytest.fail("it is held")
+
+
+def stopped_beside(place: Path, moment: str) -> BusyError:
+    """Make a set while a process is stopped that took its lock before the first shard, or after the last."""
+    with contextlib.ExitStack() as stack:
+
+        def stop(progress: Progress) -> None:
+            if progress.done == (0 if moment == "before" else progress.total):
+                stack.enter_context(held(place))
+
+        with pytest.raises(BusyError) as caught:
+            build(DataFolder(str(place)), toy_plan(), InlineRunner(), on_progress=stop)
+        return caught.value
+
+
+@needs_list
+@pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 6)])
+def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: str, finished: int) -> None:
+    """It says so after a minute, not after two, and loses none of its shards."""
+    assert "which was stopped, holds" in str(stopped_beside(tmp_path / "set", moment))
+    assert 60 <= clock.now_s < 61
+    assert len(records_so_far(tmp_path / "set")) == finished
+    build(DataFolder(str(tmp_path / "set")), toy_plan(), InlineRunner())
+    build(DataFolder(str(tmp_path / "whole")), toy_plan(), InlineRunner())
+    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
+
+
+@needs_list
+def test_a_run_that_cannot_begin_waits_once(tmp_path: Path, clock: Clock) -> None:
+    for options in ({}, {"overwrite": True}):
+        with held(tmp_path), pytest.raises(BusyError, match="which was stopped, holds"):
+            build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner(), **options)
+        assert 60 <= clock.now_s < 61
+        clock.now_s = 0.0
+
+
+@needs_list
+def test_a_stopped_reader_keeps_no_other_from_reading(tmp_path: Path, clock: Clock) -> None:
+    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    (shard, *_) = open_place(str(tmp_path)).shards("train")
+    lock = cache_folder() / LOCKS / shard.digest[:2]
+    lock.parent.mkdir(parents=True)
+    with held(lock):
+        with pytest.warns(RuntimeWarning, match=r"which was stopped, holds .*locks.*not waited for any more"):
+            assert shard.block(0, 0).table["id"].to_pylist() == [0, 1, 2]
+        assert shard.block(1, 0).table["id"].to_pylist() == [3, 4]
+    assert 60 <= clock.now_s < 61, "for the second group of rows it was not waited"

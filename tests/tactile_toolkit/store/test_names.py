@@ -20,6 +20,7 @@ from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.names import is_hidden, names_inside, problem_of_name
 from tactile_toolkit.store.origin import RECORD_FILE, read_record
 from tactile_toolkit.store.verify import verify
+from tests.sealed import sealed
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 WILD = [
@@ -147,7 +148,7 @@ def finished(built, tmp_path):
 
 def edited(folder: Path, **changes: object) -> None:
     values = json.loads((folder / "manifest.json").read_text())
-    (folder / "manifest.json").write_text(json.dumps({**values, **changes}))
+    (folder / "manifest.json").write_text(sealed({**values, **changes}))
 
 
 @pytest.mark.parametrize("field", ["files", "trees", "shards"])
@@ -216,10 +217,10 @@ def test_a_wild_record_of_a_download_is_refused(tmp_path, name):
     file = {"bytes": 1, "kind": "sha256", "digest": "0" * 64}
     values = {"repository": "a/b", "commit": "0" * 40, "revision": None, "splits": [], "labels": []}
     for wild in ({"files": {name: file}}, {"files": {}, "labels": [name]}):
-        (tmp_path / RECORD_FILE).write_text(json.dumps({**values, **wild}))
+        (tmp_path / RECORD_FILE).write_text(sealed({**values, **wild}))
         with pytest.raises(IntegrityError, match="names the file"):
             read_record(DataFolder(str(tmp_path)))
-    (tmp_path / RECORD_FILE).write_text(json.dumps({**values, "files": {"x": {**file, "digest": "../../x"}}}))
+    (tmp_path / RECORD_FILE).write_text(sealed({**values, "files": {"x": {**file, "digest": "../../x"}}}))
     with pytest.raises(IntegrityError, match="is not a digest"):
         read_record(DataFolder(str(tmp_path)))
 

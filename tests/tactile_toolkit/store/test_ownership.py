@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -129,13 +130,13 @@ from dataclasses import replace
 from pathlib import Path
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store import build as module
+from tactile_toolkit.store import locks
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.store.test_ownership import seeded
 from tests.tactile_toolkit.toy import folder_bytes
 
-module._PATIENCE_S = 0.0
+locks.PATIENCE_S = 0.0
 base, scenario, stride = Path(sys.argv[1]), sys.argv[2], int(sys.argv[3])
 
 def few(seed):
@@ -318,3 +319,42 @@ def test_a_command_whose_set_was_replaced_says_so_in_one_sentence(tmp_path, capf
     assert json.loads(before["manifest.json"])["spec"]["seed"] == 2
     capfd.readouterr()
     assert call("starstruck", "verify", place) == 0
+
+
+@pytest.mark.parametrize("beside", [("--workers", 1), ("--finish",), ("--check",)])
+def test_a_set_that_another_process_is_about_to_replace_is_left_to_it(tmp_path, capfd, beside):
+    """Runs of the set that is there have nothing to do, and remove nothing of the other one."""
+    place, marker = tmp_path / "set", tmp_path / "held"
+    words = ("generate", "--scenes", "600", "--split", "train", "--out", place)
+    assert call("starstruck", *words, "--seed", 1) == 0
+    slow = start_held("starstruck", 1, marker, *words, "--seed", 2, "--overwrite", "--workers", 1)
+    before = folder_bytes(place)
+    assert any(path.startswith(".next/.pending/train-") for path in before)
+    assert call("starstruck", *words, "--seed", 1, *beside) == 0
+    assert folder_bytes(place) == before
+    capfd.readouterr()
+    assert call("starstruck", *words, "--seed", 3, "--overwrite", "--workers", 1) == 2
+    said = capfd.readouterr().err
+    assert re.search(rf"^error: process {slow.pid} on .* holds .*\.next'; next: wait until", said), said
+    assert folder_bytes(place) == before
+    Path(f"{marker}.go").touch()
+    slow.communicate()
+    assert slow.returncode == 0
+    after = folder_bytes(place)
+    assert json.loads(after["manifest.json"])["spec"]["seed"] == 2
+    assert not [path for path in after if path.startswith(".")]
+    assert call("starstruck", "verify", place) == 0
+
+
+def test_what_a_killed_run_was_about_to_put_in_place_goes_with_the_next_one(tmp_path):
+    place, marker = tmp_path / "set", tmp_path / "held"
+    words = ("generate", "--scenes", "600", "--split", "train", "--out", place, "--workers", 1)
+    assert call("starstruck", *words, "--seed", 1) == 0
+    slow = start_held("starstruck", 1, marker, *words, "--seed", 2, "--overwrite")
+    slow.kill()
+    slow.communicate()
+    assert (place / ".next").is_dir()
+    assert call("starstruck", *words, "--seed", 3, "--overwrite") == 0
+    after = folder_bytes(place)
+    assert json.loads(after["manifest.json"])["spec"]["seed"] == 3
+    assert not [path for path in after if path.startswith(".")]

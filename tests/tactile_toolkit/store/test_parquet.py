@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -97,3 +99,27 @@ def test_a_changed_footer_is_found_however_long_it_is(size):
     changed = content.replace(b"aaaa", b"abaa", 1)  # what Parquet itself takes for notes
     with pytest.raises(pa.ArrowInvalid, match="the footer does not match its checksum"):
         open_checked(io.BytesIO(changed))
+
+
+def test_a_changed_row_leaves_the_pages_after_it_as_they_were():
+    """Pages end with rows, whatever their bytes; in a page, zstd makes others of all that follow."""
+    rng = np.random.default_rng(0)
+
+    def image() -> bytes:
+        return rng.integers(0, 4, int(rng.integers(9_000, 13_000)), np.uint8).tobytes()
+
+    rows = [[image() for _ in range(4)] for _ in range(40)]
+    others = [*rows[:5], [image()] * 4, *rows[6:]]
+    style = ParquetStyle(40, encodings=(("images.list.element", "PLAIN"),), values_per_page=4)
+
+    def stored(table: list, style: ParquetStyle) -> bytes:
+        content = encode_parquet(pa.table({"images": pa.array(table, pa.list_(pa.binary()))}), style)
+        assert pq.read_table(io.BytesIO(content))["images"].to_pylist() == table
+        return content
+
+    def is_shared(style: ParquetStyle) -> bool:
+        first = stored(rows, style)
+        return first[len(first) // 4 : len(first) * 9 // 10] in stored(others, style)
+
+    assert is_shared(style)
+    assert not is_shared(replace(style, values_per_page=None))

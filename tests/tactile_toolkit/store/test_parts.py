@@ -279,7 +279,7 @@ def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, momen
 
 def test_a_part_begins_while_others_write_their_shards(tmp_path, whole, monkeypatch):
     """Of many parts some one always writes."""
-    monkeypatch.setattr("tactile_toolkit.store.build._PATIENCE_S", 0.0)
+    monkeypatch.setattr("tactile_toolkit.store.locks.PATIENCE_S", 0.0)
     folder = DataFolder(str(tmp_path / "set"))
     folder.require_folder()
     with folder.locked(shared=True):

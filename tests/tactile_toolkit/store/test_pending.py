@@ -4,12 +4,13 @@ from dataclasses import replace
 
 import pytest
 
-from tactile_toolkit.errors import StorageError
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.errors import InputError, StorageError
+from tactile_toolkit.run.processes import Finish, InlineRunner, Part
 from tactile_toolkit.store.build import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import inspect_job, manifest_so_far
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store.manifest import read_manifest, write_manifest
+from tactile_toolkit.store.verify import verify
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 
@@ -83,3 +84,73 @@ def test_finishing_one_split_costs_nothing_of_another_that_is_under_way(interrup
     assert make(interrupted, toy_plan(("train",))).complete
     make(tmp_path / "whole", toy_plan())
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
+
+
+def made_by(path, plan, runner=None, **options):
+    """Make a plan, and return which shards this run made."""
+    told = []
+    build(DataFolder(str(path)), plan, runner or InlineRunner(), on_progress=told.append, **options)
+    return [progress.record.shard.index for progress in told if progress.record is not None]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_the_same_command_takes_up_records_whose_manifest_is_gone(interrupted, tmp_path, overwrite):
+    (interrupted / "manifest.json").unlink()
+    assert made_by(interrupted, toy_plan(("train",)), overwrite=overwrite) == [2, 3]
+    make(tmp_path / "whole", toy_plan(("train",)))
+    assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
+
+
+def test_finishing_takes_them_up_too(tmp_path):
+    for number in (0, 1):
+        made_by(tmp_path / "set", toy_plan(), Part(number, 2))
+    (tmp_path / "set" / "manifest.json").unlink()
+    assert made_by(tmp_path / "set", toy_plan(), Finish()) == []
+    make(tmp_path / "whole", toy_plan())
+    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
+
+
+def test_records_of_another_command_are_not_taken_up(interrupted):
+    (interrupted / "manifest.json").unlink()
+    before = folder_bytes(interrupted)
+    for overwrite in (False, True):
+        with pytest.raises(InputError, match=r"not empty and holds no manifest\.json \(found 'data'\)"):
+            made_by(interrupted, toy_plan(("train",), spec={"seed": 2}), overwrite=overwrite)
+    assert folder_bytes(interrupted) == before
+
+
+def test_what_is_taken_up_has_the_content_that_the_records_state(interrupted, tmp_path):
+    """Another set was begun on top, and left a file of the same name and size."""
+    (interrupted / "manifest.json").unlink()
+    shard = interrupted / "data" / "train-00001-of-00004.parquet"
+    content = shard.read_bytes()
+    shard.write_bytes(content.replace(b"PAR1", b"PAR2", 1))
+    assert made_by(interrupted, toy_plan(("train",)), Part(2, 4)) == [2], "that run took them up"
+    assert made_by(interrupted, toy_plan(("train",))) == [1, 3]
+    make(tmp_path / "whole", toy_plan(("train",)))
+    assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
+
+
+@pytest.mark.parametrize(("kept", "count"), [((), "0 of 6"), (("test",), "4 of 6")])
+def test_an_unfinished_set_is_verified_as_such(interrupted, kept, count):
+    """The run was to make both splits; what another run has finished of them counts."""
+    if not kept:
+        (interrupted / "manifest.json").unlink()
+        for path in (interrupted / ".pending").iterdir():
+            path.unlink()
+    for split in kept:
+        make(interrupted, toy_plan((split,)))
+    folder = DataFolder(str(interrupted))
+    manifest = read_manifest(folder)
+    if manifest is None:
+        write_manifest(folder, toy_plan().new_manifest())
+    (finding,) = verify(folder).findings
+    assert finding.problem == f"not finished: {count} shards; the same command continues"
+
+
+def test_damage_of_an_unfinished_set_is_named_beside(interrupted):
+    shard = interrupted / "data" / "train-00001-of-00004.parquet"
+    shard.write_bytes(shard.read_bytes().replace(b"PAR1", b"PAR2", 1))
+    first, second = verify(DataFolder(str(interrupted))).findings
+    assert first.problem == "not finished: 2 of 4 shards; the same command continues"
+    assert (second.file, second.problem[:6]) == ("data/train-00001-of-00004.parquet", "sha256")

@@ -35,7 +35,7 @@ def test_a_record_whose_file_is_not_a_shard_is_damaged(name: str) -> None:
 @pytest.mark.parametrize("other", [None, True, -1, 2.0, "train", [], {}, 1 << 63])
 @pytest.mark.parametrize("name", ["file", "split", "rows", "bytes", "sha256", "skipped", "unpacked_bytes"])
 def test_a_value_of_another_type_is_named(name: str, other: object) -> None:
-    if (name, other) in (("file", "train"), ("split", "train"), ("skipped", []), ("unpacked_bytes", None)):
+    if (name, other) in (("file", "train"), ("split", "train"), ("skipped", [])):
         return  # of the right type
     with pytest.raises(IntegrityError, match=rf"'m' is damaged: .*Expected .* at `\$\.{name}"):
         read(WHOLE | {name: other})

@@ -1,0 +1,166 @@
+"""One process at a time: locks of files and folders, how long to wait for one, and who holds it.
+
+No other module of the project imports what only some systems have, but for signals.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import shlex
+import socket
+import time
+from collections.abc import Iterator
+from importlib import import_module
+from itertools import takewhile
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from tactile_toolkit.errors import BusyError, IntegrityError
+from tactile_toolkit.redaction import redact
+from tactile_toolkit.store.files import open_regular
+
+LOCK_FILE = ".lock"
+"""Is in a folder while a process holds it where the system or the file system knows no locks of folders."""
+PATIENCE_S = 60.0
+"""How long to wait for a lock; a process that was stopped (Ctrl-Z) never releases the one that it holds."""
+
+_LOOK_AGAIN_S = 0.02
+_STOPPED, _AT_WORK = ("T", "t"), ("R", "S", "D")  # states of processes, as Linux writes them
+_LONGEST_NOTE_BYTES = 300
+_LONGEST_COMMAND = 60
+
+
+@contextlib.contextmanager
+def locked(
+    path: Path, *, shared: bool = False, patience_s: float | None = None, is_patient: bool = False
+) -> Iterator[None]:
+    """Wait for the lock of a file, which is made, or of a folder that is there, and hold it.
+
+    Held by the open file: threads wait for one another too, and a killed process lets go. Any number hold it
+    ``shared`` at once, where the system knows that. A folder that cannot be locked is held by a file in it,
+    which a killed process leaves; for a file that cannot be locked, no one waits.
+
+    Raises BusyError, which says who holds the lock, where others have held it for ``patience_s``,
+    :data:`PATIENCE_S` by default; who ``is_patient`` waits on while the holder is known to be at work. Raises
+    OSError where the file cannot be opened, and FileNotFoundError for a folder that was removed meanwhile.
+    """
+    patience_s = PATIENCE_S if patience_s is None else patience_s
+    deadline_s = time.monotonic() + patience_s
+    with contextlib.ExitStack() as stack:
+        while True:
+            try:
+                stack.enter_context(_locked_now(path, shared))
+                break
+            except BlockingIOError as error:
+                if time.monotonic() >= deadline_s:
+                    holders = _holders_of(path)
+                    if not (is_patient and holders and all(each.state in _AT_WORK for each in holders)):
+                        raise _busy(path, holders, patience_s) from error
+                    deadline_s += patience_s
+                time.sleep(_LOOK_AGAIN_S)
+        yield
+
+
+class _Holder(NamedTuple):
+    pid: str
+    host: str
+
+    @property
+    def state(self) -> str:
+        """The state of the process, a letter; empty where it is not known, as on another machine."""
+        with contextlib.suppress(OSError, IndexError):
+            if self.host == socket.gethostname():
+                return Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[0]
+        return ""
+
+    def __str__(self) -> str:
+        name = f"process {self.pid} on {self.host}"
+        if self.state:
+            with contextlib.suppress(OSError):
+                first, *words = os.fsdecode(Path(f"/proc/{self.pid}/cmdline").read_bytes()).split("\0")
+                # No options: these may hold what is not to be shown.
+                shown = [Path(first).name, *takewhile(lambda word: word[:1] not in ("-", ""), words)]
+                return f"{name} (`{redact(shlex.join(shown))[:_LONGEST_COMMAND]}`)"
+        return name
+
+
+def _holders_of(path: Path) -> list[_Holder]:
+    """Return who holds the lock of a file or folder; empty where that is not known."""
+    with contextlib.suppress(OSError, ValueError, IntegrityError):
+        with (
+            contextlib.suppress(FileNotFoundError, NotADirectoryError),
+            open_regular(path / LOCK_FILE) as note,
+        ):
+            pid, host = note.read(_LONGEST_NOTE_BYTES).decode().split()
+            return [_Holder(str(int(pid)), host)]
+        found = path.stat()
+        name = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
+        # A line is "1: FLOCK  ADVISORY  WRITE 4711 fe:00:2146526 0 EOF"; of one who waits, "1: -> FLOCK ...".
+        lines = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
+        return [_Holder(line[4], socket.gethostname()) for line in lines if line[1::4] == ["FLOCK", name]]
+    return []
+
+
+def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
+    stopped = [each for each in holders if each.state in _STOPPED]
+    who = ", ".join(map(str, stopped or holders)) or "another process"
+    state = ", which was stopped," if stopped else ""
+    first = f"continue it (kill -CONT {stopped[0].pid})" if stopped else "wait until it has ended"
+    left = f", or remove {str(path / LOCK_FILE)!r} if no process is at work there"
+    then = left if (path / LOCK_FILE).exists() else ""
+    waited = f", and has done so for {patience_s:.0f} s" if patience_s else ""
+    return BusyError(
+        f"{who}{state} holds {str(path)!r}{waited}",
+        next=f"{first}, or end it{then}, and run the same command again; what is finished stays",
+    )
+
+
+@contextlib.contextmanager
+def _locked_now(path: Path, shared: bool) -> Iterator[None]:
+    fcntl, msvcrt, is_folder = _module("fcntl"), _module("msvcrt"), path.is_dir()
+    needs_file = is_folder and fcntl is None  # Windows opens no folders
+    with contextlib.ExitStack() as stack:
+        if not needs_file:
+            handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
+            stack.callback(os.close, handle)
+            try:
+                if fcntl is not None:
+                    fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+                    # Not left to closing: a child forked meanwhile has the file open too.
+                    stack.callback(fcntl.flock, handle, fcntl.LOCK_UN)
+                elif msvcrt is not None:
+                    msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+            except OSError as error:
+                if isinstance(error, BlockingIOError) or fcntl is None:
+                    raise BlockingIOError from error
+                needs_file = is_folder
+            if is_folder and not os.path.samestat(os.fstat(handle), path.stat()):
+                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+        if needs_file:
+            stack.enter_context(_lock_file(path / LOCK_FILE))
+        yield
+
+
+@contextlib.contextmanager
+def _lock_file(path: Path) -> Iterator[None]:
+    try:
+        with path.open("x") as note:
+            note.write(f"{os.getpid()} {socket.gethostname()}\n")
+    except (FileExistsError, PermissionError) as error:  # Windows refuses what is being removed
+        if isinstance(error, PermissionError) and os.name != "nt":
+            raise
+        raise BlockingIOError from error
+    try:
+        yield
+    finally:
+        path.unlink(missing_ok=True)
+
+
+def _module(name: str) -> Any:
+    """Return a module of Python's that this system may not have."""
+    try:
+        return import_module(name)
+    except ImportError:
+        return None
