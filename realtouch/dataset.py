@@ -106,10 +106,6 @@ class TouchDataset(RecordDataset[R]):
     def _stored_counts(self) -> NDArray[np.int64]:
         return self._table.per_shard("touches", lambda source: [stored_touch_counts(source)])
 
-    def has_column(self, name: str) -> bool:
-        """Return whether the data set has a column, by dotted name."""
-        return all(name in column_types(schema) for schema in self._table.schemas)
-
     @property
     def touch_starts(self) -> NDArray[np.int64]:
         """Where the touches of each stored row begin among those of all, shape (stored rows + 1,), int64."""
@@ -282,7 +278,7 @@ class Touches(RecordDataset[Touch], Generic[R]):
     @property
     def ids(self) -> NDArray[Any]:
         """Id of each touch, as :attr:`Touch.id`, shape (len,); reads the ids of the rounds only."""
-        pairs = zip(self.column("id").tolist(), self.touch_indices.tolist(), strict=True)
+        pairs = zip(self.dataset.ids[self.round_positions].tolist(), self.touch_indices.tolist(), strict=True)
         return np.array([touch_id(*pair) for pair in pairs], object)
 
     @property

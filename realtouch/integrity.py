@@ -148,10 +148,12 @@ def check_round(
     noted = partial(_noted, found, row)
     with noted():
         _ = row.read_info() if row.has_info() else None
-    for name, read in (("id", row.plain_value), ("object_id", row.int_value)):
-        if row.has(name):
-            with noted():
-                read(name)
+    if row.has("id"):
+        with noted():
+            row.name()
+    if row.has("object_id"):
+        with noted():
+            row.integer("object_id")
     if row.has("label"):
         with noted():
             row.label_value(class_names)

@@ -83,17 +83,17 @@ class TouchRound(Record):
     @property
     def id(self) -> str:
         """Name of the round, such as ``2023-09-28_15-50-43_7-0``."""
-        return str(self._row.plain_value("id"))
+        return self._row.name()
 
     @property
     def label(self) -> int:
         """Class of the object; the digit, 0 to 9, in the MNIST sets."""
-        return self._once("label", lambda: self._row.int_value("label"))
+        return self._once("label", lambda: self._row.integer("label"))
 
     @property
     def object_id(self) -> int:
         """Id of the touched mesh in its data set of meshes."""
-        return self._once("object_id", lambda: self._row.int_value("object_id"))
+        return self._once("object_id", lambda: self._row.integer("object_id"))
 
     @property
     def info(self) -> dict[str, Any]:

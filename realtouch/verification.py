@@ -218,7 +218,7 @@ def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
 
 def _repeated_id(row: TouchRow, seen: dict[str, str]) -> list[Damage]:
     try:
-        name = str(row.plain_value("id"))
+        name = row.name()
     except (InputError, IntegrityError):  # there are none, or it is named with the other fields
         return []
     here = f"{row.path!r}, row {row.number}"

@@ -564,16 +564,16 @@ _INDEX_SCHEMA = pa.schema(
 
 def columns_of_touches(row: TouchRow, shown: Sequence[Shown], names: Sequence[str]) -> dict[str, Any]:
     """Return what a table says of the touches of a round, by column; only of what the source stores."""
-    label, count = row.int_value("label"), len(shown)
+    label, count = row.integer("label"), len(shown)
     columns: dict[str, Any] = {
         "label": np.full(count, label),
         "label_name": [names[label] if label < len(names) else None] * count,
-        "round_id": [str(row.plain_value("id"))] * count,
+        "round_id": [row.name()] * count,
         "touch": np.arange(count),
         "frame": [each.frame for each in shown],
     }
     if row.has("object_id"):
-        columns["object_id"] = np.full(count, row.int_value("object_id"))
+        columns["object_id"] = np.full(count, row.integer("object_id"))
     if row.has("pos_in_cell"):
         columns |= dict(zip(POSITION_COLUMNS, row.intended_positions().T, strict=True))
     found = [each.pose for each in shown if each.pose is not None]
@@ -635,7 +635,7 @@ class WritePictures:
 
 def _folder_name(row: TouchRow) -> str:
     """Return the id of a round as the name of its folder: one that leads nowhere else on any system."""
-    name = str(row.plain_value("id"))
+    name = row.name()
     problem = "has slashes" if "/" in name else problem_of_name(name)
     if problem:
         shown = name if len(name) <= 80 else f"{name[:80]}..."

@@ -18,7 +18,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.records import require_mesh_columns
 from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.columns import null_fields
+from tactile_toolkit.read.columns import null_fields, whole_number
 from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import runner_for
@@ -179,7 +179,7 @@ def _check_part(
         nulls = null_fields(block.table, columns)
         for index, row_id in enumerate(block.table["id"].to_pylist()[: rows - len(checked)]):
             # In data sets of others it may be null, or a text.
-            known_id = row_id if isinstance(row_id, int) else None
+            known_id = whole_number(row_id)
             found = None if index in nulls else check(Row(block, index))
             row, null_field = block.first_row + index, nulls.get(index, "")
             checked.append(CheckedRow(split, file, row, known_id, found, null_field))

@@ -18,12 +18,15 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.files import pack_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.columns import (
+    Expected,
     class_names,
     column_names,
+    column_types,
     dtype_name,
     feature_metadata,
     label_feature,
     vectors_type,
+    wrong_type,
 )
 from tactile_toolkit.read.dataset import Record, RecordDataset, Row, with_origins
 from tactile_toolkit.read.parquet import Shard, ShardedTable
@@ -46,6 +49,13 @@ FACES = "mesh.faces"
 """Column of triangles: ``list<int32[3]>``, rows of the vertices."""
 
 
+# Ids and labels are looked at row by row: a float may hold an integer.
+_MESH_TYPES: dict[str, Expected] = {
+    VERTICES: (2, (pa.types.is_floating,), "three floats per vertex"),
+    FACES: (2, (pa.types.is_integer,), "three integers per triangle"),
+}
+
+
 def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
     """Refuse the data set ``name`` where it has not all columns of the published mesh layout.
 
@@ -53,10 +63,11 @@ def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
     """
     found = column_names(schema)
     missing = [each for each in ("id", "label", VERTICES, FACES) if each not in found]
-    if missing:
+    problem = f"column {missing[0]!r} is missing (found {', '.join(found)})" if missing else ""
+    problem = problem or wrong_type(column_types(schema), _MESH_TYPES)
+    if problem:
         raise InputError(
-            f"{name!r} is not a data set of meshes: column {missing[0]!r} is missing (found "
-            f"{', '.join(found)})",
+            f"{name!r} is not a data set of meshes: {problem}",
             next=f"name a data set such as one written by `{made_by}`",
         )
 
@@ -138,12 +149,12 @@ class SolidRecord(Record):
     @property
     def id(self) -> int:
         """Number of the row, unique in its data set."""
-        return int(self._row.required("id"))
+        return self._row.integer("id")
 
     @property
     def label(self) -> int:
         """Number of the class."""
-        return int(self._row.required("label"))
+        return self._row.integer("label")
 
     @property
     def vertices_m(self) -> NDArray[np.float32]:
@@ -180,8 +191,10 @@ class SolidDataset(RecordDataset[S]):
 
     @property
     def volumes_m3(self) -> NDArray[np.float64]:
-        """Volume of each row, shape (len,), cubic metres; loads no mesh."""
-        return self.column("volume_m3")
+        """Volume of each row, shape (len,), float64, cubic metres; loads only meshes that store none."""
+        if self.has_column("volume_m3"):
+            return np.asarray(self.column("volume_m3"), np.float64)
+        return np.array([record.volume_m3 for record in self], np.float64)
 
 
 class RecordStream(Generic[R]):
