@@ -569,7 +569,7 @@ def with_no_contact(
     count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
     if not count:
         return np.flatnonzero(mask)
-    ids = touches.dataset.column("id")[touches.round_positions[empty]].tolist()
+    ids = touches.dataset.ids[touches.round_positions[empty]].tolist()
     texts = zip(ids, touches.touch_indices[empty].tolist(), strict=True)
     keys = [f"{number} {name} {touch}".encode() for name, touch in texts]
     drawn = [hashlib.blake2b(key, digest_size=16).digest() for key in keys]

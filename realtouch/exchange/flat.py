@@ -105,7 +105,7 @@ class _Touches:
         row.label_value(self.names)
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)
-        name = str(row.value("id"))
+        name = row.name()
         if _NAME.fullmatch(name) is None:
             problem = f"{name[:80]!r} cannot name files; expected letters, digits, '-' and '_'"
             raise row.damaged("id", problem)
