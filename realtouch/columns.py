@@ -21,7 +21,7 @@ from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN
 from realtouch.video import MAX_CLIP_FRAMES
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import NestedColumn, whole_number, whole_numbers
+from tactile_toolkit.read.columns import NestedColumn, RowGroup, whole_number, whole_numbers
 from tactile_toolkit.read.dataset import Row, checked_index
 from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
@@ -46,9 +46,12 @@ _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 
 def stored_rows(shards: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[TouchRow]:
     """Yield all rows of some files, with all columns or those named; a block of them is in memory."""
-    for shard in shards:
-        for group in shard.all_blocks(columns):
-            yield from (TouchRow(group, row) for row in range(len(group.table)))
+    return rows_of(block for shard in shards for block in shard.all_blocks(columns))
+
+
+def rows_of(blocks: Iterable[RowGroup]) -> Iterator[TouchRow]:
+    """Yield the rows of some blocks."""
+    return (TouchRow(block, row) for block in blocks for row in range(len(block.table)))
 
 
 def _as_timedelta(values: NDArray[Any]) -> NDArray[np.timedelta64]:

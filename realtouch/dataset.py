@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import groupby
@@ -12,7 +13,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import Damage, TouchRow, stored_rows
+from realtouch.columns import Damage, TouchRow, rows_of, stored_rows
 from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
 from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
 from realtouch.media import SensorImages, room_for
@@ -29,10 +30,11 @@ from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions, with_origins
+from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import RowSource
+from tactile_toolkit.read.stream import Stream, loader_worker
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, Kind
@@ -605,8 +607,8 @@ def dataset_of(
     return dataset(ShardedTable(tuple(shards)), rows, names, skipped)
 
 
-class TouchStream:
-    """Rounds one after another, read from their address piece by piece; nothing is stored locally.
+class TouchStream(Stream[TouchRound]):
+    """Rounds one after another; see :class:`tactile_toolkit.read.stream.Stream`.
 
     Parameters
     ----------
@@ -625,7 +627,8 @@ class TouchStream:
     Attributes
     ----------
     skipped : list of Damage
-        What was left out so far, since the stream was last begun.
+        What was left out so far, since the stream was last begun. A worker of a loader has a list of its
+        own, and warns of what it leaves out.
     """
 
     def __init__(
@@ -637,7 +640,7 @@ class TouchStream:
         expected_touches: int | None = None,
         left_out: Sequence[Damage] = (),
     ) -> None:
-        self.shards = shards
+        super().__init__(shards)
         self.kind = kind
         self.skip_damage = skip_damage
         self.skipped = list(left_out)
@@ -672,10 +675,13 @@ class TouchStream:
         self.skipped[:] = self._left_out
         record = TouchSingleRound if self.kind == "single" else TouchSeqRound
         if not self.skip_damage:
-            yield from map(record, stored_rows(self.shards))
+            blocks = (block for shard, index in self._row_groups() for block in shard.blocks(index))
+            yield from map(record, rows_of(blocks))
             return
-        for row, damage in checked_rows(self.shards, self._expected_touches, self._stated_names):
+        for row, damage in checked_rows(self._row_groups(), self._expected_touches, self._stated_names):
             self.skipped += damage
+            if damage and loader_worker() is not None:
+                warnings.warn(f"left out: {'; '.join(map(str, damage))}", stacklevel=2)
             lost = {each.touch for each in damage}
             if row is not None and None not in lost:
                 intact = record(row)
@@ -683,5 +689,4 @@ class TouchStream:
                 yield intact.with_touches(kept) if lost else intact
 
     def __repr__(self) -> str:
-        words = with_origins(counted(len(self.shards), "shards"), ShardedTable(self.shards))
-        return f"TouchStream({self.kind}, {', '.join(words)})"
+        return self._described(self.kind)

@@ -7,7 +7,7 @@ such column to the mesh class, so that no other column may begin so (package tac
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -28,10 +28,10 @@ from tactile_toolkit.read.columns import (
     vectors_type,
     wrong_type,
 )
-from tactile_toolkit.read.dataset import Record, RecordDataset, Row, with_origins
+from tactile_toolkit.read.dataset import Record, RecordDataset, Row
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.stream import Stream
 from tactile_toolkit.rows import column, plain_schema, row
-from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     import trimesh
@@ -197,8 +197,8 @@ class SolidDataset(RecordDataset[S]):
         return np.array([record.volume_m3 for record in self], np.float64)
 
 
-class RecordStream(Generic[R]):
-    """Records one after another, read from the address piece by piece; nothing is stored locally.
+class RecordStream(Stream[R]):
+    """Records one after another; see :class:`tactile_toolkit.read.stream.Stream`.
 
     Parameters
     ----------
@@ -211,23 +211,22 @@ class RecordStream(Generic[R]):
     """
 
     def __init__(self, shards: tuple[Shard, ...], record: type[R], default_names: tuple[str, ...]) -> None:
-        self._shards = shards
+        super().__init__(shards)
         self._record = record
         self._default_names = default_names
 
     @property
     def label_names(self) -> tuple[str, ...]:
         """Name of each class."""
-        return class_names(self._shards[0].schema, self._default_names)
+        return class_names(self.shards[0].schema, self._default_names)
 
     def __repr__(self) -> str:
-        words = with_origins(counted(len(self._shards), "shards"), ShardedTable(self._shards))
-        return f"{type(self).__name__}({self._record.__name__}, {', '.join(words)})"
+        return self._described(self._record.__name__)
 
     def __iter__(self) -> Iterator[R]:
         """Decode one block of rows at a time."""
-        for shard in self._shards:
-            for block in shard.all_blocks():
+        for shard, index in self._row_groups():
+            for block in shard.blocks(index):
                 yield from (self._record(Row(block, row)) for row in range(len(block.table)))
 
 

@@ -179,6 +179,13 @@ def flattened(values: Iterable[Any]) -> Iterator[Any]:
             yield value
 
 
+def picks_several(index: Any) -> bool:
+    """Return whether an index stands for several items: a slice, or a list, array or tensor of them."""
+    if isinstance(index, (slice, list, tuple)):
+        return True
+    return hasattr(index, "__array__") and np.ndim(index) > 0
+
+
 def positions(index: Any, length: int) -> NDArray[np.int64]:
     """Turn a slice, ints or a boolean mask into positions, shape (n,), 0 to below that length.
 
@@ -404,7 +411,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     @overload
     def __getitem__(self, index: slice | Sequence[int] | Sequence[bool] | NDArray[Any]) -> Self: ...
     def __getitem__(self, index: Any) -> T | Self:
-        """Return an item (int) or a view (slice, ints, boolean mask).
+        """Return an item (int) or a view (slice, or a list, array or tensor of ints or booleans).
 
         Raises
         ------
@@ -417,7 +424,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             return self._item(index)
         if isinstance(index, slice):
             return self._select(index)
-        if isinstance(index, (list, tuple, np.ndarray)) and np.ndim(index) > 0:
+        if picks_several(index):
             return self._select(positions(index, len(self)))
         return self._item(operator.index(index))
 
@@ -455,9 +462,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         TypeError
             They are not integers.
         """
-        return self._select(
-            positions(indices if isinstance(indices, np.ndarray) else list(indices), len(self))
-        )
+        return self._select(positions(indices if picks_several(indices) else list(indices), len(self)))
 
     def filter(self, function: Callable[[T], Any]) -> Self:
         """Return the items for which a function is true, in their order.

@@ -337,8 +337,7 @@ class Shard:
 
     def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of all row groups, as :meth:`blocks`."""
-        for index in range(self.metadata.num_row_groups):
-            yield from self.blocks(index, columns)
+        return chain.from_iterable(self.blocks(index, columns) for _, index in row_groups([self]))
 
     def _require_bounded(self, index: int) -> None:
         """Refuse rows that unpack to more than the limit, by what the footer states of them."""
@@ -529,6 +528,11 @@ class ChosenGroups:
     def unpack(self, index: int) -> int:
         """Unpack a row group into the cache."""
         return self.shard.unpack(self.groups[index])
+
+
+def row_groups(shards: Iterable[Shard]) -> Iterator[tuple[Shard, int]]:
+    """Yield the row groups of some shards, in their order, each by its shard and its number there."""
+    return ((shard, index) for shard in shards for index in range(shard.metadata.num_row_groups))
 
 
 def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource]) -> Iterator[T]:
