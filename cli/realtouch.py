@@ -17,7 +17,7 @@ from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
 from realtouch.kind import KIND
 from realtouch.spec import ImportColumns
-from tactile_toolkit.catalog.spec import IDS, LABELS, LIMIT, ONE_SPLIT, PER_CLASS, SPLIT
+from tactile_toolkit.catalog.spec import IDS, LABELS, LIMIT, ONE_SPLIT, PER_CLASS, SPLIT, id_range
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -336,7 +336,9 @@ def _arguments(options: Any) -> dict[str, Any]:
         found["width"], found["height"] = found.pop("size")
     if isinstance(options, Select):
         height_mm = found.pop("min_height_mm")
-        found["objects"], found["labels"] = found.pop("ids") or (), found["labels"] or ()
+        # Those of the objects, which are numbers.
+        ids = [id_range(each) if isinstance(each, str) else each for each in found.pop("ids") or ()]
+        found["objects"], found["labels"] = ids, found["labels"] or ()
         if not options.contact and (height_mm is not None or not options.recalibrate_z):
             raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
         found["min_height_m"] = None if height_mm is None else height_mm / 1000
