@@ -410,7 +410,7 @@ def _print_imported(
 
 _add("clips-to-images", ClipsToImages, lazy("realtouch.convert.api:clips_to_images"))
 _add("resize", Resize, lazy("realtouch.convert.api:resize"))
-_add("frames", Frames, lazy("realtouch.convert.api:frames"))
+_add("frames", Frames, lazy("realtouch.convert.api:frames"), nouns="touches")
 _add("select", Select, lazy("realtouch.convert.api:select"))
 # A row is a touch, or an episode of LeRobot.
 _add("export", Export, lazy("realtouch.exchange.api:export"), nouns="rows")

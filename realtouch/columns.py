@@ -36,7 +36,7 @@ _COUNTED = (
     "gel_pose_cell_frame_seq.position",
 )
 _UNREADABLE = (ValueError, pa.ArrowException)
-_NEXT = "next: run `realtouch verify` to list everything that is wrong, then download or convert again"
+_NEXT = "run `realtouch verify` to list everything that is wrong, then download or convert again"
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {MAX_CLIP_FRAMES:,}"
 _SECOND = np.timedelta64(1, "s")
@@ -123,7 +123,7 @@ class DamagedRoundError(IntegrityError):
     """An :class:`IntegrityError` that carries its :class:`Damage`; internal, catch ``IntegrityError``."""
 
     def __init__(self, damage: Damage) -> None:
-        super().__init__(f"{damage}; {_NEXT}")
+        super().__init__(damage, next=_NEXT)
         self.damage = damage
 
     def __reduce__(self) -> tuple[object, ...]:

@@ -192,7 +192,7 @@ def _noted(found: list[Damage], row: TouchRow) -> Iterator[None]:
     except DamagedRoundError as error:
         found.append(error.damage)
     except (InputError, IntegrityError, ValueError) as error:
-        problem = str(error).partition("; next: ")[0]
+        problem = error.what if isinstance(error, ToolkitError) else str(error)
         found.append(Damage(row.path, row.number, None, "", problem))
 
 
@@ -284,5 +284,5 @@ def unreadable_rows(shard: Shard, index: int, error: IntegrityError) -> Damage:
 
 def _cause(path: str, error: ToolkitError) -> str:
     """Return what an error says, without the file and the next step, which a list names once for all."""
-    words = " ".join(str(error).split()).partition("; next: ")[0]
+    words = " ".join(error.what.split())
     return words.removeprefix(repr(path)).lstrip(",: ")
