@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.card import origin_of
 from realtouch.dataset import TouchDataset
 from realtouch.kind import KIND
 from realtouch.media import TouchClip, evenly_spaced
 from realtouch.rounds import Touch, TouchRound, TouchSeqRound
+from realtouch.schema import origin_of
 from tactile_toolkit.catalog.spec import ALL_ROWS, Chosen
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows, thumbnail

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -20,10 +20,14 @@ from tactile_toolkit.read.columns import (
 )
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, Kind
 
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
+
+Origin = Literal["real", "synthetic", "imported"]
+"""Where touches are from; manifests of conversions state it as the option ``touches``."""
 
 _FLOAT = (pa.types.is_floating,)
 _WHOLE = (pa.types.is_integer, *_FLOAT)  # of floats, each value must be one
@@ -74,11 +78,20 @@ def kind_of(schema: pa.Schema | None, where: str) -> Kind:
     return kinds[0]
 
 
-def is_rendered(schema: pa.Schema) -> bool:
+def _is_rendered(schema: pa.Schema) -> bool:
     """Return whether images were rendered: the object then has a pose for each touch, not one a round."""
     pose = column_type(schema, "info.object_pose.position")
     has_images = column_type(schema, MEDIA_COLUMN["single"]) is not None
     return has_images and pose is not None and list_depth(pose)[0] == 2
+
+
+def origin_of(schema: Any, manifest: Manifest | None) -> Origin:
+    """Return where touches are from: rendered ones by their columns, others by the manifest."""
+    options = None if manifest is None else manifest.spec.get("options")
+    stated = options.get("touches") if isinstance(options, dict) else None
+    if stated == "imported" or (manifest is not None and manifest.spec.get("operation") == "import"):
+        return "imported"
+    return "synthetic" if stated == "synthetic" or _is_rendered(schema) else "real"
 
 
 def require_types(shard: Shard) -> None:

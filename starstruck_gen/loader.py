@@ -17,6 +17,7 @@ from starstruck_gen.placement import Placement, SceneMeshes, build_meshes
 from starstruck_gen.sampling import MOST_SCENES, sample_scenes, scene_id, scene_seed
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.records import FACES, VERTICES, RecordStream, SolidRecord, open_solids
 from tactile_toolkit.places.place import Name, Place, open_place
@@ -24,7 +25,7 @@ from tactile_toolkit.read.columns import RaggedColumn, RowGroup, Rows, column_na
 from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.wording import counted, is_integer, plain_number
+from tactile_toolkit.wording import counted
 
 
 class SceneRecord(SolidRecord):
@@ -350,10 +351,8 @@ class SceneDataset(SceneMeshDataset):
         self, spec: SceneSpec | None = None, split: str = "train", size: int = DEFAULT_SIZE, seed: int = 0
     ) -> None:
         spec = spec or SceneSpec()
-        size, seed = plain_number(size), plain_number(seed)
-        if not (is_integer(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
-            found = f"size is {size!r} and seed is {seed!r}"
-            raise InputError(f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0")
+        size = checked_integer(size, "size", 0, MOST_SCENES)
+        seed = checked_integer(seed, "seed")
         scene_seed(seed, split, 0)  # refuses an unknown split
         super().__init__(ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names)
 
