@@ -255,6 +255,27 @@ def test_meshes_of_no_numbers_are_refused_by_column(tmp_path: Path) -> None:
             mnist3d.load(str(tmp_path / "digits.parquet"))
 
 
+def test_what_a_set_does_not_store_is_known_of_each_row(tmp_path: Path) -> None:
+    """The published digits store neither writer nor volume."""
+    stored = digits().append_column("writer", pa.array([4.0, 5.0, 6.0]))
+    stored = stored.append_column("volume_m3", pa.array([1.0, 2.0, 3.0]))
+    found = {}
+    for name, table in (("published", digits()), ("stored", stored)):
+        pq.write_table(table, tmp_path / f"{name}.parquet")
+        found[name] = mnist3d.load(str(tmp_path / f"{name}.parquet"))
+    volume_m3 = SIDE_M**3 / 6
+    both = found["published"] + found["stored"]
+    for rows, writers, volumes_m3 in (
+        (found["published"], [-1, -1, -1], [volume_m3] * 3),
+        (found["stored"], [4, 5, 6], [1.0, 2.0, 3.0]),
+        (both[[5, 0]], [6, -1], [3.0, volume_m3]),
+    ):
+        assert rows.writers.tolist() == writers == [row.writer for row in rows]
+        assert rows.writers.dtype == np.int64
+        assert rows.volumes_m3.tolist() == pytest.approx(volumes_m3, rel=1e-6)
+        assert rows.volumes_m3.tolist() == [row.volume_m3 for row in rows]
+
+
 TYPES = [
     (pa.dictionary(pa.int8(), pa.large_string()), pa.string()),
     (pa.list_(pa.dictionary(pa.int8(), pa.string())), pa.list_(pa.string())),
