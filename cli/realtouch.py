@@ -17,7 +17,7 @@ from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
 from realtouch.kind import KIND
 from realtouch.spec import ImportColumns
-from tactile_toolkit.catalog.spec import IDS, LABELS, LIMIT, ONE_SPLIT, PER_CLASS, SPLIT
+from tactile_toolkit.catalog.spec import IDS, LABELS, LIMIT, ONE_SPLIT, PER_CLASS, SPLIT, id_range
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -342,7 +342,9 @@ def _arguments(options: Any) -> dict[str, Any]:
         found["width"], found["height"] = found.pop("size")
     if isinstance(options, Select):
         height_mm = found.pop("min_height_mm")
-        found["objects"], found["labels"] = found.pop("ids") or (), found["labels"] or ()
+        # Those of the objects, which are numbers.
+        ids = [id_range(each) if isinstance(each, str) else each for each in found.pop("ids") or ()]
+        found["objects"], found["labels"] = ids, found["labels"] or ()
         if not options.contact and (height_mm is not None or not options.recalibrate_z):
             raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
         found["min_height_m"] = None if height_mm is None else height_mm / 1000
@@ -419,7 +421,7 @@ def _print_imported(
 
 _add("clips-to-images", ClipsToImages, lazy("realtouch.convert.api:clips_to_images"))
 _add("resize", Resize, lazy("realtouch.convert.api:resize"))
-_add("frames", Frames, lazy("realtouch.convert.api:frames"))
+_add("frames", Frames, lazy("realtouch.convert.api:frames"), nouns="touches")
 _add("select", Select, lazy("realtouch.convert.api:select"))
 # A row is a touch, or an episode of LeRobot.
 _add("export", Export, lazy("realtouch.exchange.api:export"), nouns="rows")

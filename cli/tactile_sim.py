@@ -238,6 +238,7 @@ def evaluate(
         help="Sensor noise that is added to all generated images, as for `generate --sensor-noise`.",
     ),
     seed: int = integer(0, help="Random seed."),
+    device: str = choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
     sink: Sink,
 ) -> None:
     """Measure trained weights on touches that the training did not use: a table and a sheet of images.
@@ -250,7 +251,17 @@ def evaluate(
 
     baselines = tuple(name for name in BASELINES if taxim or name != "taxim")
     noise = SensorNoise.named(sensor_noise)
-    found = measure(weights, pairs, baselines=baselines, count=count, noise=noise, seed=seed)
+    with sink.progress("measuring", "steps") as update:
+        found = measure(
+            weights,
+            pairs,
+            baselines=baselines,
+            count=count,
+            noise=noise,
+            seed=seed,
+            device=device,
+            on_progress=update,
+        )
     found.write(out)
     sink.document(found.to_dict())
     sink.line(found.to_markdown())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -18,7 +19,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.read.dataset import RecordDataset, positions
+from tactile_toolkit.read.dataset import RecordDataset, picks_several, positions
 from tactile_toolkit.store.files import expanded, path_exists
 from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.wording import natural_key
@@ -109,8 +110,8 @@ class MeshView(Sequence[Any]):
 
     def __getitem__(self, key: Any) -> Any:
         """Return a record (int), or a view of some of them (slice, ints, mask)."""
-        if isinstance(key, (int, np.integer)):
-            record = self.records[int(key)]
+        if not picks_several(key):
+            record = self.records[operator.index(key)]
             return LazyMesh(record.id, record.label, partial(_laid_flat, record)) if self.flat else record
         if isinstance(self.records, RecordDataset):
             return MeshView(self.records[key], self.label_names, self.flat)

@@ -26,7 +26,7 @@ class MeshRecord(SolidRecord):
     @property
     def writer(self) -> int:
         """Number of the writer in the source, -1 where it is unknown."""
-        return int(self._row.required("writer")) if self._row.has("writer") else NO_WRITER
+        return self._row.integer("writer") if self._row.has("writer") else NO_WRITER
 
     @property
     def source(self) -> str:
@@ -65,8 +65,10 @@ class MeshDataset(SolidDataset[MeshRecord]):
 
     @property
     def writers(self) -> NDArray[np.int64]:
-        """Writer of each row, shape (len,), -1 where unknown."""
-        return self.column("writer")
+        """Writer of each row, shape (len,), int64, -1 where unknown; loads no mesh."""
+        return self._integers(
+            "writer", lambda: np.full(len(self), NO_WRITER, np.int64), lambda digit: digit.writer
+        )
 
 
 class MeshStream(RecordStream[MeshRecord]):

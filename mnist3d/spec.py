@@ -40,6 +40,9 @@ _MOST_DIGITS = 10**9
 LARGEST_HALF_THICKNESS_PX = 100
 """Squares of distances in pixels have to fit 16 bits (:func:`mnist3d.lattice.signed_distance_px`)."""
 
+MOST_DIGITS = 10_000_000
+"""Digits of the synthetic source, at most: numbers of all of them are held in memory."""
+
 
 @dataclass(frozen=True, slots=True)
 class SolidSpec:
@@ -248,7 +251,7 @@ class SourceOptions:
         help="Strokes of the images in a folder: darker than the paper, or lighter.",
     )
     # As many as MNIST 3D has (Tactile MNIST paper).
-    digits: int = integer(13_580, 1, help="Number of digits in the synthetic source.")
+    digits: int = integer(13_580, 1, MOST_DIGITS, help="Number of digits in the synthetic source.")
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,7 +12,7 @@ from typing import Any
 
 from mnist3d.kind import KIND
 from tactile_toolkit.catalog.choose import check_rows, shards_to_check
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
@@ -101,7 +101,11 @@ class Checked:
 
 
 def _inspect_row(row: Row, profile: PrintProfile) -> PrintReport:
-    return inspect(Mesh(row.array(VERTICES), row.array(FACES)), profile)
+    try:
+        row.integer("label")
+        return inspect(Mesh(row.array(VERTICES), row.array(FACES)), profile)
+    except IntegrityError as error:
+        return unreadable(str(error))
 
 
 def validate_paths(

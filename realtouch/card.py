@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from operator import attrgetter
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from realtouch.dataset import TouchDataset, dataset_of
 from realtouch.kind import KIND
 from realtouch.media import contact_sheet, evenly_spaced
 from realtouch.rounds import Touch, TouchSeqRound, TouchSingleRound
-from realtouch.schema import is_rendered, kind_of
+from realtouch.schema import kind_of, origin_of
 from tactile_toolkit.cards.card import Card, Column, between, bibtex, card_words, rows_to_draw
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.errors import ToolkitError
@@ -27,9 +27,6 @@ from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.contact import missed_text
 from tactile_toolkit.touch.jpeg import Pixels, decode_image
 from tactile_toolkit.touch.schema import Kind
-
-Origin = Literal["real", "synthetic", "imported"]
-"""Where touches are from; manifests of conversions state it as the option ``touches``."""
 
 WORDS = "touch_words.toml"
 """File of ``data_cards`` with the words of all cards of touches."""
@@ -42,15 +39,6 @@ _ROUNDS_SEEN = 4
 
 _COMMANDS = {"to-single": "clips-to-images"}  # manifests of all versions have the former name
 _WINDOW = "18.88 x 14.16 mm of gel"
-
-
-def origin_of(schema: Any, manifest: Manifest | None) -> Origin:
-    """Return where touches are from: rendered ones by their columns, others by the manifest."""
-    options = None if manifest is None else manifest.spec.get("options")
-    stated = options.get("touches") if isinstance(options, dict) else None
-    if stated == "imported" or (manifest is not None and manifest.spec.get("operation") == "import"):
-        return "imported"
-    return "synthetic" if stated == "synthetic" or is_rendered(schema) else "real"
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN
 from realtouch.video import MAX_CLIP_FRAMES
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import NestedColumn
+from tactile_toolkit.read.columns import NestedColumn, RowGroup, whole_number, whole_numbers
 from tactile_toolkit.read.dataset import Row, checked_index
 from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
@@ -35,11 +35,10 @@ _COUNTED = (
     "gel_pose_cell_frame.position",
     "gel_pose_cell_frame_seq.position",
 )
-_INT_LIMIT = 1 << 63
 _UNREADABLE = (ValueError, pa.ArrowException)
-_NEXT = "next: run `realtouch verify` to list everything that is wrong, then download or convert again"
+_NEXT = "run `realtouch verify` to list everything that is wrong, then download or convert again"
 _NO_TIME = "no time is stored; expected a duration or float seconds"
-_TOO_LONG = f"a clip of {{:,}} frames; the limit is {MAX_CLIP_FRAMES:,}"
+_TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {MAX_CLIP_FRAMES:,}"
 _SECOND = np.timedelta64(1, "s")
 _CONTACT_START, _CONTACT_END = "touch_start_time_rel", "touch_end_time_rel"
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
@@ -47,9 +46,12 @@ _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 
 def stored_rows(shards: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[TouchRow]:
     """Yield all rows of some files, with all columns or those named; a block of them is in memory."""
-    for shard in shards:
-        for group in shard.all_blocks(columns):
-            yield from (TouchRow(group, row) for row in range(len(group.table)))
+    return rows_of(block for shard in shards for block in shard.all_blocks(columns))
+
+
+def rows_of(blocks: Iterable[RowGroup]) -> Iterator[TouchRow]:
+    """Yield the rows of some blocks."""
+    return (TouchRow(block, row) for block in blocks for row in range(len(block.table)))
 
 
 def _as_timedelta(values: NDArray[Any]) -> NDArray[np.timedelta64]:
@@ -121,7 +123,7 @@ class DamagedRoundError(IntegrityError):
     """An :class:`IntegrityError` that carries its :class:`Damage`; internal, catch ``IntegrityError``."""
 
     def __init__(self, damage: Damage) -> None:
-        super().__init__(f"{damage}; {_NEXT}")
+        super().__init__(damage, next=_NEXT)
         self.damage = damage
 
     def __reduce__(self) -> tuple[object, ...]:
@@ -266,9 +268,8 @@ class TouchRow(Row):
         Raises IntegrityError for lengths that are missing, negative or beyond the limit.
         """
         values = self.per_touch("video_length_frames")
-        possible = (values >= 0) & (
-            values <= MAX_CLIP_FRAMES
-        )  # False for NaN, which stands for a missing one
+        # False for NaN, which stands for a missing one.
+        possible = (values >= 0) & (values <= MAX_CLIP_FRAMES) & whole_numbers(values)
         self._require_each("video_length_frames", possible, None, _TOO_LONG, values)
         return values.astype(np.int64, copy=False)
 
@@ -276,7 +277,7 @@ class TouchRow(Row):
         """Return the number of frames of one clip; raises as :func:`clip_lengths`."""
         column, place, _ = self.entries_of("video_length_frames", touch)
         frames = column.values[place]
-        if not 0 <= frames <= MAX_CLIP_FRAMES:
+        if not (0 <= frames <= MAX_CLIP_FRAMES and int(frames) == frames):
             raise self.damaged("video_length_frames", _TOO_LONG.format(frames), touch)
         return int(frames)
 
@@ -431,15 +432,21 @@ class TouchRow(Row):
             raise self.damaged(name, "no value is stored")
         return value
 
-    def int_value(self, name: str) -> int:
+    def integer(self, name: str) -> int:
         """Return a field as an int from 0 to below 2**63; IntegrityError for others, else as plain_value."""
         value = self.plain_value(name)
-        if isinstance(value, float) and np.isfinite(value):  # a null next to it made numpy's column inexact
-            value = self.stored_value(name)
-        # Files of others store integers as floats, and missing ones as NaN.
-        if not np.isfinite(value) or int(value) != value or not 0 <= value < _INT_LIMIT:
-            raise self.damaged(name, f"the value is {value}; expected an integer of 0 or more, below 2**63")
-        return int(value)
+        if not isinstance(value, np.signedinteger):
+            value = self.stored_value(name)  # a null next to it made numpy's column inexact
+        number = whole_number(value)
+        if number is None or number < 0:
+            found = "no value is stored" if value is None else f"the value is {value}"
+            raise self.damaged(name, f"{found}; expected an integer of 0 or more, below 2**63")
+        return number
+
+    def name(self) -> str:
+        """Return the id, text or an integer, as text; raises as :meth:`integer`."""
+        value = self.plain_value("id")
+        return value if isinstance(value, str) else str(self.integer("id"))
 
     def label_value(self, names: Sequence[str] | None = None) -> int:
         """Return the class, -1 where it is not known, as `datasets` has it.
@@ -448,7 +455,7 @@ class TouchRow(Row):
         """
         if self.plain_value("label") == -1:
             return -1
-        label = self.int_value("label")
+        label = self.integer("label")
         if names is not None and label >= len(names):
             limit = f"expected less than {len(names)}, the number of named classes"
             raise self.damaged("label", f"the value is {label}; {limit}")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import groupby
@@ -12,7 +13,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import Damage, TouchRow, stored_rows
+from realtouch.columns import Damage, TouchRow, rows_of, stored_rows
 from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
 from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
 from realtouch.media import SensorImages, room_for
@@ -29,10 +30,11 @@ from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions, with_origins
+from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.read.source import RowSource
+from tactile_toolkit.read.stream import Stream, loader_worker
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.jpeg import Pixels
 from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, Kind
@@ -105,10 +107,6 @@ class TouchDataset(RecordDataset[R]):
     @property
     def _stored_counts(self) -> NDArray[np.int64]:
         return self._table.per_shard("touches", lambda source: [stored_touch_counts(source)])
-
-    def has_column(self, name: str) -> bool:
-        """Return whether the data set has a column, by dotted name."""
-        return all(name in column_types(schema) for schema in self._table.schemas)
 
     @property
     def touch_starts(self) -> NDArray[np.int64]:
@@ -282,7 +280,7 @@ class Touches(RecordDataset[Touch], Generic[R]):
     @property
     def ids(self) -> NDArray[Any]:
         """Id of each touch, as :attr:`Touch.id`, shape (len,); reads the ids of the rounds only."""
-        pairs = zip(self.column("id").tolist(), self.touch_indices.tolist(), strict=True)
+        pairs = zip(self.dataset.ids[self.round_positions].tolist(), self.touch_indices.tolist(), strict=True)
         return np.array([touch_id(*pair) for pair in pairs], object)
 
     @property
@@ -573,7 +571,7 @@ def with_no_contact(
     count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
     if not count:
         return np.flatnonzero(mask)
-    ids = touches.dataset.column("id")[touches.round_positions[empty]].tolist()
+    ids = touches.dataset.ids[touches.round_positions[empty]].tolist()
     texts = zip(ids, touches.touch_indices[empty].tolist(), strict=True)
     keys = [f"{number} {name} {touch}".encode() for name, touch in texts]
     drawn = [hashlib.blake2b(key, digest_size=16).digest() for key in keys]
@@ -610,8 +608,8 @@ def dataset_of(
     return dataset(ShardedTable(tuple(shards)), rows, names, skipped)
 
 
-class TouchStream:
-    """Rounds one after another, read from their address piece by piece; nothing is stored locally.
+class TouchStream(Stream[TouchRound]):
+    """Rounds one after another; see :class:`tactile_toolkit.read.stream.Stream`.
 
     Parameters
     ----------
@@ -630,7 +628,8 @@ class TouchStream:
     Attributes
     ----------
     skipped : list of Damage
-        What was left out so far, since the stream was last begun.
+        What was left out so far, since the stream was last begun. A worker of a loader has a list of its
+        own, and warns of what it leaves out.
     """
 
     def __init__(
@@ -642,7 +641,7 @@ class TouchStream:
         expected_touches: int | None = None,
         left_out: Sequence[Damage] = (),
     ) -> None:
-        self.shards = shards
+        super().__init__(shards)
         self.kind = kind
         self.skip_damage = skip_damage
         self.skipped = list(left_out)
@@ -677,10 +676,13 @@ class TouchStream:
         self.skipped[:] = self._left_out
         record = TouchSingleRound if self.kind == "single" else TouchSeqRound
         if not self.skip_damage:
-            yield from map(record, stored_rows(self.shards))
+            blocks = (block for shard, index in self._row_groups() for block in shard.blocks(index))
+            yield from map(record, rows_of(blocks))
             return
-        for row, damage in checked_rows(self.shards, self._expected_touches, self._stated_names):
+        for row, damage in checked_rows(self._row_groups(), self._expected_touches, self._stated_names):
             self.skipped += damage
+            if damage and loader_worker() is not None:
+                warnings.warn(f"left out: {'; '.join(map(str, damage))}", stacklevel=2)
             lost = {each.touch for each in damage}
             if row is not None and None not in lost:
                 intact = record(row)
@@ -688,5 +690,4 @@ class TouchStream:
                 yield intact.with_touches(kept) if lost else intact
 
     def __repr__(self) -> str:
-        words = with_origins(counted(len(self.shards), "shards"), ShardedTable(self.shards))
-        return f"TouchStream({self.kind}, {', '.join(words)})"
+        return self._described(self.kind)

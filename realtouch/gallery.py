@@ -1,4 +1,4 @@
-"""Real touches as a gallery: rounds with all their touches, clips frame by frame."""
+"""Touches as a gallery: rounds with all their touches, clips frame by frame."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from realtouch.dataset import TouchDataset
 from realtouch.kind import KIND
 from realtouch.media import TouchClip, evenly_spaced
 from realtouch.rounds import Touch, TouchRound, TouchSeqRound
+from realtouch.schema import origin_of
 from tactile_toolkit.catalog.spec import ALL_ROWS, Chosen
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows, thumbnail
 from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.places.place import Name, Place
+from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
 from tactile_toolkit.wording import class_name
 
@@ -72,7 +73,10 @@ def plan_gallery(name: Name | Place, chosen: Chosen = ALL_ROWS, *, touches: int 
         least_m = [rule.min_height_m for rule in rows.contact_rules()]
         return [(touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
-    return gallery_of_rows(KIND, name, chosen, "Real touches", _FACETS, _MEASURES, _item, 1, known)
+    place = open_place(name).require(KIND, "gallery")
+    schema = place.shards(chosen.given()["split"] or place.splits[0])[0].schema
+    title = f"{origin_of(schema, place.manifest)} touches".capitalize()
+    return gallery_of_rows(KIND, place, chosen, title, _FACETS, _MEASURES, _item, 1, known)
 
 
 def _item(

@@ -13,13 +13,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from realtouch.columns import Damage, DamagedRoundError, TouchRow
+from realtouch.columns import Damage, DamagedRoundError, TouchRow, rows_of
 from realtouch.media import SensorImages, TouchClip
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, kind_of, require_types
 from tactile_toolkit.catalog.locate import manifest_beside
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.parquet import ChosenGroups, Shard
+from tactile_toolkit.read.parquet import ChosenGroups, Shard, row_groups
 from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import decode_image, image_size
@@ -82,10 +82,9 @@ def modal_touch_count(shards: Sequence[Shard]) -> int | None:
     if shards and manifest_beside(shards[0]) is not None:
         return None
     counts: Counter[int] = Counter()
-    for shard in shards:
-        for index in range(shard.metadata.num_row_groups):
-            with suppress(IntegrityError):
-                counts.update(stored_touch_counts(ChosenGroups(shard, [index])).tolist())
+    for shard, index in row_groups(shards):
+        with suppress(IntegrityError):
+            counts.update(stored_touch_counts(ChosenGroups(shard, [index])).tolist())
     modal, rounds = counts.most_common(1)[0] if counts else (0, 0)
     return modal if 2 * rounds > counts.total() else None
 
@@ -101,14 +100,14 @@ def stored_touch_counts(source: RowSource) -> NDArray[np.int64]:
 
 
 def checked_rows(
-    shards: Iterable[Shard],
+    groups: Iterable[tuple[Shard, int]],
     expected_touches: int | None,
     class_names: Sequence[str] | None,
     *,
     decode: bool = True,
     workers: int = 1,
 ) -> Iterator[tuple[TouchRow | None, list[Damage]]]:
-    """Yield all rows, in order, with what is wrong with each; None in the place of those that cannot be read.
+    """Yield all rows of row groups with what is wrong with each; None in the place of unreadable ones.
 
     Arguments as of :func:`check_round`; what is found does not depend on the number of threads.
     """
@@ -118,18 +117,16 @@ def checked_rows(
             return None, [found]
         return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
 
-    return in_threads(checked, _readable_rows(shards), workers)
+    return in_threads(checked, _readable_rows(groups), workers)
 
 
-def _readable_rows(shards: Iterable[Shard]) -> Iterator[TouchRow | Damage]:
+def _readable_rows(groups: Iterable[tuple[Shard, int]]) -> Iterator[TouchRow | Damage]:
     """Yield all rows, and in the place of those that cannot be read, what is wrong with them."""
-    for shard in shards:
-        for index in range(shard.metadata.num_row_groups):
-            try:
-                for group in shard.blocks(index):
-                    yield from (TouchRow(group, row) for row in range(len(group.table)))
-            except IntegrityError as error:
-                yield unreadable_rows(shard, index, error)
+    for shard, index in groups:
+        try:
+            yield from rows_of(shard.blocks(index))
+        except IntegrityError as error:
+            yield unreadable_rows(shard, index, error)
 
 
 def check_round(
@@ -148,10 +145,12 @@ def check_round(
     noted = partial(_noted, found, row)
     with noted():
         _ = row.read_info() if row.has_info() else None
-    for name, read in (("id", row.plain_value), ("object_id", row.int_value)):
-        if row.has(name):
-            with noted():
-                read(name)
+    if row.has("id"):
+        with noted():
+            row.name()
+    if row.has("object_id"):
+        with noted():
+            row.integer("object_id")
     if row.has("label"):
         with noted():
             row.label_value(class_names)
@@ -193,7 +192,7 @@ def _noted(found: list[Damage], row: TouchRow) -> Iterator[None]:
     except DamagedRoundError as error:
         found.append(error.damage)
     except (InputError, IntegrityError, ValueError) as error:
-        problem = str(error).partition("; next: ")[0]
+        problem = error.what if isinstance(error, ToolkitError) else str(error)
         found.append(Damage(row.path, row.number, None, "", problem))
 
 
@@ -253,7 +252,7 @@ def find_damage(
     for shard in shards:
         starts = shard.group_starts
         groups = list(range(len(starts) - 1))
-        for row, damage in checked_rows([shard], expected_touches, names):
+        for row, damage in checked_rows(row_groups([shard]), expected_touches, names):
             if row is None:
                 group = starts.index(int(damage[0].row or 0))
                 groups.remove(group)
@@ -285,5 +284,5 @@ def unreadable_rows(shard: Shard, index: int, error: IntegrityError) -> Damage:
 
 def _cause(path: str, error: ToolkitError) -> str:
     """Return what an error says, without the file and the next step, which a list names once for all."""
-    words = " ".join(str(error).split()).partition("; next: ")[0]
+    words = " ".join(error.what.split())
     return words.removeprefix(repr(path)).lstrip(",: ")

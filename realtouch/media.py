@@ -24,7 +24,7 @@ from realtouch.video import Avi
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.pictures.sheets import TILE_STYLE, Tile, figure_html, sheet
 from tactile_toolkit.read.columns import BytesColumn
-from tactile_toolkit.read.dataset import checked_index, positions
+from tactile_toolkit.read.dataset import checked_index, picks_several, positions
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized
 
@@ -60,7 +60,7 @@ class SensorImages(Sequence[Pixels]):
         Raises IntegrityError when an image is damaged, or differs in size from the others asked for; it names
         file, row and touch.
         """
-        if isinstance(index, (slice, list, tuple, np.ndarray)):
+        if picks_several(index):
             return self.batch(index)
         return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
 
@@ -239,7 +239,7 @@ class TouchClip(Sequence[Pixels]):
         IntegrityError
             A frame is damaged; names file, row and touch.
         """
-        if isinstance(index, (slice, list, tuple, np.ndarray)):
+        if picks_several(index):
             return self.frames(index)
         return self._decode(checked_index(operator.index(index), len(self), "frame", "frames"))
 
@@ -448,7 +448,7 @@ class SensorClips(Sequence[TouchClip]):
     def __getitem__(self, index: slice | Sequence[int]) -> list[TouchClip]: ...
     def __getitem__(self, index: Any) -> TouchClip | list[TouchClip]:
         """Open one clip, or some; raises as :class:`TouchClip`."""
-        if isinstance(index, (slice, list, tuple, np.ndarray)):
+        if picks_several(index):
             return [TouchClip(self.row, touch) for touch in positions(index, self._count).tolist()]
         return TouchClip(self.row, checked_index(operator.index(index), self._count, "touch", "touches"))
 

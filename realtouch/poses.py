@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import operator
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
+
+from tactile_toolkit.read.dataset import picks_several
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -49,7 +52,8 @@ class Poses(Sequence["Pose"]):
     def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> Poses: ...
     def __getitem__(self, index: Any) -> Pose | Poses:
         """Return one rigid transform (int), or some poses (slice, ints, mask)."""
-        if isinstance(index, (int, np.integer)):
+        if not picks_several(index):
+            index = operator.index(index)
             return rigid_transform(self.position_m[index], self.quaternion[index])
         return Poses(self.position_m[index], self.quaternion[index])
 

@@ -118,8 +118,8 @@ def overlay(touches: Sequence[Placed], cell: CellMap) -> Pixels:
     if len(sizes) > 1:
         found = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
         raise InputError(
-            f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size; "
-            "next: make them alike with `realtouch resize`"
+            f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size",
+            next="make them alike with `realtouch resize`",
         )
     width, height = cell.size_px
     sums, weights = np.zeros((height, width, 3)), np.zeros((height, width, 1))

@@ -83,7 +83,7 @@ class TouchRound(Record):
     @property
     def id(self) -> str:
         """Name of the round, such as ``2023-09-28_15-50-43_7-0``."""
-        return str(self._row.plain_value("id"))
+        return self._row.name()
 
     @property
     def label(self) -> int:
@@ -93,7 +93,7 @@ class TouchRound(Record):
     @property
     def object_id(self) -> int:
         """Id of the touched mesh in its data set of meshes."""
-        return self._once("object_id", lambda: self._row.int_value("object_id"))
+        return self._once("object_id", lambda: self._row.integer("object_id"))
 
     @property
     def info(self) -> dict[str, Any]:

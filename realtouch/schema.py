@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
@@ -12,28 +12,31 @@ from numpy.typing import NDArray
 from realtouch.contact import PLATE_COLUMN
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import (
+    Expected,
     column_names,
     column_types,
     list_depth,
+    wrong_type,
 )
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, Kind
 
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
 
-_Tests = tuple[Callable[[Any], bool], ...]
+Origin = Literal["real", "synthetic", "imported"]
+"""Where touches are from; manifests of conversions state it as the option ``touches``."""
+
+_FLOAT = (pa.types.is_floating,)
+_WHOLE = (pa.types.is_integer, *_FLOAT)  # of floats, each value must be one
+_TEXT = (pa.types.is_string, *_WHOLE)
+_TIME = (pa.types.is_duration, *_FLOAT)
+_BYTES = (pa.types.is_binary,)
 
 
-_WHOLE: _Tests = (pa.types.is_integer,)
-_TEXT: _Tests = (pa.types.is_string, pa.types.is_large_string, pa.types.is_integer)
-_FLOAT: _Tests = (pa.types.is_float32, pa.types.is_float64)
-_TIME: _Tests = (pa.types.is_duration, *_FLOAT)
-_BYTES: _Tests = (pa.types.is_binary, pa.types.is_large_binary)
-
-
-KNOWN_COLUMNS: dict[str, tuple[int, _Tests, str]] = {
+KNOWN_COLUMNS: dict[str, Expected] = {
     "id": (0, _TEXT, "a string"),
     "label": (0, _WHOLE, "an integer"),
     "object_id": (0, _WHOLE, "an integer"),
@@ -50,7 +53,7 @@ KNOWN_COLUMNS: dict[str, tuple[int, _Tests, str]] = {
     "touch_end_time_rel": (1, _TIME, "a duration or float seconds per touch"),
     "sensor_video": (1, _BYTES, "a struct of bytes and path per touch"),
 }
-"""Depth of nesting, tests of the innermost type of which one must hold, and words for it."""
+"""What each column of a set of touches must be, where it is there."""
 
 
 PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth)
@@ -75,11 +78,20 @@ def kind_of(schema: pa.Schema | None, where: str) -> Kind:
     return kinds[0]
 
 
-def is_rendered(schema: pa.Schema) -> bool:
+def _is_rendered(schema: pa.Schema) -> bool:
     """Return whether images were rendered: the object then has a pose for each touch, not one a round."""
     pose = column_type(schema, "info.object_pose.position")
     has_images = column_type(schema, MEDIA_COLUMN["single"]) is not None
     return has_images and pose is not None and list_depth(pose)[0] == 2
+
+
+def origin_of(schema: Any, manifest: Manifest | None) -> Origin:
+    """Return where touches are from: rendered ones by their columns, others by the manifest."""
+    options = None if manifest is None else manifest.spec.get("options")
+    stated = options.get("touches") if isinstance(options, dict) else None
+    if stated == "imported" or (manifest is not None and manifest.spec.get("operation") == "import"):
+        return "imported"
+    return "synthetic" if stated == "synthetic" or _is_rendered(schema) else "real"
 
 
 def require_types(shard: Shard) -> None:
@@ -89,19 +101,9 @@ def require_types(shard: Shard) -> None:
     """
     # Asked for only to have it fail here, by name, and not at the first label.
     _ = shard.class_names
-    types = shard.types
-    for name, (depth, tests, expected) in KNOWN_COLUMNS.items():
-        data_type = types.get(name)
-        if data_type is None:
-            continue
-        found_depth, leaf = list_depth(data_type)
-        if pa.types.is_struct(leaf) and leaf.get_field_index("bytes") >= 0:
-            leaf = leaf.field("bytes").type
-        if found_depth != depth or not any(test(leaf) for test in tests):
-            raise IntegrityError(
-                f"{shard.path!r}, field {name!r}: the column has the type {data_type}; expected {expected}; "
-                "next: download or convert the data set again"
-            )
+    problem = wrong_type(shard.types, KNOWN_COLUMNS)
+    if problem:
+        raise IntegrityError(f"{shard.path!r}, {problem}", next="download or convert the data set again")
 
 
 def column_type(schema: pa.Schema, name: str) -> Any:

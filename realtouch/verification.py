@@ -22,7 +22,7 @@ from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.columns import column_names
-from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.parquet import Shard, row_groups
 from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import typed
@@ -114,7 +114,9 @@ def verify(
     seen: dict[str, str] = {}
     for files in splits:
         expected, names = modal_touch_count(files), stated_class_names(files)
-        for row, problems in checked_rows(files, expected, names, decode=not quick, workers=workers):
+        for row, problems in checked_rows(
+            row_groups(files), expected, names, decode=not quick, workers=workers
+        ):
             findings += problems
             if row is not None:
                 rounds += 1
@@ -218,7 +220,7 @@ def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
 
 def _repeated_id(row: TouchRow, seen: dict[str, str]) -> list[Damage]:
     try:
-        name = str(row.plain_value("id"))
+        name = row.name()
     except (InputError, IntegrityError):  # there are none, or it is named with the other fields
         return []
     here = f"{row.path!r}, row {row.number}"

@@ -17,14 +17,15 @@ from starstruck_gen.placement import Placement, SceneMeshes, build_meshes
 from starstruck_gen.sampling import MOST_SCENES, sample_scenes, scene_id, scene_seed
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.records import FACES, VERTICES, RecordStream, SolidRecord, open_solids
 from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.columns import RaggedColumn, RowGroup, Rows, column_names
-from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.wording import counted, is_integer, plain_number
+from tactile_toolkit.wording import counted
 
 
 class SceneRecord(SolidRecord):
@@ -40,12 +41,12 @@ class SceneRecord(SolidRecord):
     @property
     def star_count(self) -> int:
         """Number of stars; in data sets that do not store it, that of the published class."""
-        return int(self._row.required("star_count")) if self._row.has("star_count") else self.label + 1
+        return self._row.integer("star_count") if self._row.has("star_count") else self.label + 1
 
     @property
     def distractor_count(self) -> int:
         """Number of objects that are not stars; InputError where it is not stored."""
-        return int(self._required("distractor_count"))
+        return self._stated("distractor_count").integer("distractor_count")
 
     @property
     def has_placements(self) -> bool:
@@ -56,26 +57,28 @@ class SceneRecord(SolidRecord):
     def placements(self) -> tuple[Placement, ...]:
         """Objects in the order of placing, stars first; InputError where they are not stored."""
         return self._once(
-            "placements", lambda: tuple(Placement(**entry) for entry in self._required("placements"))
+            "placements",
+            lambda: tuple(Placement(**entry) for entry in self._stated("placements").required("placements")),
         )
 
     @property
     def seed(self) -> int:
         """Seed of the scene: with the specification and the star count it makes the scene again."""
-        return int(self._required("seed"))
+        return self._stated("seed").integer("seed")
 
     @property
     def scene(self) -> Scene:
         """The scene: its placements, and statistics of how they were found."""
-        attempts = tuple(int(count) for count in self._required("attempts"))
-        return Scene(self.star_count, self.placements, attempts, int(self._required("restarts")))
+        attempts = tuple(int(count) for count in self._stated("attempts").required("attempts"))
+        return Scene(self.star_count, self.placements, attempts, self._stated("restarts").integer("restarts"))
 
-    def _required(self, name: str) -> Any:
+    def _stated(self, name: str) -> Row:
+        """Return the row; InputError where the data set has no such column."""
         if not self._row.has(name):
             raise InputError(
                 f"this data set stores no {name!r}", next="use one written by `starstruck generate`"
             )
-        return self._row.required(name)
+        return self._row
 
     def __repr__(self) -> str:
         return f"SceneRecord(id={self.id}, label={self.label}, star_count={self.star_count})"
@@ -115,13 +118,7 @@ class SceneMeshDataset(RecordDataset[SceneRecord]):
     @property
     def star_counts(self) -> NDArray[np.int64]:
         """Number of stars of each row, shape (len,); loads no mesh. As :attr:`SceneRecord.star_count`."""
-        stored = ["star_count" in column_names(schema) for schema in self._table.schemas]
-        if all(stored) and stored:
-            return self.int_column("star_count")
-        # Joined sets may differ: the published one stores no such column.
-        if any(stored):
-            return np.array([record.star_count for record in self], dtype=np.int64)
-        return self.labels + 1
+        return self._integers("star_count", lambda: self.labels + 1, lambda scene: scene.star_count)
 
 
 @overload
@@ -354,10 +351,8 @@ class SceneDataset(SceneMeshDataset):
         self, spec: SceneSpec | None = None, split: str = "train", size: int = DEFAULT_SIZE, seed: int = 0
     ) -> None:
         spec = spec or SceneSpec()
-        size, seed = plain_number(size), plain_number(seed)
-        if not (is_integer(size, seed) and 0 <= size <= MOST_SCENES and seed >= 0):
-            found = f"size is {size!r} and seed is {seed!r}"
-            raise InputError(f"{found}; expected a size of 0 to {MOST_SCENES:,} and a seed from 0")
+        size = checked_integer(size, "size", 0, MOST_SCENES)
+        seed = checked_integer(seed, "seed")
         scene_seed(seed, split, 0)  # refuses an unknown split
         super().__init__(ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names)
 

@@ -18,6 +18,7 @@ import numpy as np
 from starstruck_gen.placement import COLLISION_TESTS, Placement
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M
@@ -67,10 +68,8 @@ def scene_id(split: str, index: int) -> int:
 
 
 def scene_rng(seed: int) -> np.random.Generator:
-    """Return the generator of one scene, from its own seed (see :func:`scene_seed`); InputError below 0."""
-    if seed < 0:
-        raise InputError(f"the seed of a scene is {seed}; expected an integer from 0")
-    return np.random.Generator(np.random.Philox(key=seed))
+    """Return the generator of one scene, from its own seed (:func:`scene_seed`), which is checked."""
+    return np.random.Generator(np.random.Philox(key=checked_integer(seed, "the seed of a scene")))
 
 
 class SceneStreams:
@@ -103,9 +102,8 @@ class SceneStreams:
 def _split_start(seed: int, split: str) -> int:
     if split not in SPLITS:
         raise InputError(f"unknown split {split!r}; expected one of {', '.join(SPLITS)}")
-    if seed < 0:
-        raise InputError(f"seed is {seed}; expected an integer from 0")
-    words = np.random.SeedSequence(seed, spawn_key=(SPLITS.index(split),)).generate_state(1, np.uint64)
+    start = checked_integer(seed, "seed")
+    words = np.random.SeedSequence(start, spawn_key=(SPLITS.index(split),)).generate_state(1, np.uint64)
     return int(words[0])
 
 

@@ -14,7 +14,7 @@ from starstruck_gen.loader import SceneRecord
 from starstruck_gen.placement import build_meshes
 from starstruck_gen.shapes import KINDS, Proportions
 from tactile_toolkit.catalog.choose import check_rows, shards_to_check
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.records import FACES, VERTICES
 from tactile_toolkit.mesh.solid_check import check_manifold
@@ -132,7 +132,7 @@ def _prove(
     try:
         problem, bodies = _inspect(record, names[row.path])
         return problem, bodies, record.star_count if record.has_placements else 0
-    except (InputError, TypeError, ValueError, OverflowError) as error:
+    except (ToolkitError, TypeError, ValueError, OverflowError) as error:
         # Columns of other types than those of a data set of scenes, and shapes that are not known.
         return f"cannot be read as a scene: {error}", 0, 0
 

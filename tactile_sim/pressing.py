@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import merge_equal_vertices
@@ -276,7 +277,7 @@ class Pressable:
 
     @classmethod
     def of(cls, solid: MeshLike | Pressable, *, check: bool = True, layer_m: float = 0.0) -> Pressable:
-        """Check a solid and take its triangles.
+        """Check a solid and take its triangles; those of the last few solids are kept, by their content.
 
         Parameters
         ----------
@@ -302,11 +303,15 @@ class Pressable:
             return solid
         layer_m = checked_layer_m(layer_m)
         mesh = as_mesh(solid)
-        if check:
-            _require_closed(mesh)
-        # The type that kernels compute in: a condition for the same bytes.
-        vertices = np.ascontiguousarray(mesh.vertices_m, np.float64)
-        return cls(vertices, *_face_blocks(vertices, np.asarray(mesh.faces, np.int32)), layer_m)
+
+        def make() -> Pressable:
+            if check:
+                _require_closed(mesh)
+            # The type that kernels compute in: a condition for the same bytes. A copy: the mesh may change.
+            vertices = np.array(mesh.vertices_m, np.float64, order="C")
+            return cls(vertices, *_face_blocks(vertices, np.asarray(mesh.faces, np.int32)), layer_m)
+
+        return _SOLIDS.get_or_make((_digest(mesh.vertices_m), _digest(mesh.faces), check, layer_m), make)
 
     @property
     def foot_m(self) -> float:
@@ -362,6 +367,20 @@ def _face_blocks(
     far = np.maximum(np.maximum((x * x).sum(axis=0), (y * y).sum(axis=0)), (z * z).sum(axis=0))
     blocks = np.column_stack([centre, np.sqrt(np.maximum.reduceat(far, starts))])
     return np.ascontiguousarray(faces[order]), blocks
+
+
+def _digest(values: NDArray[Any]) -> tuple[str, bytes]:
+    """Return what tells arrays of numbers apart, by their type and content."""
+    import xxhash
+
+    content = np.ascontiguousarray(values)
+    return f"{content.dtype}{content.shape}", xxhash.xxh3_128_digest(content.tobytes())
+
+
+# By content, which takes a thousandth of the time of the check: a mesh that is changed in place is another.
+_SOLIDS: MemoryCache[tuple[object, ...], Pressable] = MemoryCache(
+    64 << 20, lambda solid: solid.vertices_m.nbytes + solid.faces.nbytes + solid.blocks_m.nbytes
+)
 
 
 def _require_closed(mesh: Mesh) -> None:

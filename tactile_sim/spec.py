@@ -30,6 +30,7 @@ _NOISE: Any = lazy("tactile_sim.noise:SensorNoise.named")
 
 # A round is held in memory: at 320 x 240 these are 0.9 GB of pixels, and 2.5 of depth.
 _MOST_TOUCHES = 4096
+_MOST_ROUNDS = 1_000_000
 
 
 WINDOWS = {"center": "environment", "full": "published"}
@@ -85,7 +86,7 @@ class TouchPlan:
         Seed of everything that is drawn.
     """
 
-    rounds: int = integer(16, 1, help="Number of rounds of each object.")
+    rounds: int = integer(16, 1, _MOST_ROUNDS, help="Number of rounds of each object.")
     touches: int = integer(32, 1, _MOST_TOUCHES, help="Number of touches in a round.")
     positions: str = choice(
         "cell",

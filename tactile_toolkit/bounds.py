@@ -42,8 +42,8 @@ def require_unpackable(size_bytes: int, what: str, file_bytes: int = 0) -> None:
     if size_bytes > limit:
         needed_mib = -(-size_bytes // (1 << 20))
         raise InputError(
-            f"{what} unpacks to {size_bytes:,} bytes; expected at most {limit:,}; nothing was unpacked; "
-            f"next: where it is meant to be that large, set {UNPACKED_VARIABLE}={needed_mib}"
+            f"{what} unpacks to {size_bytes:,} bytes; expected at most {limit:,}; nothing was unpacked",
+            next=f"where it is meant to be that large, set {UNPACKED_VARIABLE}={needed_mib}",
         )
 
 

@@ -16,6 +16,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_count, is_integer, plain, plain_pairs
 
 _RULE = "rule"
+_MOST_INTEGER = (1 << 63) - 1
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
 
 
@@ -61,12 +62,13 @@ def integer(
 
 
 def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
-    def fits(value: Any) -> bool:
-        if value is None:
-            return optional
-        return is_integer(value) and least <= value and (most is None or value <= most)
+    # Larger ones fit no array, file or generator of random numbers.
+    limit = _MOST_INTEGER if most is None else most
 
-    span = f"of at least {least:,}" if most is None else f"from {least:,} to {most:,}"
+    def fits(value: Any) -> bool:
+        return optional if value is None else is_integer(value) and least <= value <= limit
+
+    span = f"of at least {least:,}, below 2**63" if most is None else f"from {least:,} to {most:,}"
     return Rule(int, fits, f"an integer {span}", option)
 
 

@@ -41,13 +41,15 @@ class ToolkitError(Exception):
     exit_code = 1
 
     def __init__(self, what: object = "", next: str = "") -> None:
-        self.message = redact(f"{what}; next: {next}" if next else str(what))
+        # Kept apart: a path in it may hold any words.
+        self._what = redact(str(what))
+        self.message = redact(f"{what}; next: {next}") if next else self._what
         super().__init__(self.message)
 
     @property
     def what(self) -> str:
         """What was found, without the next step."""
-        return str(self).partition("; next: ")[0]
+        return printable(self._what)
 
     def __str__(self) -> str:
         return printable(self.message)

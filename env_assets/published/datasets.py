@@ -12,6 +12,7 @@ exactly that, row by row, and pickles as paths, so that worker processes open it
 from __future__ import annotations
 
 import hashlib
+import operator
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -24,7 +25,7 @@ from numpy.typing import NDArray
 from env_assets.meshes import MeshView
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read.dataset import RecordDataset, picks_several
 
 tactile_mnist: Any = published_package("tactile_mnist")
 
@@ -246,11 +247,11 @@ class StoredRows(Sequence[dict[str, Any]]):
 
     def __getitem__(self, key: Any) -> Any:
         """Return a row (int), a column (str), or a view of some rows (slice, ints, mask)."""
-        if isinstance(key, (int, np.integer)):
-            record = self.records[int(key)]
-            return {name: read(record) for name, read in self.readers.items()}
-        if not isinstance(key, str):
+        if picks_several(key):
             return self.select(key)
+        if not isinstance(key, str):
+            record = self.records[operator.index(key)]
+            return {name: read(record) for name, read in self.readers.items()}
         if key not in self.readers:
             raise InputError(f"no column {key!r} in these rows; expected one of {', '.join(self.readers)}")
         # No record has to be made for these, of which `filter_labels` and the like ask for all at once.

@@ -21,6 +21,7 @@ from mnist3d.sources.pen import (
     style_for_digit,
     variation,
 )
+from mnist3d.spec import MOST_DIGITS
 from tactile_toolkit.checked_fields import check_fields, integer
 
 DRAWING_VERSION = 2
@@ -67,7 +68,7 @@ class SyntheticSource:
     """Word that selects this source on the command line."""
 
     seed: int = integer(0)
-    count: int = integer(HWD_PLUS_COUNT, 1)
+    count: int = integer(HWD_PLUS_COUNT, 1, MOST_DIGITS)
 
     def __post_init__(self) -> None:
         check_fields(self, "the synthetic source")

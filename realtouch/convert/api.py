@@ -569,12 +569,12 @@ def columns_of_touches(row: TouchRow, shown: Sequence[Shown], names: Sequence[st
     columns: dict[str, Any] = {
         "label": np.full(count, label),
         "label_name": [dict(enumerate(names)).get(label)] * count,
-        "round_id": [str(row.plain_value("id"))] * count,
+        "round_id": [row.name()] * count,
         "touch": np.arange(count),
         "frame": [each.frame for each in shown],
     }
     if row.has("object_id"):
-        columns["object_id"] = np.full(count, row.int_value("object_id"))
+        columns["object_id"] = np.full(count, row.integer("object_id"))
     if row.has("pos_in_cell"):
         columns |= dict(zip(POSITION_COLUMNS, row.intended_positions().T, strict=True))
     found = [each.pose for each in shown if each.pose is not None]

@@ -17,11 +17,11 @@ from typing import Any, NamedTuple, Protocol, Unpack
 
 import pyarrow as pa
 
-from realtouch.card import origin_of, write_card
+from realtouch.card import write_card
 from realtouch.columns import TouchRow
 from realtouch.dataset import dataset_of
 from realtouch.kind import KIND
-from realtouch.schema import flat_schema, kind_of, require_types
+from realtouch.schema import flat_schema, kind_of, origin_of, require_types
 from tactile_toolkit.catalog.locate import (
     manifest_beside,
     refuse_source,

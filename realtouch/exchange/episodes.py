@@ -79,8 +79,8 @@ class Episodes:
 
     def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
-        name, label = str(row.plain_value("id")), row.label_value(self.names)
-        object_id = row.int_value("object_id") if row.has("object_id") else 0
+        name, label = row.name(), row.label_value(self.names)
+        object_id = row.integer("object_id") if row.has("object_id") else 0
         places = row.intended_positions() if row.has("pos_in_cell") else None
         schema = self.schema(row.group.table.schema)
         tables = [schema.empty_table()]

@@ -104,7 +104,7 @@ class _Touches:
         row.label_value(self.names)
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)
-        name = str(row.value("id"))
+        name = row.name()
         images: list[Any] = []
         for each in shown:
             images.append(each.stored)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -23,13 +23,14 @@ from tactile_sim.learned.networks import (
     Generator,
     depth_channels,
     depth_of,
+    generated,
     generator_of,
     initialise,
     picture_channels,
     pictures_of,
     read_weights,
 )
-from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS
+from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, chosen_device
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.pairs import Domain, Pairs
 from tactile_sim.plan import generator
@@ -48,8 +49,6 @@ BASELINES = ("taxim", "untrained")
 _LEAST = 40
 _LABELS_FROM = 2000
 _LABEL_STEPS = 1500
-# What the gel can be pressed by: depth images run from 0 to 1 over it.
-_GEL_UM = 2125.0
 _SHOWN = 6
 _STEPS = 600  # after 120, contact was read at chance from what 400 read at 96 %
 _INPUT_PX = 64  # of classifiers: larger pictures are scaled to this size
@@ -145,6 +144,8 @@ def evaluate(
     count: int = 2000,
     noise: SensorNoise | None = None,
     seed: int = 0,
+    device: str = "auto",
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Evaluation:
     """Measure the weights of a training on a set of pairs that it did not see.
 
@@ -164,14 +165,20 @@ def evaluate(
         What the sensor of the real touches adds to all that is made, a round for each object; not for depth.
     seed : int
         Seed of noise and classifiers.
+    device : str
+        Where the generators are computed: ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU where there is one.
+        Classifiers are small, and learn on the CPU. Figures are the same everywhere, up to rounding.
+    on_progress : callable
+        Called with steps done and in all: images that a generator made, and steps of classifiers.
 
     Raises
     ------
     InputError
-        No such weights or pairs, pairs of another size, or too few touches.
+        No such weights, pairs or device, pairs of another size, or too few touches.
     MissingExtraError
         Taxim is not installed.
     """
+    place = chosen_device(device)
     if unknown := set(baselines) - set(BASELINES):
         raise InputError(f"baselines has {min(unknown)!r}; expected some of {', '.join(BASELINES)}")
     data, touch = Pairs.open(pairs), read_weights(Path(weights) / TOUCH_WEIGHTS)
@@ -181,10 +188,12 @@ def evaluate(
             f"{pairs!r} holds pictures of {found} pixels; these weights were trained with {expected}",
             next=f"make a set with --size {touch.size_px[0]}x{touch.size_px[1]}",
         )
-    inverse = generator_of(read_weights(Path(weights) / DEPTH_WEIGHTS)).eval()
-    bench = _Bench(
-        _Chosen.of(data.real, count, pairs), _Chosen.of(data.depth, count, pairs), inverse, noise, seed
-    )
+    inverse = generator_of(read_weights(Path(weights) / DEPTH_WEIGHTS)).eval().to(place)
+    real, depth = _Chosen.of(data.real, count, pairs), _Chosen.of(data.depth, count, pairs)
+    ways = ("trained", *baselines)
+    steps = _Steps(_step_count(real, depth, ways), on_progress)
+    reach_um = 1e6 * (data.sensor.gel_m - data.sensor.press_m)
+    bench = _Bench(real, depth, inverse, reach_um, noise, seed, steps)
 
     def made_by(name: str) -> Pictures:
         if name == "taxim":
@@ -192,12 +201,10 @@ def evaluate(
         network = generator_of(touch)
         if name == "untrained":
             initialise(network, seed)
-        network.eval()
-        with torch.inference_mode():
-            made = torch.cat([network(depth_channels(each[None])) for each in bench.depth.images])
+        made = generated(network.eval().to(place), depth_channels, bench.depth.images, steps.advance)
         return pictures_of(made, bench.depth.images.shape[:0:-1])
 
-    made = {name: made_by(name) for name in ("trained", *baselines)}
+    made = {name: made_by(name) for name in ways}
     measured = (bench.measure_real(), *(bench.measure(name, pictures) for name, pictures in made.items()))
     return Evaluation(measured, len(bench.real.images), bench.sheet(made), noise)
 
@@ -234,6 +241,25 @@ class _Chosen:
         return met[:: max(1, len(met) // _SHOWN)][:_SHOWN]
 
 
+class _Steps:
+    """Counts what was done of a known number of steps."""
+
+    def __init__(self, total: int, on_progress: Callable[[int, int], None]) -> None:
+        self._done, self._total, self._on_progress = 0, total, on_progress
+
+    def advance(self, count: int) -> None:
+        """Tell of further steps."""
+        self._done += count
+        self._on_progress(self._done, self._total)
+
+
+def _step_count(real: _Chosen, depth: _Chosen, ways: Sequence[str]) -> int:
+    """Return how many images generators make, and how many steps classifiers take, for all measures."""
+    labels = _LABEL_STEPS if len(real.images) >= _LABELS_FROM else 0
+    images = len(depth.images) * (len(ways) + sum(name != "taxim" for name in ways))
+    return images + (1 + len(ways)) * (2 * _STEPS + labels)
+
+
 @dataclass(frozen=True, eq=False)
 class _Bench:
     """Real touches, depth images that pictures are made of, and what measures those."""
@@ -241,8 +267,10 @@ class _Bench:
     real: _Chosen
     depth: _Chosen
     inverse: Generator
+    reach_um: float  # what the gel can be pressed by, over which depth images run from 0 to 1
     noise: SensorNoise | None
     seed: int
+    steps: _Steps
 
     def measure_real(self) -> Measured:
         """Measure one half of the real touches against the other: nothing can be better."""
@@ -250,28 +278,31 @@ class _Bench:
         # Halves of all touches at random, as made and real pictures are of the same objects too.
         drawn = np.random.default_rng(self.seed).permutation(len(real.images))
         one, other = ((real.images[drawn[k::2]], real.objects[drawn[k::2]]) for k in (0, 1))
-        apart = two_sample_test(one, other, self.seed)
+        apart = two_sample_test(one, other, self.seed, self.steps.advance)
         return Measured("real", math.nan, *apart, *self._accuracies(real.images, real))
 
     def measure(self, name: str, pictures: Pictures) -> Measured:
         """Measure pictures that were made of the depth images."""
         depth = self.depth
-        off = np.abs(depth_of(self.inverse, pictures) - depth.images)[depth.contact == 1]
+        off = np.abs(depth_of(self.inverse, pictures, self.steps.advance) - depth.images)[depth.contact == 1]
         if self.noise is not None:
             pictures = add_noise_per_object(pictures, depth.objects, self.noise, self.seed)
-        apart = two_sample_test((self.real.images, self.real.objects), (pictures, depth.objects), self.seed)
-        return Measured(name, float(_GEL_UM * off.mean()), *apart, *self._accuracies(pictures, depth))
+        real = self.real.images, self.real.objects
+        apart = two_sample_test(real, (pictures, depth.objects), self.seed, self.steps.advance)
+        return Measured(name, float(self.reach_um * off.mean()), *apart, *self._accuracies(pictures, depth))
 
     def _accuracies(self, pictures: Pictures, known: _Chosen) -> tuple[float, float]:
         """Train classifiers of contact and label on some pictures; measure them on held-back real touches."""
         real, train = self.real, ~known.held
         inputs, held = _inputs(pictures[train]), _inputs(real.images[real.held])
-        reader = SmallCNN(2, self.seed, _STEPS).learn(inputs, known.contact[train])
+        reader = SmallCNN(2, self.seed, _STEPS).learn(inputs, known.contact[train], self.steps.advance)
         of_contact = balanced_accuracy(reader.predict(held), real.contact[real.held])
         if len(real.images) < _LABELS_FROM or min(real.labels.min(), known.labels.min()) < 0:
             return of_contact, math.nan
         classes = int(max(known.labels.max(), real.labels.max())) + 1
-        reader = SmallCNN(classes, self.seed, _LABEL_STEPS).learn(inputs, known.labels[train])
+        reader = SmallCNN(classes, self.seed, _LABEL_STEPS).learn(
+            inputs, known.labels[train], self.steps.advance
+        )
         return of_contact, balanced_accuracy(reader.predict(held), real.labels[real.held])
 
     def sheet(self, made: dict[str, Pictures]) -> bytes:
@@ -294,17 +325,21 @@ def add_noise_per_object(pictures: Pictures, objects: Places, noise: SensorNoise
 
 
 def two_sample_test(
-    real: tuple[Pictures, Places], made: tuple[Pictures, Places], seed: int
+    real: tuple[Pictures, Places],
+    made: tuple[Pictures, Places],
+    seed: int,
+    advance: Callable[[int], None] = lambda _count: None,
 ) -> tuple[float, float]:
     """Train a classifier of real and made on one half of the objects, and measure it on the other half.
 
     Each kind is pictures (n, H, W, 3), uint8, and their objects (n,): touches of a round share its noise,
-    which could be learned by heart. Returns the balanced accuracy and its standard error.
+    which could be learned by heart. ``advance`` as of :meth:`SmallCNN.learn`. Returns the balanced accuracy
+    and its standard error.
     """
     inputs = _inputs(np.concatenate([real[0], made[0]]))
     held = _second_half(np.concatenate([real[1], made[1]]))
     truth = np.repeat([1, 0], [len(real[0]), len(made[0])]).astype(np.int64)
-    classifier = SmallCNN(2, seed + 1, _STEPS).learn(inputs[~held], truth[~held])
+    classifier = SmallCNN(2, seed + 1, _STEPS).learn(inputs[~held], truth[~held], advance)
     share = balanced_accuracy(classifier.predict(inputs[held]), truth[held])
     count = int(held.sum())
     return share, float(np.sqrt(max(share * (1 - share), 0.25 / count) / count))
@@ -347,8 +382,13 @@ class SmallCNN:
             )
 
     @_one_thread()
-    def learn(self, pictures: Any, labels: Places) -> SmallCNN:
-        """Learn pictures (n, 3, H, W), -1 to 1; each class is drawn equally often."""
+    def learn(
+        self, pictures: Any, labels: Places, advance: Callable[[int], None] = lambda _count: None
+    ) -> SmallCNN:
+        """Learn pictures (n, 3, H, W), -1 to 1; each class is drawn equally often.
+
+        ``advance`` is told of how many steps were taken since it was told last.
+        """
         rng = np.random.default_rng(self._seed)
         groups = [np.flatnonzero(labels == label) for label in np.unique(labels)]
         optimiser = torch.optim.Adam(self._network.parameters(), lr=_RATE)
@@ -363,6 +403,7 @@ class SmallCNN:
             optimiser.zero_grad(set_to_none=True)
             loss.backward()
             optimiser.step()
+            advance(1)
         self._network.eval()
         return self
 

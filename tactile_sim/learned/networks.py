@@ -19,7 +19,7 @@ import hashlib
 import io
 import json
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -50,6 +50,8 @@ _PUBLISHED = {
 }
 # What a file states must not decide how much is built before it was compared.
 _MOST_BLOCKS, _MOST_FILTERS = 64, 1024
+# Half a million pixels take about half a gigabyte in a generator of 64 filters.
+_PIXELS_TOGETHER = 1 << 19
 _SIDES_PX = range(16, 2049, 4)
 
 
@@ -344,11 +346,33 @@ class CycleganOptics(Optics):
         return np.ascontiguousarray(shown.permute(0, 2, 3, 1).numpy())
 
 
-def depth_of(network: Generator, pictures: NDArray[np.uint8]) -> NDArray[np.float32]:
+def depth_of(
+    network: Generator, pictures: NDArray[np.uint8], advance: Callable[[int], None] = lambda _count: None
+) -> NDArray[np.float32]:
     """Return the depth images (n, H, W), 0 deepest to 1 no contact, that a generator reads from pictures.
 
-    Pictures (n, H, W, 3) are of the size that it was trained in.
+    Pictures (n, H, W, 3) are of the size that it was trained in; ``advance`` as of :func:`generated`.
     """
-    with torch.inference_mode():
-        made = torch.cat([network(picture_channels(each[None]))[:, 2] for each in pictures])
+    made = generated(network, picture_channels, pictures, advance)[:, 2]
     return np.asarray(((made + 1) / 2).clip(0, 1).numpy(), np.float32)
+
+
+def generated(
+    network: Generator,
+    channels: Callable[[NDArray[Any]], Any],
+    images: NDArray[Any],
+    advance: Callable[[int], None] = lambda _count: None,
+) -> Any:
+    """Return what a generator makes of images, (n, 3, H, W), where it lies, some images at a time.
+
+    ``channels`` makes its input; ``advance`` is told of how many images were made since it was told last.
+    """
+    device = next(network.parameters()).device
+    together = max(1, _PIXELS_TOGETHER // (images.shape[1] * images.shape[2]))
+    made = []
+    with torch.inference_mode():
+        for start in range(0, len(images), together):
+            part = images[start : start + together]
+            made.append(network(channels(part).to(device)).cpu())
+            advance(len(part))
+    return torch.cat(made)

@@ -379,7 +379,7 @@ def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
     """Find out where to compute, and join the other processes of ``torchrun`` where there are any."""
     # torchrun names each process by these variables.
     rank, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
-    chosen = _device(device)
+    chosen = chosen_device(device)
     if deterministic and chosen != "cpu":
         raise InputError(
             "deterministic training runs on the CPU", next="--device cpu, or leave --deterministic away"
@@ -405,7 +405,8 @@ def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
             torch.distributed.destroy_process_group()
 
 
-def _device(name: str) -> str:
+def chosen_device(name: str) -> str:
+    """Return ``"cpu"`` or ``"cuda"``; InputError for other words, and where there is no GPU."""
     available = torch.cuda.is_available()
     if name == "auto":
         return "cuda" if available else "cpu"

@@ -236,7 +236,7 @@ def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
     if isinstance(known.get("_type"), str) and known["_type"] in _MEDIA:
         return {"dtype": _MEDIA[known["_type"]]}
     types = pa.types
-    if types.is_list(data_type) or types.is_large_list(data_type) or types.is_fixed_size_list(data_type):
+    if types.is_list(data_type) or types.is_fixed_size_list(data_type):
         # What the metadata says of the elements, in the spellings of all releases.
         element = next(iter(feature), None) if isinstance(feature, list) else known.get("feature")
         inner = _entry(data_type.value_type, element)

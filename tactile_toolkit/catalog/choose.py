@@ -13,12 +13,12 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.catalog.spec import IdChoice
+from tactile_toolkit.catalog.spec import GivenId, IdChoice, id_range, id_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.records import require_mesh_columns
 from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.columns import null_fields
+from tactile_toolkit.read.columns import null_fields, whole_number
 from tactile_toolkit.read.dataset import RecordDataset, Row
 from tactile_toolkit.read.parquet import Shard
 from tactile_toolkit.run.processes import runner_for
@@ -59,17 +59,19 @@ def choose_rows(
 ) -> list[tuple[str, D, NDArray[np.int64]]]:
     """Choose rows of splits, each with its name; return those with their positions, in order.
 
-    Only rows with these ``ids`` (a pair stands for all from its first to its last that are there), of these
-    classes, of these the first ``per_class`` of each class, and of what is left the first ``limit`` of each
-    split. Raises InputError where an id or a class is not there, no id of a range is, or nothing is left.
+    Only rows with these ``ids`` (of numbers, a pair stands for all from its first to its last that are there;
+    of texts, for the text ``first-last``), of these classes, of these the first ``per_class`` of each class,
+    and of what is left the first ``limit`` of each split. Raises InputError where an id or a class is not
+    there, no id of a range is, or nothing is left.
     """
-    ranges = [each if isinstance(each, tuple) else (each, each) for each in ids or ()]
-    seen, found = np.zeros(len(ranges), bool), []
+    asked = list(ids or ())
+    seen, found = np.zeros(len(asked), bool), []
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
         if ids is not None:
-            inside = np.array([(rows.ids >= low) & (rows.ids <= high) for low, high in ranges], bool)
-            inside = inside.reshape(len(ranges), len(rows))  # of no ids, too
+            inside, values = np.zeros((len(asked), len(rows)), bool), rows.ids
+            for number, each in enumerate(asked):
+                inside[number] = _with_id(values, each)
             wanted, seen = np.any(inside, axis=0), seen | np.any(inside, axis=1)
         if labels is not None:
             classes = list(rows.label_names)
@@ -85,10 +87,11 @@ def choose_rows(
             kept = [chosen[kinds == label][:per_class] for label in np.unique(kinds)]
             chosen = np.sort(np.concatenate([chosen[:0], *kept]))
         found.append((split, rows, chosen[:limit]))
-    absent = [ranges[index] for index in np.flatnonzero(~seen)]
+    absent = [asked[index] for index in np.flatnonzero(~seen)]
     if absent:
-        low, high = absent[0]
-        what = f"id {low}" if low == high else f"an id from {low} to {high}"
+        what = f"id {id_text(absent[0])}"
+        if isinstance(absent[0], tuple) and absent[0][0] != absent[0][1]:
+            what = f"an id from {absent[0][0]} to {absent[0][1]}"
         raise InputError(
             f"no object with {what} in what was chosen",
             next="look at the ids of the split, or name another --split",
@@ -98,6 +101,14 @@ def choose_rows(
             "no object is chosen; expected rows of the split with the ids and classes that were asked for"
         )
     return found
+
+
+def _with_id(values: NDArray[Any], given: GivenId) -> NDArray[np.bool_]:
+    """Return which ids, numbers or texts, are a given one or within a given range."""
+    if values.dtype.kind not in "iuf":
+        return np.asarray(values == id_text(given), bool)
+    low, high = id_range(given)
+    return np.asarray((values >= low) & (values <= high))
 
 
 def short_name(name: str) -> str:
@@ -179,7 +190,7 @@ def _check_part(
         nulls = null_fields(block.table, columns)
         for index, row_id in enumerate(block.table["id"].to_pylist()[: rows - len(checked)]):
             # In data sets of others it may be null, or a text.
-            known_id = row_id if isinstance(row_id, int) else None
+            known_id = whole_number(row_id)
             found = None if index in nulls else check(Row(block, index))
             row, null_field = block.first_row + index, nulls.get(index, "")
             checked.append(CheckedRow(split, file, row, known_id, found, null_field))

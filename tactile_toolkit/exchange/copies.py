@@ -14,6 +14,7 @@ import numpy as np
 
 from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.catalog.locate import refuse_source
+from tactile_toolkit.catalog.spec import id_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.mesh.records import FACES, MESH, VERTICES, SolidDataset, flat_table
@@ -276,10 +277,9 @@ def plan_tables(
         for index, start in enumerate(starts):
             part = rows[places[start : start + _ROWS_PER_FILE]]
             tasks.append(ShardTask(ShardName(split, index, len(starts)), part, _flat_rows))
-    ids = [each if isinstance(each, tuple) else (each,) for each in chosen["ids"] or ()]
     options = {
         "layout": "flat",
-        "ids": ",".join("-".join(map(str, each)) for each in ids) or None,
+        "ids": ",".join(map(id_text, chosen["ids"] or ())) or None,
         "labels": ",".join(chosen["labels"] or ()) or None,
         "limit": chosen["limit"],
         **({} if chosen["per_class"] is None else {"per_class": chosen["per_class"]}),

@@ -252,7 +252,7 @@ def local_copy(folder: DataFolder, root: Path) -> DataFolder:
 
 
 def _require_sound(findings: Iterable[Finding]) -> None:
-    found = [IntegrityError(f"{each.file} {each.problem}").what for each in findings]
+    found = [f"{each.file} {each.problem.partition('; next: ')[0]}" for each in findings]
     if found:
         more = f" and {len(found) - 3} more" if len(found) > 3 else ""
         raise IntegrityError(

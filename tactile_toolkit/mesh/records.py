@@ -7,7 +7,7 @@ such column to the mesh class, so that no other column may begin so (package tac
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -18,17 +18,20 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.files import pack_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.columns import (
+    Expected,
     class_names,
     column_names,
+    column_types,
     dtype_name,
     feature_metadata,
     label_feature,
     vectors_type,
+    wrong_type,
 )
-from tactile_toolkit.read.dataset import Record, RecordDataset, Row, with_origins
+from tactile_toolkit.read.dataset import Record, RecordDataset, Row
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.stream import Stream
 from tactile_toolkit.rows import column, plain_schema, row
-from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     import trimesh
@@ -46,6 +49,13 @@ FACES = "mesh.faces"
 """Column of triangles: ``list<int32[3]>``, rows of the vertices."""
 
 
+# Ids and labels are looked at row by row: a float may hold an integer.
+_MESH_TYPES: dict[str, Expected] = {
+    VERTICES: (2, (pa.types.is_floating,), "three floats per vertex"),
+    FACES: (2, (pa.types.is_integer,), "three integers per triangle"),
+}
+
+
 def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
     """Refuse the data set ``name`` where it has not all columns of the published mesh layout.
 
@@ -53,10 +63,11 @@ def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
     """
     found = column_names(schema)
     missing = [each for each in ("id", "label", VERTICES, FACES) if each not in found]
-    if missing:
+    problem = f"column {missing[0]!r} is missing (found {', '.join(found)})" if missing else ""
+    problem = problem or wrong_type(column_types(schema), _MESH_TYPES)
+    if problem:
         raise InputError(
-            f"{name!r} is not a data set of meshes: column {missing[0]!r} is missing (found "
-            f"{', '.join(found)})",
+            f"{name!r} is not a data set of meshes: {problem}",
             next=f"name a data set such as one written by `{made_by}`",
         )
 
@@ -138,12 +149,12 @@ class SolidRecord(Record):
     @property
     def id(self) -> int:
         """Number of the row, unique in its data set."""
-        return int(self._row.required("id"))
+        return self._row.integer("id")
 
     @property
     def label(self) -> int:
         """Number of the class."""
-        return int(self._row.required("label"))
+        return self._row.integer("label")
 
     @property
     def vertices_m(self) -> NDArray[np.float32]:
@@ -180,12 +191,14 @@ class SolidDataset(RecordDataset[S]):
 
     @property
     def volumes_m3(self) -> NDArray[np.float64]:
-        """Volume of each row, shape (len,), cubic metres; loads no mesh."""
-        return self.column("volume_m3")
+        """Volume of each row, shape (len,), float64, cubic metres; loads only meshes that store none."""
+        if self.has_column("volume_m3"):
+            return np.asarray(self.column("volume_m3"), np.float64)
+        return np.array([record.volume_m3 for record in self], np.float64)
 
 
-class RecordStream(Generic[R]):
-    """Records one after another, read from the address piece by piece; nothing is stored locally.
+class RecordStream(Stream[R]):
+    """Records one after another; see :class:`tactile_toolkit.read.stream.Stream`.
 
     Parameters
     ----------
@@ -198,23 +211,22 @@ class RecordStream(Generic[R]):
     """
 
     def __init__(self, shards: tuple[Shard, ...], record: type[R], default_names: tuple[str, ...]) -> None:
-        self._shards = shards
+        super().__init__(shards)
         self._record = record
         self._default_names = default_names
 
     @property
     def label_names(self) -> tuple[str, ...]:
         """Name of each class."""
-        return class_names(self._shards[0].schema, self._default_names)
+        return class_names(self.shards[0].schema, self._default_names)
 
     def __repr__(self) -> str:
-        words = with_origins(counted(len(self._shards), "shards"), ShardedTable(self._shards))
-        return f"{type(self).__name__}({self._record.__name__}, {', '.join(words)})"
+        return self._described(self._record.__name__)
 
     def __iter__(self) -> Iterator[R]:
         """Decode one block of rows at a time."""
-        for shard in self._shards:
-            for block in shard.all_blocks():
+        for shard, index in self._row_groups():
+            for block in shard.blocks(index):
                 yield from (self._record(Row(block, row)) for row in range(len(block.table)))
 
 

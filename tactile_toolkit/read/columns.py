@@ -14,6 +14,9 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import IntegrityError
 
+_EXACT = 1 << 53
+_INT_LIMIT = 1 << 63
+
 T = TypeVar("T")
 N = TypeVar("N", tuple[str, ...], None)
 
@@ -40,7 +43,7 @@ class RaggedColumn:
 def ragged_column(array: Any) -> RaggedColumn:
     """View ``list<fixed_size_list<T>[w]>``, or ``list<list<T>>`` with inner lists of one width, as numpy.
 
-    Offsets may have 32 or 64 bits. Raises ValueError for nulls, and for inner lists of several widths.
+    Raises ValueError for nulls, and for inner lists of several widths.
     """
     column = nested_column(array)
     if column.nulls:
@@ -152,13 +155,11 @@ def nested_column(array: Any) -> NestedColumn:
         nulls += array.null_count
     if pa.types.is_struct(array.type):  # an image or clip: its bytes, and the name it once had
         array = array.flatten()[array.type.get_field_index("bytes")]
-    is_large = pa.types.is_large_binary(array.type)
-    if not is_large and not pa.types.is_binary(array.type):
+    if not pa.types.is_binary(array.type):
         return NestedColumn(tuple(levels), numpy_values(array), nulls)
-    dtype = np.dtype(np.int64 if is_large else np.int32)
     # Byte strings have offsets as lists do, but pyarrow 26 does not hand them out.
     _, stored_offsets, data = array.buffers()
-    starts = np.frombuffer(stored_offsets, dtype, len(array) + 1, array.offset * dtype.itemsize)
+    starts = np.frombuffer(stored_offsets, np.int32, len(array) + 1, array.offset * 4)
     present = None if array.null_count == 0 else array.is_valid().to_numpy(zero_copy_only=False)
     blobs = memoryview(data).cast("B") if data is not None else memoryview(b"")
     return NestedColumn(tuple(levels), BytesColumn(blobs, starts, present), nulls)
@@ -182,7 +183,7 @@ def list_depth(data_type: Any) -> tuple[int, Any]:
     import pyarrow as pa
 
     depth = 0
-    while isinstance(data_type, (pa.ListType, pa.LargeListType, pa.FixedSizeListType)):
+    while isinstance(data_type, (pa.ListType, pa.FixedSizeListType)):
         depth, data_type = depth + 1, data_type.value_type
     return depth, data_type
 
@@ -299,11 +300,12 @@ class Rows:
             row = min(null_fields(self.table, [name]), default=None)
             raise self.damaged(name, row, f"{error}" if row is None else "no value is stored") from error
 
-    def damaged(self, name: str, row: int | None, problem: str) -> IntegrityError:
+    def damaged(
+        self, name: str, row: int | None, problem: str, expected: str = "a value in every row"
+    ) -> IntegrityError:
         """Return the error for a field of a row of these, or of any of them, that cannot be used."""
         where = "" if row is None else f", row {self.first_row + row}"
-        found = f"{where}, field {name!r}: {problem}; expected a value in every row"
-        return IntegrityError.in_file(self.path, found)
+        return IntegrityError.in_file(self.path, f"{where}, field {name!r}: {problem}; expected {expected}")
 
     def nested(self, name: str) -> NestedColumn:
         """Return a column of nested lists, by dotted name."""
@@ -336,6 +338,112 @@ class RowGroup(Rows):
         super().__init__(path, first_row)
         self.table = table
         self.mapped_bytes = mapped_bytes
+
+
+# --- types of others --------------------------------------------------------------------------------
+
+
+def plain_type(data_type: Any) -> Any:
+    """Return the type of ours for the same values: no dictionary, view, 64-bit offset or half float."""
+    import pyarrow as pa
+
+    kinds = pa.types
+    if kinds.is_dictionary(data_type):
+        return plain_type(data_type.value_type)
+    if kinds.is_string_view(data_type) or kinds.is_large_string(data_type):
+        return pa.string()
+    if kinds.is_binary_view(data_type) or kinds.is_large_binary(data_type):
+        return pa.binary()
+    if kinds.is_float16(data_type):
+        return pa.float32()
+    if kinds.is_struct(data_type):
+        return pa.struct([each.with_type(plain_type(each.type)) for each in data_type])
+    if kinds.is_map(data_type):
+        return pa.map_(plain_type(data_type.key_type), plain_type(data_type.item_type))
+    lists = (pa.ListType, pa.LargeListType, pa.ListViewType, pa.LargeListViewType, pa.FixedSizeListType)
+    if not isinstance(data_type, lists):
+        return data_type
+    element = data_type.value_field.with_type(plain_type(data_type.value_type))
+    return pa.list_(element, data_type.list_size if kinds.is_fixed_size_list(data_type) else -1)
+
+
+def plain_schema(schema: Any) -> Any:
+    """Return a schema with :func:`plain_type` of each column; the schema itself where all are plain."""
+    import pyarrow as pa
+
+    types = list(map(plain_type, schema.types))
+    if types == schema.types:
+        return schema
+    # What other libraries note of a field that is changed, such as its categories, holds no more.
+    fields = [
+        each if each.type == data_type else pa.field(each.name, data_type, each.nullable)
+        for each, data_type in zip(schema, types, strict=True)
+    ]
+    return pa.schema(fields, schema.metadata)
+
+
+def plain_table(table: Any) -> Any:
+    """Return a table with the types of :func:`plain_schema` and the same values; itself where it has them."""
+    import pyarrow as pa
+
+    schema = plain_schema(table.schema)
+    if schema is table.schema or schema.types == table.schema.types:
+        return table
+    columns = [_plain_column(*each) for each in zip(table.columns, schema.types, strict=True)]
+    return pa.table(columns, schema=schema)
+
+
+def _plain_column(column: Any, data_type: Any) -> Any:
+    import pyarrow as pa
+
+    if "list_view" not in str(column.type):
+        return column.cast(data_type)
+    # pyarrow 26 casts those with a null wrongly.
+    return pa.chunked_array([pa.array(chunk.to_pylist(), data_type) for chunk in column.chunks], data_type)
+
+
+def whole_number(value: object) -> int | None:
+    """Return the integer that a stored value means, as 3.0 means 3; None where it means none.
+
+    Other libraries store integers as floats where some are missing. Floats from 2**53 on are refused: they
+    may stand for several integers.
+    """
+    number: Any = value
+    try:
+        whole = int(number)
+    except (TypeError, ValueError, OverflowError):
+        return None
+    limit = _EXACT if isinstance(value, float) else _INT_LIMIT
+    return whole if whole == number and -limit <= whole < limit else None
+
+
+def whole_numbers(values: NDArray[Any]) -> NDArray[np.bool_]:
+    """Return which values mean integers, each as :func:`whole_number` decides."""
+    if values.dtype.kind in "bi":
+        return np.ones(values.shape, bool)
+    if values.dtype.kind == "u":
+        return np.asarray(values < np.uint64(_INT_LIMIT))
+    if values.dtype.kind == "f":
+        return np.asarray((values >= -_EXACT) & (values < _EXACT) & (values == np.trunc(values)))
+    return np.array([whole_number(value) is not None for value in values.tolist()], bool)
+
+
+Expected = tuple[int, tuple[Callable[[Any], bool], ...], str]
+"""What a column must be: depth of nesting, tests of the innermost type of which one must hold, and words."""
+
+
+def wrong_type(types: Mapping[str, Any], expected: Mapping[str, Expected]) -> str:
+    """Say which column that is there has a type from which values cannot be read; empty where none has."""
+    import pyarrow as pa
+
+    for name in filter(types.__contains__, expected):
+        depth, tests, words = expected[name]
+        found_depth, leaf = list_depth(types[name])
+        if pa.types.is_struct(leaf) and leaf.get_field_index("bytes") >= 0:
+            leaf = leaf.field("bytes").type
+        if found_depth != depth or not any(test(leaf) for test in tests):
+            return f"field {name!r}: the column has the type {types[name]}; expected {words}"
+    return ""
 
 
 # --- what `datasets` stores of the features of a data set ---------------------------------------------

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.read.columns import RowGroup, Rows, column_types, table_bytes
+from tactile_toolkit.read.columns import (
+    RowGroup,
+    Rows,
+    column_types,
+    table_bytes,
+    whole_number,
+    whole_numbers,
+)
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import RowSource
@@ -59,6 +66,19 @@ class Row:
         if missing and not self.group.arrow(name)[self.index].is_valid:
             raise self.group.damaged(name, self.index, "no value is stored")
         return value
+
+    def integer(self, name: str) -> int:
+        """Return a plain field as an int; IntegrityError where its value is none, as 1.5, or null."""
+        value = self.value(name)
+        if isinstance(value, np.signedinteger):
+            return int(value)
+        # A null next to it made numpy's column inexact.
+        stored = self.group.arrow(name)[self.index].as_py()
+        number = whole_number(stored)
+        if number is None:
+            found = "no value is stored" if stored is None else f"the value is {stored!r}"
+            raise self.group.damaged(name, self.index, found, "an integer")
+        return number
 
     def has(self, name: str) -> bool:
         """Return whether the data set has a column."""
@@ -159,6 +179,13 @@ def flattened(values: Iterable[Any]) -> Iterator[Any]:
             yield value
 
 
+def picks_several(index: Any) -> bool:
+    """Return whether an index stands for several items: a slice, or a list, array or tensor of them."""
+    if isinstance(index, (slice, list, tuple)):
+        return True
+    return hasattr(index, "__array__") and np.ndim(index) > 0
+
+
 def positions(index: Any, length: int) -> NDArray[np.int64]:
     """Turn a slice, ints or a boolean mask into positions, shape (n,), 0 to below that length.
 
@@ -216,7 +243,9 @@ class RecordDataset(Sequence[T], Generic[T]):
     @property
     def ids(self) -> NDArray[Any]:
         """Id of each row, shape (len,); reads the id column only."""
-        return self.column("id")
+        values = self.column("id")
+        are_whole = values.dtype.kind == "f" and whole_numbers(values).all()
+        return values.astype(np.int64) if are_whole else values
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -235,11 +264,28 @@ class RecordDataset(Sequence[T], Generic[T]):
             if not pa.types.is_struct(each) and all(other.get(name) == each for other in others)
         }
 
+    def _stores(self, name: str) -> list[bool]:
+        return [name in column_types(schema) for schema in self._table.schemas]
+
+    def has_column(self, name: str) -> bool:
+        """Return whether all rows have a stored column, by dotted name."""
+        return all(self._stores(name))
+
+    def _integers(
+        self, name: str, unstored: Callable[[], NDArray[np.int64]], stored: Callable[[T], int]
+    ) -> NDArray[np.int64]:
+        """Read a column of integers; ``unstored`` gives all of a set without it, ``stored`` that of a row."""
+        known = self._stores(name)
+        if all(known):
+            return self.int_column(name)
+        # Joined sets may differ.
+        return np.array([stored(each) for each in self], np.int64) if any(known) else unstored()
+
     @property
     def _plain_columns(self) -> tuple[str, ...]:
         import pyarrow as pa
 
-        large = (pa.types.is_nested, pa.types.is_binary, pa.types.is_large_binary)
+        large = (pa.types.is_nested, pa.types.is_binary)
         return tuple(name for name, each in self._types.items() if not any(test(each) for test in large))
 
     def to_hf(self) -> Any:
@@ -303,20 +349,17 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             When the data set has no such column.
         IntegrityError
-            A value is missing or does not fit into 64 bits; names file and row.
+            A value is missing, not an integer, or does not fit into 64 bits; names file and row.
         """
         values = self.column(name)
-        # With a missing value in any row, chosen or not, all are floats; no comparison holds for NaN.
-        kind = values.dtype.kind
-        bits = 53 if kind == "f" else 63
-        usable = np.abs(values) < 2**bits if kind in "uf" else np.full(len(values), kind in "bi")
-        if not usable.all():
-            row = self._row(int(self._rows[int(np.argmin(usable))]))
-            value = row.group.arrow(name)[row.index].as_py()
-            found = "no value is stored" if value is None else f"the value is {value}"
-            expected = f"expected an integer below 2**{bits}"
-            raise IntegrityError.in_file(row.path, f", row {row.number}, field {name!r}: {found}; {expected}")
-        return np.ascontiguousarray(values, np.int64)
+        usable = whole_numbers(values)
+        if usable.all():
+            return np.ascontiguousarray(values, np.int64)
+        # With a missing value in any row, chosen or not, large ones are inexact; the row itself knows.
+        found = np.where(usable, values, 0).astype(np.int64)
+        for position in np.flatnonzero(~usable).tolist():
+            found[position] = self._row(int(self._rows[position])).integer(name)
+        return found
 
     @property
     def identity(self) -> str:
@@ -330,7 +373,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         Raises
         ------
         IntegrityError
-            A label is missing or does not fit into 64 bits.
+            A label is missing, not an integer, or does not fit into 64 bits.
         """
         return self.int_column("label")
 
@@ -368,7 +411,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     @overload
     def __getitem__(self, index: slice | Sequence[int] | Sequence[bool] | NDArray[Any]) -> Self: ...
     def __getitem__(self, index: Any) -> T | Self:
-        """Return an item (int) or a view (slice, ints, boolean mask).
+        """Return an item (int) or a view (slice, or a list, array or tensor of ints or booleans).
 
         Raises
         ------
@@ -381,7 +424,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             return self._item(index)
         if isinstance(index, slice):
             return self._select(index)
-        if isinstance(index, (list, tuple, np.ndarray)) and np.ndim(index) > 0:
+        if picks_several(index):
             return self._select(positions(index, len(self)))
         return self._item(operator.index(index))
 
@@ -419,9 +462,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         TypeError
             They are not integers.
         """
-        return self._select(
-            positions(indices if isinstance(indices, np.ndarray) else list(indices), len(self))
-        )
+        return self._select(positions(indices if picks_several(indices) else list(indices), len(self)))
 
     def filter(self, function: Callable[[T], Any]) -> Self:
         """Return the items for which a function is true, in their order.

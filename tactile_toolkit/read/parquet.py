@@ -36,6 +36,8 @@ from tactile_toolkit.read.columns import (
     class_names,
     column_types,
     numpy_values,
+    plain_schema,
+    plain_table,
     table_bytes,
 )
 from tactile_toolkit.read.source import RowSource
@@ -81,6 +83,9 @@ _UNPACKED = DiskCache(
     "process, all else is decoded again",
 )
 _HELD_UP: set[Path] = set()  # locks that others did not release: this process does not wait for them again
+
+# Part of the names of blocks: counted up when other types are unpacked from the same files.
+_LAYOUT = 2
 
 # A file of a block holds an Arrow stream and the checksum of that. A disk may change what it holds, and a
 # file of another program may bear the name of one of ours: neither is served.
@@ -193,7 +198,7 @@ class Shard:
 
     @property
     def schema(self) -> Any:
-        """The Arrow schema."""
+        """The Arrow schema, with types of ours: rows are converted when they are decoded."""
         return self._footer[1]
 
     @property
@@ -233,7 +238,7 @@ class Shard:
             self._require_bounded(index)
         with self._named_damage():
             # Arrow's threads would be as many again: shards are read side by side already.
-            return parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
+            return plain_table(parquet.read_row_groups(list(wanted), columns=columns, use_threads=False))
 
     def column(self, name: str) -> Any:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
@@ -328,7 +333,7 @@ class Shard:
     @cached_property
     def digest(self) -> str:
         """Name of the content that the file had when it was met first."""
-        return hashlib.sha256(repr(self.identity).encode()).hexdigest()[:32]
+        return hashlib.sha256(repr((_LAYOUT, self.identity)).encode()).hexdigest()[:32]
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
@@ -344,8 +349,7 @@ class Shard:
 
     def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of all row groups, as :meth:`blocks`."""
-        for index in range(self.metadata.num_row_groups):
-            yield from self.blocks(index, columns)
+        return chain.from_iterable(self.blocks(index, columns) for _, index in row_groups([self]))
 
     def _require_bounded(self, index: int) -> None:
         """Refuse rows that unpack to more than the limit, by what the footer states of them."""
@@ -370,7 +374,7 @@ class Shard:
         with self._named_damage():
             for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may give less than asked for; blocks have to be complete to be found again.
-                table = pa.Table.from_batches([batch])
+                table = plain_table(pa.Table.from_batches([batch]))
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
                     yield waiting.slice(0, rows).combine_chunks()
@@ -485,7 +489,7 @@ class Shard:
             if stated not in (None, found[unit]):  # such as a shard of a set that is being replaced
                 problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
                 raise IntegrityError.in_file(self.path, problem)
-        return parquet, footer or _FOOTERS.put(key, (metadata, parquet.schema_arrow))
+        return parquet, footer or _FOOTERS.put(key, (metadata, plain_schema(parquet.schema_arrow)))
 
     def _require_same(self, found: tuple[object, ...], known: tuple[object, ...]) -> None:
         # Not the first value: that of a device differs between machines that share a file system.
@@ -536,6 +540,11 @@ class ChosenGroups:
     def unpack(self, index: int) -> int:
         """Unpack a row group into the cache."""
         return self.shard.unpack(self.groups[index])
+
+
+def row_groups(shards: Iterable[Shard]) -> Iterator[tuple[Shard, int]]:
+    """Yield the row groups of some shards, in their order, each by its shard and its number there."""
+    return ((shard, index) for shard in shards for index in range(shard.metadata.num_row_groups))
 
 
 def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource]) -> Iterator[T]:

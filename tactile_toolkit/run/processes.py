@@ -347,6 +347,6 @@ def unpack_result(packed: bytes, *notes: str) -> Any:
 def worker_died(task: object, attempts: int, worker: str, again: str) -> ToolkitError:
     """Return the error of a task whose workers always died."""
     return ToolkitError(
-        f"the {worker} died {attempts} times while it made {task}; out of memory is the usual cause; next: "
-        f"run the same command {again} (finished shards are kept)"
+        f"the {worker} died {attempts} times while it made {task}; out of memory is the usual cause",
+        next=f"run the same command {again} (finished shards are kept)",
     )

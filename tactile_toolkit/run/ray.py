@@ -168,8 +168,8 @@ def _other_versions(machine: str, differing: Mapping[str, tuple[str, str]]) -> I
     found = ", ".join(f"{name} {there} (here: {here})" for name, (there, here) in differing.items())
     pins = " ".join(f"{name}=={here}" for name, (_, here) in differing.items())
     return InputError(
-        f"node {machine} has {found}; other versions write other bytes, so nothing was made there; "
-        f"next: pip install {pins} on that node, or take it out of the cluster"
+        f"node {machine} has {found}; other versions write other bytes, so nothing was made there",
+        next=f"pip install {pins} on that node, or take it out of the cluster",
     )
 
 

@@ -467,6 +467,12 @@ class _StoreFolder(DataFolder):
 
     # What only a file system has: a store has no stale listings, no empty folders, and no locks.
 
+    def place(self, path: str) -> Path:
+        raise InputError(
+            f"{self.address(path)!r} is in a store, where files cannot be moved; nothing was done",
+            next="choose a local folder",
+        )
+
     def remove_empty(self, folder: str) -> None:
         self.address(folder)  # refuses a path that leads out of the folder
 

@@ -10,6 +10,8 @@ import realtouch
 from tactile_toolkit.hub.repository import HubRepository
 from tactile_toolkit.places.place import Place
 from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.wording import counted
 from tests import command_line
 from tests.realtouch import factories
 
@@ -167,7 +169,10 @@ def test_conversions(command, check, images, tmp_path, capsys):
     name, *options = command
     out = tmp_path / "out"
     assert call(name, images, out, *options, "--workers", 1) == 0
-    assert "the data set is in" in capsys.readouterr().out
+    printed = capsys.readouterr().out
+    assert "the data set is in" in printed
+    rows = sum(split["rows"] for split in read_manifest(DataFolder(str(out))).split_table().values())
+    assert f"made {counted(rows, 'touches' if name == 'frames' else 'rounds')} in " in printed
     assert check(out)
     before = (out / "manifest.json").stat().st_mtime_ns
     assert call(name, images, out, *options, "--workers", 1, "--quiet") == 0

@@ -56,6 +56,14 @@ def test_other_options_are_refused_without_a_traceback(made):
     assert "Traceback" not in result.stderr
 
 
+@pytest.mark.parametrize("option", ["--seed", "--limit", "--workers"])
+def test_integers_of_many_digits_are_refused(option, tmp_path):
+    result = run("generate", "--out", tmp_path / "set", option, 10**45)
+    assert result.exit_code == 2
+    assert f"{option} is 1{'0' * 45}; expected an integer of at least " in " ".join(result.stderr.split())
+    assert not (tmp_path / "set").exists()
+
+
 def test_every_option_reaches_the_specification(tmp_path):
     result = run(
         *("generate", "--out", tmp_path / "set", "--quiet", "--workers", 1, "--split", "test"),

@@ -92,6 +92,24 @@ def test_objects_are_taken_out_by_id(tmp_path, capsys):
     assert not (tmp_path / "none").exists()
 
 
+def test_rounds_are_taken_by_their_ids(tmp_path, capsys):
+    folder = _made("realtouch", tmp_path / "all")
+    split, rows = next(iter(_rows(folder).items()))
+    ids = [row["id"] for row in rows]
+    words = ("--split", split, "--ids", ids[1])
+    assert call("realtouch", "split", folder, *words, "--out", tmp_path / "parts", *ALONE) == 0
+    assert [row["id"] for row in _rows(tmp_path / "parts/part-1")[split]] == ids[1:2]
+    assert [row["id"] for row in _rows(tmp_path / "parts/part-2")[split]] == [ids[0], *ids[2:]]
+    assert call("realtouch", "gallery", folder, *words, "--out", tmp_path / "page", *ALONE) == 0
+    capsys.readouterr()
+    for wrong in ("3", "3-5", ids[1][:-1]):
+        words = ("--split", split, "--ids", wrong, "--out", tmp_path / "none")
+        for command in ("split", "gallery"):
+            assert call("realtouch", command, folder, *words, *ALONE) == 2
+            assert "no object with " in capsys.readouterr().err
+    assert not (tmp_path / "none").exists()
+
+
 def test_terms_of_imported_touches_are_kept(tmp_path):
     folder = _made("realtouch", tmp_path / "all")
     assert (

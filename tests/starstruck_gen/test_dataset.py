@@ -148,6 +148,7 @@ def test_test_split_shares_no_id_and_no_scene_with_train():
         ({"split": "dev"}, "unknown split 'dev'"),
         ({"size": -1}, "size is -1"),
         ({"seed": -1}, "seed is -1"),
+        ({"seed": 10**45}, "seed is 10{45}; expected an integer of at least 0, below 2"),
         ({"size": 2.5}, "size is 2.5"),
         ({"seed": "a"}, "seed is 'a'"),
     ],

@@ -40,7 +40,7 @@ from tests.unchanged.record import numbers_of, recorded
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
-from tactile_sim.learned import evaluation  # noqa: E402
+from tactile_sim.learned import evaluation, networks  # noqa: E402
 from tactile_sim.learned.cyclegan import (  # noqa: E402
     Batch,
     CycleGan,
@@ -297,7 +297,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     options = ["--pairs", pairs, "--out", str(tmp_path / "found"), "--sensor-noise", str(noise), "--json"]
     found = run.invoke(app, ["evaluate", str(trained), *options])
     assert found.exit_code == 0, found.output
-    told = json.loads(found.output)
+    told = json.loads(found.stdout)
     assert told["noise"] == NOISE.to_dict()
     assert "under a sensor's noise" in (tmp_path / "found" / "evaluation.md").read_text()
     rows = {row["name"]: row for row in told["measured"]}
@@ -332,6 +332,31 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     write_weights(DataFolder(str(tmp_path)), weights.name, larger)
     with pytest.raises(InputError, match="weights were trained with 36 x 36"):
         evaluate(tmp_path, pairs)
+
+
+def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monkeypatch):
+    monkeypatch.setattr(evaluation, "_STEPS", 20)
+    steps: list[tuple[int, int]] = []
+    found = []
+    for pixels in (1, 1 << 19):
+        monkeypatch.setattr(networks, "_PIXELS_TOGETHER", pixels)
+        steps.clear()
+        found.append(
+            evaluate(trained, pairs, baselines=("untrained",), on_progress=lambda *at: steps.append(at))
+        )
+        assert [done for done, _ in steps] == sorted({done for done, _ in steps})
+        assert {total for _, total in steps} == {steps[-1][0]}
+    for one, together in zip(found[0].measured, found[1].measured, strict=True):
+        assert one.depth_um == pytest.approx(together.depth_um, rel=1e-5, nan_ok=True)
+        assert one.contact_accuracy == pytest.approx(together.contact_accuracy, abs=0.02)
+        assert one.two_sample == pytest.approx(together.two_sample, abs=0.02)
+    network = generator_of(read_weights(trained / "touch_to_depth.npz"))
+    pictures = Pairs.open(pairs).real.images(np.arange(7))
+    monkeypatch.setattr(networks, "_PIXELS_TOGETHER", 3 * pictures[0, :, :, 0].size)
+    alone = np.concatenate([depth_of(network, each[None]) for each in pictures])
+    np.testing.assert_allclose(depth_of(network, pictures), alone, atol=1e-5)
+    with pytest.raises(InputError, match="device is 'tpu'"):
+        evaluate(trained, pairs, device="tpu")
 
 
 def test_tensorboard_holds_the_log_or_is_named(pairs, tmp_path, monkeypatch):

@@ -11,6 +11,8 @@ import trimesh
 from hypothesis import given, strategies as st
 
 import tactile_sim
+from tactile_sim import pressing
+from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import reference
 from tests.tactile_sim.solids import ball, block, tilted
@@ -190,3 +192,32 @@ def test_bad_input_is_named(change, words):
 def test_sensors_that_cannot_be_are_refused(values):
     with pytest.raises(InputError, match="expected"):
         dataclasses.replace(tactile_sim.full_view(), **values)
+
+
+def test_a_solid_is_checked_once_and_again_when_it_was_changed(monkeypatch):
+    checked = []
+    monkeypatch.setattr(pressing, "_SOLIDS", MemoryCache(1 << 20, lambda solid: solid.vertices_m.nbytes))
+    check = pressing._require_closed
+    monkeypatch.setattr(pressing, "_require_closed", lambda mesh: (checked.append(mesh), check(mesh)))
+    sensor, place = tactile_sim.full_view(32, 24), tactile_sim.pose()
+    solid = trimesh.creation.box((0.02, 0.02, 0.01))
+    solid.apply_translation((0, 0, 0.005))
+    before = tactile_sim.render_touch(solid, place, place, sensor)
+    again = tactile_sim.render_touch(solid.copy(), place, place, sensor)
+    assert np.array_equal(before.depth_m, again.depth_m)
+    assert len(checked) == 1
+    solid.vertices[:, 0] /= 2  # in place
+    changed = tactile_sim.render_touch(solid, place, place, sensor)
+    assert len(checked) == 2
+    fresh = tactile_sim.render_touch(
+        trimesh.Trimesh(solid.vertices.copy(), solid.faces), place, place, sensor
+    )
+    assert np.array_equal(changed.depth_m, fresh.depth_m)
+    assert not np.array_equal(changed.depth_m, before.depth_m)
+    # What is kept of the first does not change with the mesh.
+    solid.vertices[:, 0] *= 2
+    back = tactile_sim.render_touch(solid, place, place, sensor)
+    assert np.array_equal(back.depth_m, before.depth_m)
+    solid.faces = solid.faces[1:]
+    with pytest.raises(InputError, match="bounds no solid"):
+        tactile_sim.render_touch(solid, place, place, sensor)

@@ -73,6 +73,7 @@ def test_up_to_the_hub_and_back(made, tmp_path, monkeypatch):
 def test_a_gallery_and_a_preview_show_every_round(made, tmp_path):
     _call("gallery", made, "--out", tmp_path / "site", "-w", 1, "--quiet")
     assert len(list((files_of(tmp_path / "site") / "items").iterdir())) == 6
+    assert "Synthetic touches" in (tmp_path / "site" / "index.html").read_text()
     _call("preview", made, "--split", "test", "--out", tmp_path / "round.png", "--round", 1)
     assert (tmp_path / "round.png").stat().st_size > 1000
 

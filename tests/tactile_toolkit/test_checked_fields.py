@@ -42,7 +42,7 @@ def test_equal_values_have_one_spelling():
 
 
 def test_the_ends_of_a_span_belong_to_it():
-    for rounds, plate_mm, limit in ((1, (0, 256), 1), (4096, (256, 0), None)):
+    for rounds, plate_mm, limit in ((1, (0, 256), 1), (4096, (256, 0), None), (1, (0, 0), 2**63 - 1)):
         spec = _Spec(0.5, plate_mm, rounds=rounds, limit=limit)
         assert (spec.rounds, spec.plate_mm, spec.limit) == (rounds, plate_mm, limit)
 
@@ -69,6 +69,8 @@ def test_a_field_without_default_is_asked_for():
         ("rounds", 2.0, "is 2.0"),
         ("rounds", None, "is None"),
         ("limit", 2.5, "limit of the example is 2.5; expected an integer of at least 1"),
+        ("limit", 10**45, "expected an integer of at least 1, below 2**63"),
+        ("limit", 2**63, "expected an integer of at least 1, below 2**63"),
         ("lie", "left", "lie of the example is 'left'; expected one of random, middle"),
         ("lie", ["random"], "expected one of random, middle"),
         ("shift", 1, "shift of the example is 1; expected True or False"),

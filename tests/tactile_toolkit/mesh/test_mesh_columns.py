@@ -16,6 +16,7 @@ from tactile_toolkit.read.columns import (
     label_feature,
     ragged_array,
     ragged_column,
+    vectors_type,
 )
 from tests.mesh_columns import list_array
 
@@ -43,7 +44,12 @@ def test_class_names_are_read_from_the_schema_or_default():
 
 
 def test_missing_column_is_named():
-    flat = pa.schema([(name, pa.int64()) for name in ("id", "label", "mesh.vertices", "mesh.faces")])
+    flat = pa.schema(
+        [
+            *[("id", pa.int64()), ("label", pa.int64())],
+            *[("mesh.vertices", vectors_type(pa.float32())), ("mesh.faces", vectors_type(pa.int32()))],
+        ]
+    )
     require_mesh_columns(flat, "set", "make it")
     with pytest.raises(
         InputError, match=r"'set' is not a data set of meshes: column 'mesh.faces' .* `make it`"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile_toolkit.catalog.spec import parse_ids
+from tactile_toolkit.catalog.spec import id_range, id_text, parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
@@ -213,9 +213,20 @@ def test_ids_are_numbers_and_ranges(text: str, numbers: list[int | tuple[int, in
 
 
 @pytest.mark.parametrize("text", ["", "a", "1,,2", "5-3", "1-2-3", "1.5"])
-def test_other_ids_are_refused(text: str) -> None:
+def test_other_ids_are_no_numbers(text: str) -> None:
     with pytest.raises(InputError, match="--ids has"):
-        parse_ids(text)
+        list(map(id_range, parse_ids(text)))
+
+
+@pytest.mark.parametrize(
+    "text", ["a", "2023-09-28_15-50-43_7-0", "5-3", "3-5", "007", "007-9", "+3", "1.5", "-3"]
+)
+def test_ids_of_text_are_what_was_given(text: str) -> None:
+    assert id_text(parse_ids(f" {text} ,3")[0]) == text
+
+
+def test_ids_with_leading_zeros_are_numbers_too() -> None:
+    assert list(map(id_range, parse_ids("007,03-5"))) == [(7, 7), (3, 5)]
 
 
 def _export(count: int, out: Path) -> None:

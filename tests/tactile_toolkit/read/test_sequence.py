@@ -111,6 +111,45 @@ def test_one_vocabulary(every_set: dict[str, Any], kind: str) -> None:
     assert "\n" not in repr(items)
 
 
+class Tensor:
+    """What a tensor is to numpy."""
+
+    def __init__(self, values: Any) -> None:
+        self.values = values
+
+    def __array__(self, dtype: Any = None, copy: bool | None = None) -> np.ndarray:
+        return np.array(self.values, dtype)
+
+    def __index__(self) -> int:
+        return int(self.values)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_tensors_choose_as_lists_and_arrays_do(every_set: dict[str, Any], kind: str) -> None:
+    items = every_set[kind]
+    for chosen in ([2, 0], [-1], [], [True] + [False] * (len(items) - 2) + [True]):
+        expected = items[chosen]
+        for given_index in (Tensor(chosen), np.array(chosen, bool if True in chosen else int)):
+            found = items[given_index]
+            assert type(found) is type(items)
+            assert found == expected == items.select(given_index)
+    assert items.select(iter([2, 0])) == items[[2, 0]]
+    for index in (Tensor(1), np.int64(1), np.array(1), np.uint8(1)):
+        assert items[index] == items[1]
+    for wrong in (Tensor([0.5]), Tensor([[0]]), np.array(0.5), "0"):
+        with pytest.raises(TypeError):
+            items[wrong]
+    if kind == "images":
+        record = items[1]
+        assert np.array_equal(record.sensor_image[Tensor([1, 0])], record.sensor_image[[1, 0]])
+        poses = record.gel_pose_cell_frame
+        assert np.array_equal(poses[Tensor([1, 0])].position_m, poses[[1, 0]].position_m)
+        assert np.array_equal(poses[np.array(1)].translation, poses[1].translation)
+    if kind == "clips":
+        clips = items[1].sensor_video
+        assert np.array_equal(clips[Tensor([1, 0])][0][Tensor([3, 1])], clips[1][[3, 1]])
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_items_and_sets_are_what_they_stand_for(every_set: dict[str, Any], kind: str) -> None:
     items = every_set[kind]

@@ -296,6 +296,10 @@ def test_remote_folder_through_fsspec(tmp_path, monkeypatch):
     assert manifest.complete
     assert verify(folder, SCHEMA).ok
     assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == manifest
+    for act in (lambda: folder.move("manifest.json", "moved.json"), lambda: folder.place("manifest.json")):
+        with pytest.raises(InputError, match=r"'memory://bucket/set/.*' is in a store"):
+            act()
+    assert folder.exists("manifest.json")
     assert list(tmp_path.iterdir()) == [], "an address is not a local path"
 
 

@@ -1,0 +1,59 @@
+"""Streams: items one after another, read from their address; loaders of torch take them."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
+
+from tactile_toolkit.read.dataset import with_origins
+from tactile_toolkit.read.parquet import Shard, ShardedTable, row_groups
+from tactile_toolkit.wording import counted
+
+T = TypeVar("T")
+
+
+def loader_worker() -> Any:
+    """Return which worker of how many this process is for a loader of torch; None where it is none."""
+    torch_data = sys.modules.get("torch.utils.data")
+    return None if torch_data is None else torch_data.get_worker_info()
+
+
+class Stream(Generic[T]):
+    """Base of streams. Each pass reads from the beginning, a bounded block of rows at a time.
+
+    To torch a stream is an ``IterableDataset``: give it to ``DataLoader(stream, batch_size=None)``. Workers
+    of a loader divide the shards among them, or the row groups where there are fewer shards than workers.
+
+    Parameters
+    ----------
+    shards : tuple of Shard
+        Shards to read in turn.
+    """
+
+    def __init__(self, shards: tuple[Shard, ...]) -> None:
+        self.shards = shards
+
+    if not TYPE_CHECKING:
+
+        @property
+        def __class__(self) -> type[Self]:
+            # A loader asks `isinstance`, which asks this. Torch may be imported after the stream was made,
+            # and takes seconds to import: it is told of its subclass where it is there already.
+            if "torch.utils.data" in sys.modules:
+                sys.modules["torch.utils.data"].IterableDataset.register(type(self))
+            return type(self)
+
+    def _row_groups(self) -> Iterator[tuple[Shard, int]]:
+        """Yield the row groups of all shards, or those that this worker of a loader is to read."""
+        found = loader_worker()
+        if found is None:
+            return row_groups(self.shards)
+        if found.num_workers <= len(self.shards):
+            return row_groups(self.shards[found.id :: found.num_workers])
+        return islice(row_groups(self.shards), found.id, None, found.num_workers)
+
+    def _described(self, items: str) -> str:
+        words = with_origins(counted(len(self.shards), "shards"), ShardedTable(self.shards))
+        return f"{type(self).__name__}({items}, {', '.join(words)})"
