@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,6 +18,7 @@ from tactile_toolkit.catalog.spec import LIMIT, SPLIT
 from tactile_toolkit.checked_fields import choice, integer, real, switch
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_copy
+from tactile_toolkit.mesh.units import UNIT
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -157,6 +159,7 @@ def validate(
     paths: list[str] = FOLDERS,
     split: str | None = SPLIT,
     limit: int | None = LIMIT,
+    unit: str | None = UNIT,
     workers: int = WORKERS,
     sink: Sink,
 ) -> None:
@@ -169,6 +172,7 @@ def validate(
 
     Exit code 1 when one is not valid. For a folder, `verify --geometry` checks its files as well.
     """
+    checks = replace(checks, check=partial(checks.check, unit=unit))
     check_objects(sink, checks, paths, split, limit, workers)
 
 

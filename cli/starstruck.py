@@ -18,6 +18,7 @@ from starstruck_gen.options import SceneOptions, ScenePreviewSpec, scene_counts
 from tactile_toolkit.catalog.spec import LIMIT
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh.units import refuse_unit
 
 if TYPE_CHECKING:
     from starstruck_gen.validate import Checked
@@ -89,9 +90,15 @@ def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, ela
     print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
 
 
-def _check(paths: Sequence[str], *options: Any, on_progress: Callable[[int, int], None]) -> list[Checked]:
+def _check(
+    paths: Sequence[str],
+    *options: Any,
+    unit: str | None = None,
+    on_progress: Callable[[int, int], None],
+) -> list[Checked]:
     from starstruck_gen.validate import validate_folder
 
+    refuse_unit(unit, paths[0])
     return [validate_folder(path, *options, on_progress=on_progress) for path in paths]
 
 

@@ -25,6 +25,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh.units import refuse_unit
 from tactile_toolkit.pictures.previews import MeshPreviews, draw_by_class
 from tactile_toolkit.pictures.render import (
     OBLIQUE,
@@ -74,11 +75,14 @@ def plan_previews(name: str, spec: PreviewSpec) -> PicturePlan:
     """
     path = expanded(name)
     ending = path.suffix.lower()
-    if is_remote(name) or not path.is_file() or ending == ".parquet":
-        return _plan_set(name, spec)
-    if ending in FORMATS:
-        mesh = read_mesh(path)
+    unit = spec.unit if isinstance(spec, DigitPreviewSpec) else None
+    is_file = not is_remote(name) and path.is_file()
+    if is_file and ending in FORMATS:
+        mesh = read_mesh(path, unit=unit)
         return _plan_file("sheet", name, spec, partial(draw_mesh, mesh=mesh, title=path.name))
+    refuse_unit(unit, name)
+    if not is_file or ending == ".parquet":
+        return _plan_set(name, spec)
     if ending in _IMAGES:
         from mnist3d.sources.canvas import fit
         from mnist3d.sources.folder import read_picture
