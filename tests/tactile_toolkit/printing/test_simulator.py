@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -165,3 +166,19 @@ def test_what_cannot_be_a_body_is_named(tmp_path: Path):
     for values in ({"density_kg_m3": 0}, {"friction": float("nan")}, {"density_kg_m3": "heavy"}):
         with pytest.raises(InputError, match="expected a number above 0"):
             Physics(**values)
+
+
+def test_bodies_that_mujoco_refuses_are_named_before(tmp_path: Path):
+    """MuJoCo takes moments of inertia from 1e-14 kg m² on."""
+    for kind in ("mjcf", "urdf", "usd"):
+        made = export_files(named(SHAPES), str(tmp_path), kind, scale=0.02)
+        assert [each.problem for each in made.failed] == ["too-light"] * len(SHAPES)
+        assert "MuJoCo" in made.failed[0].detail
+
+
+def test_urdf_files_keep_the_paths_of_their_meshes(tmp_path: Path):
+    (made,) = export_files(named(SHAPES[:1]), str(tmp_path), "urdf").files
+    root = ElementTree.parse(tmp_path / made.file).getroot()
+    assert root.find("mujoco/compiler").attrib == {"strippath": "false"}
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra simulators")
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / made.file)).nmesh > 0
