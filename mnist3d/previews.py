@@ -26,6 +26,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh.units import refuse_unit
 from tactile_toolkit.pictures.previews import MeshPreviews, draw_by_class
 from tactile_toolkit.pictures.render import (
     OBLIQUE,
@@ -79,9 +80,11 @@ def plan_previews(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
     name = fspath(name)
     path = expanded(name)
     ending = path.suffix.lower()
+    unit = spec.unit if isinstance(spec, DigitPreviewSpec) else None
     if ending in FORMATS:
-        mesh = read_mesh(path)
+        mesh = read_mesh(path, unit=unit)
         return _plan_file("sheet", name, spec, partial(draw_mesh, mesh=mesh, title=path.name))
+    refuse_unit(unit, name)
     from mnist3d.sources.canvas import fit
     from mnist3d.sources.folder import read_picture
 
@@ -116,6 +119,7 @@ def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixel
 
 def _plan_set(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
     opened: MeshPreviews[MeshDataset] = MeshPreviews(KIND, name, spec)
+    refuse_unit(spec.unit if isinstance(spec, DigitPreviewSpec) else None, opened.name)
     names = opened.chosen[0][1].label_names
 
     def sheet_of(rows: MeshDataset, title: str) -> Pixels:
