@@ -23,7 +23,7 @@ from realtouch.video import MAX_CLIP_FRAMES
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import NestedColumn, RowGroup, whole_number, whole_numbers
 from tactile_toolkit.read.dataset import Row, checked_index
-from tactile_toolkit.read.source import RowSource
+from tactile_toolkit.read.source import RowSource, all_blocks
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind
 
@@ -46,7 +46,7 @@ _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 
 def stored_rows(shards: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[TouchRow]:
     """Yield all rows of some files, with all columns or those named; a block of them is in memory."""
-    return rows_of(block for shard in shards for block in shard.all_blocks(columns))
+    return rows_of(all_blocks(shards, columns))
 
 
 def rows_of(blocks: Iterable[RowGroup]) -> Iterator[TouchRow]:

@@ -33,7 +33,7 @@ from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.read.source import RowSource
+from tactile_toolkit.read.source import RowSource, all_blocks
 from tactile_toolkit.read.stream import Stream, loader_worker
 from tactile_toolkit.touch.contact import PRESS_DEPTH_M
 from tactile_toolkit.touch.jpeg import Pixels
@@ -173,7 +173,7 @@ class TouchDataset(RecordDataset[R]):
         media = MEDIA_COLUMN[self.kind]
         for source in self._table.shards:
             columns, start = [name for name in source.schema.names if name != media], number
-            for block in source.all_blocks(columns):
+            for block in all_blocks([source], columns):
                 rows = RowsWithoutMedia(block, source, number - start)
                 for row in range(len(block.table)):
                     if number + row in wanted:
@@ -608,7 +608,7 @@ def dataset_of(
     return dataset(ShardedTable(tuple(shards)), rows, names, skipped)
 
 
-class TouchStream(Stream[TouchRound]):
+class TouchStream(Stream[Shard]):
     """Rounds one after another; see :class:`tactile_toolkit.read.stream.Stream`.
 
     Parameters

@@ -19,8 +19,8 @@ from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, kind_of, require_ty
 from tactile_toolkit.catalog.locate import manifest_beside
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.parquet import ChosenGroups, Shard, row_groups
-from tactile_toolkit.read.source import RowSource
+from tactile_toolkit.read.parquet import ChosenGroups, Shard
+from tactile_toolkit.read.source import RowSource, all_blocks, row_groups
 from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.touch.jpeg import decode_image, image_size
 from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind
@@ -95,7 +95,7 @@ def stored_touch_counts(source: RowSource) -> NDArray[np.int64]:
     name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in types)
     if pa.types.is_fixed_size_list(types[name]):
         return np.full(len(source), types[name].list_size, np.int64)
-    counts = [block.nested(name).lengths(0) for block in source.all_blocks([name])]
+    counts = [block.nested(name).lengths(0) for block in all_blocks([source], [name])]
     return np.concatenate(counts or [np.zeros(0, np.int64)])
 
 

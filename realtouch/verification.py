@@ -22,7 +22,8 @@ from tactile_toolkit.cards.card import check_card
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places.place import Name, Place, open_place
 from tactile_toolkit.read.columns import column_names
-from tactile_toolkit.read.parquet import Shard, row_groups
+from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read.source import row_groups
 from tactile_toolkit.store.folder import DataFolder, split_uri
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import typed

@@ -240,8 +240,8 @@ class MadeScenes:
         """Return a row alone; nothing of it is made yet."""
         return MadeScene(self, row), 0
 
-    def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
-        """Make all rows, some at once."""
+    def blocks(self, _index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Make all rows, which are one row group, some at once."""
         start = 0
         for count in self.part_sizes:
             table = self.made(start, count)

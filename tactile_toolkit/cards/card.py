@@ -34,6 +34,7 @@ from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Tile, png_bytes, sheet
 from tactile_toolkit.read.columns import column_names
 from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.read.source import all_blocks
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.names import problem_of_name
@@ -257,9 +258,8 @@ def with_repo_name(card: str, name: str) -> str:
 def rows_to_draw(facts: FolderFacts, columns: Sequence[str]) -> Iterator[Row]:
     """Yield the rows of the first split that has any, reading some columns block by block."""
     split = next((split for split in facts.splits if split.rows), None)
-    for shard in split.shards if split is not None else ():
-        for block in shard.all_blocks(list(columns)):
-            yield from (Row(block, index) for index in range(len(block.table)))
+    for block in all_blocks(() if split is None else split.shards, list(columns)):
+        yield from (Row(block, index) for index in range(len(block.table)))
 
 
 def bibtex(*names: str) -> str:

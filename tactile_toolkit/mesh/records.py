@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -31,6 +31,7 @@ from tactile_toolkit.read.columns import (
 )
 from tactile_toolkit.read.dataset import Record, RecordDataset, Row
 from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.read.stream import Stream
 from tactile_toolkit.rows import column, plain_schema, row
 
@@ -213,12 +214,12 @@ class SolidDataset(RecordDataset[S]):
         return np.array([record.volume_m3 for record in self], np.float64)
 
 
-class RecordStream(Stream[R]):
+class RecordStream(Stream[RowSource], Generic[R]):
     """Records one after another; see :class:`tactile_toolkit.read.stream.Stream`.
 
     Parameters
     ----------
-    shards : tuple of Shard
+    shards : tuple of RowSource
         Shards to read in turn.
     record : type
         Kind of record.
@@ -226,7 +227,9 @@ class RecordStream(Stream[R]):
         Class names where the shards name none.
     """
 
-    def __init__(self, shards: tuple[Shard, ...], record: type[R], default_names: tuple[str, ...]) -> None:
+    def __init__(
+        self, shards: tuple[RowSource, ...], record: type[R], default_names: tuple[str, ...]
+    ) -> None:
         super().__init__(shards)
         self._record = record
         self._default_names = default_names

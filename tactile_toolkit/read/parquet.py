@@ -347,10 +347,6 @@ class Shard:
             problem = f" is damaged, row group {index} holds {found} rows; expected {expected} by its footer"
             raise IntegrityError.in_file(self.path, problem)
 
-    def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
-        """Decode the blocks of all row groups, as :meth:`blocks`."""
-        return chain.from_iterable(self.blocks(index, columns) for _, index in row_groups([self]))
-
     def _require_bounded(self, index: int) -> None:
         """Refuse rows that unpack to more than the limit, by what the footer states of them."""
         # A large row group is harmless, for blocks of it are unpacked; one of which next to nothing is stored
@@ -528,10 +524,9 @@ class ChosenGroups:
         first = self.shard.group_starts[self.groups[index]]
         return self.shard.locate(first + row - self.group_starts[index])
 
-    def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
-        """Decode the blocks of the row groups one after another."""
-        for group in self.groups:
-            yield from self.shard.blocks(group, columns)
+    def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Decode the blocks of a row group one after another."""
+        return self.shard.blocks(self.groups[index], columns)
 
     def column(self, name: str) -> Any:
         """Read one column as an Arrow array."""
@@ -540,11 +535,6 @@ class ChosenGroups:
     def unpack(self, index: int) -> int:
         """Unpack a row group into the cache."""
         return self.shard.unpack(self.groups[index])
-
-
-def row_groups(shards: Iterable[Shard]) -> Iterator[tuple[Shard, int]]:
-    """Yield the row groups of some shards, in their order, each by its shard and its number there."""
-    return ((shard, index) for shard in shards for index in range(shard.metadata.num_row_groups))
 
 
 def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource]) -> Iterator[T]:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Any, Protocol
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Protocol, TypeVar
 
 from tactile_toolkit.read.columns import RowGroup, Rows
 
@@ -49,11 +49,24 @@ class RowSource(Protocol):
     def locate(self, row: int) -> tuple[Rows, int]:
         """Return the rows among which a row lies, with all columns, and its index in them."""
 
-    def all_blocks(self, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
-        """Read all rows in blocks, one after another, keeping none; all columns or those named."""
+    def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Read a row group in blocks, one after another, keeping none; all columns or those named."""
 
     def column(self, name: str) -> Any:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
 
     def unpack(self, index: int) -> int:
         """Put a row group where its rows are read at random; return its size in bytes, 0 where that fails."""
+
+
+S = TypeVar("S", bound=RowSource)
+
+
+def row_groups(sources: Iterable[S]) -> Iterator[tuple[S, int]]:
+    """Yield the row groups of some sources, in their order, each by its source and its number there."""
+    return ((source, index) for source in sources for index in range(len(source.group_starts) - 1))
+
+
+def all_blocks(sources: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+    """Read all rows of some sources in blocks, as :meth:`RowSource.blocks`."""
+    return (block for source, index in row_groups(sources) for block in source.blocks(index, columns))

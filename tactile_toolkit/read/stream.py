@@ -8,10 +8,11 @@ from itertools import islice
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 from tactile_toolkit.read.dataset import with_origins
-from tactile_toolkit.read.parquet import Shard, ShardedTable, row_groups
+from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.read.source import RowSource, row_groups
 from tactile_toolkit.wording import counted
 
-T = TypeVar("T")
+S = TypeVar("S", bound=RowSource)
 
 
 def loader_worker() -> Any:
@@ -20,7 +21,7 @@ def loader_worker() -> Any:
     return None if torch_data is None else torch_data.get_worker_info()
 
 
-class Stream(Generic[T]):
+class Stream(Generic[S]):
     """Base of streams. Each pass reads from the beginning, a bounded block of rows at a time.
 
     To torch a stream is an ``IterableDataset``: give it to ``DataLoader(stream, batch_size=None)``. Workers
@@ -28,11 +29,11 @@ class Stream(Generic[T]):
 
     Parameters
     ----------
-    shards : tuple of Shard
+    shards : tuple of RowSource
         Shards to read in turn.
     """
 
-    def __init__(self, shards: tuple[Shard, ...]) -> None:
+    def __init__(self, shards: tuple[S, ...]) -> None:
         self.shards = shards
 
     if not TYPE_CHECKING:
@@ -45,7 +46,7 @@ class Stream(Generic[T]):
                 sys.modules["torch.utils.data"].IterableDataset.register(type(self))
             return type(self)
 
-    def _row_groups(self) -> Iterator[tuple[Shard, int]]:
+    def _row_groups(self) -> Iterator[tuple[S, int]]:
         """Yield the row groups of all shards, or those that this worker of a loader is to read."""
         found = loader_worker()
         if found is None:

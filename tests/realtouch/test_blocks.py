@@ -13,6 +13,7 @@ from realtouch.dataset import TouchStream
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.read import parquet as rowgroups
 from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
+from tactile_toolkit.read.source import all_blocks
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -83,7 +84,7 @@ def test_derived_values_are_kept(one_group: Path) -> None:
     calls = []
 
     def ones(shard: Shard) -> list[np.ndarray]:
-        groups = list(shard.all_blocks(["label"]))
+        groups = list(all_blocks([shard], ["label"]))
         calls.extend(group.names for group in groups)
         return [np.ones(len(group.table)) for group in groups]
 

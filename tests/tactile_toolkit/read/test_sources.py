@@ -19,7 +19,7 @@ from tactile_toolkit.mesh.records import RecordStream
 from tactile_toolkit.read.columns import RowGroup
 from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.read.parquet import ChosenGroups, Shard, ShardedTable
-from tactile_toolkit.read.source import RowSource
+from tactile_toolkit.read.source import RowSource, all_blocks
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -43,13 +43,13 @@ def source_of(kind: str, shard: Shard) -> RowSource:
 def test_a_source_gives_the_same_rows_in_every_way(kind: str, shard: Shard) -> None:
     source = source_of(kind, shard)
     copy: RowSource = pickle.loads(pickle.dumps(source))
-    in_blocks = [Row(block, row) for block in source.all_blocks() for row in range(len(block.table))]
+    in_blocks = [Row(block, row) for block in all_blocks([source]) for row in range(len(block.table))]
     assert len(in_blocks) == len(source) == source.group_starts[-1] == sum(source.part_sizes)
     for number, row in enumerate(in_blocks):
         assert row.equals(Row(*source.locate(number)))
         assert row.equals(Row(*copy.locate(number)))
         assert row.number == Row(*source.locate(number)).number
-    few = [block.table.column_names for block in source.all_blocks(["label", "id"])]
+    few = [block.table.column_names for block in all_blocks([source], ["label", "id"])]
     assert {frozenset(names) for names in few} == {frozenset(["id", "label"])}
     assert source.column("id").to_pylist() == [row.value("id") for row in in_blocks]
     assert (copy.identity, copy.set_name, copy.origin) == (source.identity, source.set_name, source.origin)
