@@ -390,7 +390,7 @@ def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
 def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> None:
     """Refuse a folder without manifest that holds files: a run must never mix with those of a user.
 
-    Where there are records of a run of the plan, the files are of that run, and somebody took the manifest.
+    Where there are records of a run of the plan, the files are of that run, and its manifest was removed.
     """
     if plan is not None and pending_records(folder, plan.new_manifest().identity):
         return
