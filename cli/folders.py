@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ from tactile_toolkit.catalog.spec import LIMIT, SPLIT
 from tactile_toolkit.checked_fields import choice, integer, real, switch
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_copy
+from tactile_toolkit.mesh.units import UNIT
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -160,6 +161,7 @@ def validate(
     opening: Opening,
     split: str | None = SPLIT,
     limit: int | None = LIMIT,
+    unit: str | None = UNIT,
     workers: int = WORKERS,
     sink: Sink,
 ) -> None:
@@ -172,6 +174,7 @@ def validate(
 
     Exit code 1 when one is not valid. For a folder, `verify --geometry` checks its files as well.
     """
+    checks = replace(checks, check=partial(checks.check, unit=unit))
     check_objects(sink, checks, paths, opening, split, limit, workers)
 
 

@@ -18,6 +18,7 @@ from starstruck_gen.options import SceneOptions, ScenePreviewSpec, scene_counts
 from tactile_toolkit.catalog.spec import LIMIT
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh.units import refuse_unit
 
 if TYPE_CHECKING:
     from starstruck_gen.validate import Checked
@@ -94,10 +95,12 @@ def _check(
     paths: Sequence[str],
     *options: Any,
     opened: Callable[[str], Place],
+    unit: str | None = None,
     on_progress: Callable[[int, int], None],
 ) -> list[Checked]:
     from starstruck_gen.validate import validate_folder
 
+    refuse_unit(unit, paths[0])
     return [validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
 
 

@@ -22,6 +22,7 @@ from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh.units import UNIT
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
@@ -103,7 +104,7 @@ def _place_m(words: str) -> tuple[float, float] | None:
 @command(app)
 def render(
     *,
-    mesh: Path = argument("FILE", "A mesh: STL/3MF/PLY/OBJ in millimetres, GLB in metres.", read=Path),
+    mesh: Path = argument("FILE", "A mesh: STL, 3MF, PLY, OBJ or GLB.", read=Path),
     at: tuple[float, float] | None = text(
         (0.0, 0.0),
         name="--at-mm",
@@ -113,6 +114,7 @@ def render(
         help="Where the gel goes, relative to the origin of the mesh; object: onto the mesh, wherever it is.",
     ),
     turn_deg: float = real(0.0, help="Rotation of the object about z."),
+    unit: str | None = UNIT,
     picture: PictureOptions,
     out: Path = text(
         Path("touch.png"), name="--out", metavar="FILE", read=local_place, help="Image to write."
@@ -134,7 +136,10 @@ def render(
     if image_format is None:
         raise InputError(f"--out is {out.name!r}; expected a picture that ends with {', '.join(_ENDINGS)}")
     spec = _noted(sink, picture, GenerateSpec.of(picture))
-    seen = look(read_mesh(mesh), spec, at, math.radians(turn_deg))
+    solid = read_mesh(mesh, unit=unit)
+    for note in solid.notes:
+        sink.info(f"note: {mesh}: {note}")
+    seen = look(solid, spec, at, math.radians(turn_deg))
     encoded = encode_image(seen.picture, image_format, picture.quality)
     DataFolder(str(out.parent.absolute())).write_bytes(out.name, encoded)
     sink.document({"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -19,11 +20,13 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh.units import require_unit
 from tactile_toolkit.read.dataset import RecordDataset, picks_several, positions
 from tactile_toolkit.store.files import expanded, path_exists
 from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.wording import natural_key
 
+_LOG = logging.getLogger(__name__)
 _FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
 _SPLITS = ("train", "test")
 
@@ -183,19 +186,22 @@ def _laid_flat(record: Any) -> Any:
     return turned
 
 
-def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
+def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | None:
     """Take a mesh file, or a folder of them, for the meshes of a split; None where it holds none.
 
     Sub-folders called ``train`` and ``test`` are splits; a folder without them is the same for both. Other
     sub-folders are classes; files that lie in none are a class each, named as they are. Ids count files in
-    the order of their names. InputError: the folder holds another split alone, or files lie next
-    to classes.
+    the order of their names. ``unit`` is as :func:`tactile_toolkit.mesh.files.read_mesh` takes it.
+    InputError: the folder holds another split alone, or files lie next to classes.
     """
+    require_unit(unit)
     root = expanded(fspath(place))
     if not path_exists(root):
         return None
-    if root.is_file():
-        return _view_of_files([root], [root.stem]) if root.suffix.lower() in FORMATS else None
+    if not root.is_dir():
+        read = partial(_mesh_of_file, unit=unit)
+        return _view_of_files([root], [root.stem], read) if root.suffix.lower() in FORMATS else None
+    read = partial(_mesh_of_file, unit=unit, below=root)
     if (root / split).is_dir():
         root = root / split
     elif others := [name for name in _SPLITS if mesh_files(root / name, split)]:
@@ -214,30 +220,31 @@ def mesh_files(place: str | PathLike[str], split: str) -> MeshView | None:
             next="put each file into the folder of its class, or give a folder of files alone",
         )
     classes = [file.parent.name for file in sorted_files] or [file.stem for file in loose]
-    return _view_of_files(sorted_files or loose, classes) if classes else None
+    return _view_of_files(sorted_files or loose, classes, read) if classes else None
 
 
 def _files_in(folder: Path) -> list[Path]:
     # Hidden files may be half-written. In natural order (2 before 10) and not in that of the file system,
     # so that ids are the same on every machine.
-    found = (file for file in folder.iterdir() if file.suffix.lower() in FORMATS and file.is_file())
+    found = (file for file in folder.iterdir() if file.suffix.lower() in FORMATS and not file.is_dir())
     return sorted(
         (file for file in found if not is_hidden(file.name)), key=lambda file: natural_key(file.name)
     )
 
 
-def _view_of_files(files: list[Path], classes: list[str]) -> MeshView:
+def _view_of_files(files: list[Path], classes: list[str], read: Callable[[Path], Any]) -> MeshView:
     numbers = {name: number for number, name in enumerate(dict.fromkeys(classes))}
     records = [
-        LazyMesh(index, numbers[name], partial(_mesh_of_file, file), file.name)
+        LazyMesh(index, numbers[name], partial(read, file), file.name)
         for index, (file, name) in enumerate(zip(files, classes, strict=True))
     ]
     return MeshView(records, tuple(numbers))
 
 
-def _mesh_of_file(path: Path) -> Any:
-    """Read a file, millimetres (GLB: metres), in metres."""
-    found = read_mesh(path)
+def _mesh_of_file(path: Path, unit: str | None, below: Path | None = None) -> Any:
+    found = read_mesh(path, unit=unit, below=below)
+    for note in found.notes:
+        _LOG.warning("%s: %s", path, note)
     return Mesh(np.asarray(found.vertices_m, np.float32), found.faces).to_trimesh()
 
 

@@ -27,6 +27,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
 from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
+from tactile_toolkit.mesh.units import refuse_unit
 from tactile_toolkit.places.place import kind_of_rows, open_place
 from tactile_toolkit.read.columns import class_names
 from tactile_toolkit.read.parquet import Shard, ShardedTable
@@ -421,11 +422,18 @@ def _open_meshes(shards: tuple[Shard, ...], name: str) -> MeshSet:
     return opened
 
 
-def meshes_at(place: str | PathLike[str], split: str) -> MeshView | MeshSet:
-    """Open what a user names: mesh files, or a data set by folder or name on the Hub; raises as `meshes`."""
+def meshes_at(place: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | MeshSet:
+    """Open what a user names: mesh files, or a data set by folder or name on the Hub; raises as `meshes`.
+
+    ``unit`` is that of mesh files; InputError where the place holds none.
+    """
     # In full where it is there: a name would first be looked for among the assets of the toolkit.
     named = absolute_path(fspath(place))
-    return mesh_files(named, split) or AssetProvider().meshes(named, split)
+    files = mesh_files(named, split, unit)
+    if files is not None:
+        return files
+    refuse_unit(unit, fspath(place))
+    return AssetProvider().meshes(named, split)
 
 
 _UNKNOWN = {"kind": "", "rows": 0, "classes": (), "largest_mm": None, "volume_mm3": None, "problem": None}

@@ -26,6 +26,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh.files import FORMATS, read_mesh
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh.units import refuse_unit
 from tactile_toolkit.pictures.previews import MeshPreviews, draw_by_class
 from tactile_toolkit.pictures.render import (
     OBLIQUE,
@@ -74,14 +75,17 @@ def plan_previews(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
     :class:`~tactile_toolkit.pictures.previews.MeshPreviews`, and where a file cannot be read; IntegrityError
     where the data set is damaged or unfinished.
     """
+    unit = spec.unit if isinstance(spec, DigitPreviewSpec) else None
     if isinstance(name, Place) or not is_picture_or_mesh(fspath(name)):
+        refuse_unit(unit, name.name if isinstance(name, Place) else fspath(name))
         return _plan_set(name, spec)
     name = fspath(name)
     path = expanded(name)
     ending = path.suffix.lower()
     if ending in FORMATS:
-        mesh = read_mesh(path)
+        mesh = read_mesh(path, unit=unit)
         return _plan_file("sheet", name, spec, partial(draw_mesh, mesh=mesh, title=path.name))
+    refuse_unit(unit, name)
     from mnist3d.sources.canvas import fit
     from mnist3d.sources.folder import read_picture
 

@@ -19,6 +19,7 @@ from tactile_toolkit.checked_fields import (
     text,
 )
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.units import UNIT
 
 PROFILES = ("round", "linear", "flat")
 EROSIONS = ("outline", "disc")
@@ -272,3 +273,4 @@ class DigitPreviewSpec(PreviewSpec):
     writer_info: Path | None = text(
         metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."
     )
+    unit: str | None = UNIT

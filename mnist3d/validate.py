@@ -17,6 +17,7 @@ from tactile_toolkit.mesh.files import read_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
 from tactile_toolkit.mesh.records import FACES, VERTICES
+from tactile_toolkit.mesh.units import refuse_unit
 from tactile_toolkit.places.other_files import is_parquet_file
 from tactile_toolkit.places.place import Place, open_place
 from tactile_toolkit.read.dataset import Row
@@ -36,7 +37,8 @@ class CheckedItem:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        values = {"name": self.name, **self.report.to_row(), "warnings": list(self.report.warnings)}
+        lists = {name: list(getattr(self.report, name)) for name in ("warnings", "notes")}
+        values = {"name": self.name, **self.report.to_row(), **lists}
         # JSON has no NaN: what is unknown of a broken mesh is null.
         return {
             name: None if isinstance(value, float) and math.isnan(value) else value
@@ -47,10 +49,11 @@ class CheckedItem:
         """Return what a table shows of it."""
         report = self.report
         if not report.is_solid:
-            return (self.name, "NO", "-", "-", report.bodies, "-", report.detail or report.problem or "")
+            story = ", ".join((report.detail or report.problem or "", *report.notes))
+            return (self.name, "NO", "-", "-", report.bodies, "-", story)
         size = " x ".join(f"{side:.1f}" for side in report.size_mm)
         numbers = (f"{report.volume_mm3:,.0f}", size, report.bodies, f"{report.thinnest_wall_mm:.2f}")
-        return (self.name, "yes", *numbers, ", ".join(report.warnings) or "none")
+        return (self.name, "yes", *numbers, ", ".join((*report.warnings, *report.notes)) or "none")
 
 
 @dataclass(frozen=True)
@@ -115,6 +118,7 @@ def validate_paths(
     workers: int = 1,
     *,
     profile: PrintProfile | None = None,
+    unit: str | None = None,
     opened: Callable[[str], Place] = open_place,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Checked]:
@@ -130,6 +134,8 @@ def validate_paths(
         Processes that check rows of folders.
     profile : PrintProfile, optional
         Printer and material.
+    unit : str, optional
+        Of mesh files, as :func:`mnist3d.read_mesh` takes it.
     opened : callable
         Says what the name of a data set stands for.
     on_progress : callable
@@ -148,6 +154,7 @@ def validate_paths(
     results = []
     for path in found:
         if isinstance(path, Place):
+            refuse_unit(unit, path.name)
             shards = shards_to_check(path, split, KIND)
             rows = check_rows(
                 shards, partial(_inspect_row, profile=profile), _COLUMNS, limit, workers, on_progress
@@ -162,7 +169,7 @@ def validate_paths(
                 items.append(CheckedItem(f"{row.split} {number}", report))
         else:
             try:
-                report = inspect(read_mesh(path), profile)
+                report = inspect(read_mesh(path, unit=unit), profile)
             except InputError as error:
                 report = unreadable(str(error))
             items = [CheckedItem(Path(path).name, report)]

@@ -10,6 +10,7 @@ from env_assets.meshes import MeshView, require_fitting_meshes
 from env_assets.provider import KINDS, AssetProvider, meshes_at
 from tactile_envs.config import IDS, Registered, configured
 from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.mesh.units import refuse_unit
 from tactile_toolkit.store.files import expanded, path_exists
 
 try:
@@ -32,6 +33,7 @@ def make_vector(
     *,
     num_envs: int = 1,
     assets: str | PathLike[str] | None = None,
+    unit: str | None = None,
     config: Mapping[str, Any] | None = None,
     render_mode: str | None = None,
     threads: int = 1,
@@ -48,6 +50,8 @@ def make_vector(
         Meshes: a folder of data sets (such as ``tactile-assets``, with ``mnist3d`` in it), one data set by
         folder or name on the Hub, a folder of mesh files, or ``"published"`` for the published set. By
         default they are made on first use in ``tactile-assets``, which takes a while.
+    unit : "mm", "cm", "m" or "in", optional
+        Of mesh files that state none (STL, PLY, OBJ); millimetres by default.
     config : mapping, optional
         Settings that differ from those of the registration; see :class:`tactile_envs.Config`.
     render_mode : "rgb_array", optional
@@ -62,15 +66,17 @@ def make_vector(
     """
     registered = IDS[name]
     settings = configured(registered.config, config or {})
-    records = _records(registered, assets)
+    records = _records(registered, assets, unit)
     where = f"{registered.assets!r}, split {registered.split!r},"
     kind = KINDS.get(registered.assets) if assets is None else None
     require_fitting_meshes(MeshView.of(records), kind, where, settings.cell_size)
     return TactileVectorEnv(registered, settings, records, num_envs, render_mode=render_mode, threads=threads)
 
 
-def _records(registered: Registered, assets: str | PathLike[str] | None) -> Any:
+def _records(registered: Registered, assets: str | PathLike[str] | None, unit: str | None) -> Any:
     name, split = registered.assets, registered.split
+    if assets is None or assets == PUBLISHED:
+        refuse_unit(unit, name)
     if assets is None:
         if name not in KINDS:
             raise InputError(
@@ -84,4 +90,7 @@ def _records(registered: Registered, assets: str | PathLike[str] | None) -> Any:
         return AssetProvider().meshes(published[0].repo_id, split)
     place = expanded(fspath(assets))
     is_folder_of_sets = name in KINDS and path_exists(place) and (place / name).is_dir()
-    return AssetProvider(place).meshes(name, split) if is_folder_of_sets else meshes_at(assets, split)
+    if not is_folder_of_sets:
+        return meshes_at(assets, split, unit)
+    refuse_unit(unit, fspath(assets))
+    return AssetProvider(place).meshes(name, split)

@@ -36,6 +36,7 @@ from env_assets.published.packages import (
 from tactile_sim.pressing import Pressable, center_view, render_touch
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.units import refuse_unit
 from tactile_toolkit.store.files import expanded, named_failures
 from tactile_toolkit.store.shards import ShardName
 
@@ -45,6 +46,7 @@ def make(
     *,
     provider: AssetSource | None = None,
     assets: Any = None,
+    unit: str | None = None,
     num_envs: int | None = None,
     config: Mapping[str, Any] | None = None,
     renderer: str = "opengl",
@@ -62,6 +64,8 @@ def make(
     assets : path, str or data set, optional
         Objects instead of the provider's: a folder of mesh files, one such file, a data set of meshes by
         folder or name on the Hub, an opened one, a list of records, or any ``tactile_mnist.MeshDataset``.
+    unit : "mm", "cm", "m" or "in", optional
+        Of mesh files that state none (STL, PLY, OBJ); millimetres by default.
     num_envs : int, optional
         How many to run side by side as one vector environment; a single environment by default.
     config : mapping, optional
@@ -92,7 +96,7 @@ def make(
     if weights is not None:
         own["sensor_type"] = learned_sensor(weights, environment, settings)
     fetch = _recorded if environment.family.recorded else _simulated
-    spec = _registration(environment, fetch(environment, provider, settings, assets), renderer)
+    spec = _registration(environment, fetch(environment, provider, settings, assets, unit), renderer)
     ap_gym = published_package("ap_gym")
     if num_envs is None:
         return ap_gym.make(spec, config=own, **options)
@@ -158,17 +162,23 @@ def _registration(environment: PublishedEnvironment, assets: Mapping[str, Any], 
 
 
 def _simulated(
-    environment: PublishedEnvironment, provider: AssetSource | None, settings: dict[str, Any], own: Any
+    environment: PublishedEnvironment,
+    provider: AssetSource | None,
+    settings: dict[str, Any],
+    own: Any,
+    unit: str | None,
 ) -> dict[str, Any]:
     """Return the settings that hold the objects of an environment: the provider's, or the user's ``own``."""
     split = environment.split
+    if not isinstance(own, (str, PathLike)):
+        refuse_unit(unit, "what was given")
     if own is None:
         meshes = _meshes(environment, provider, split, settings)
     else:
         where = f"the given {type(own).__name__}"
         if isinstance(own, (str, PathLike)):
             where = f"{fspath(own)!r}, split {split!r},"
-            own = meshes_at(own, split)
+            own = meshes_at(own, split, unit)
         # Its points are read by its own code: what it does to a mesh is known to it alone. Ids there may be
         # text, so that the number of a point is its id here.
         if isinstance(own, published_package("tactile_mnist").MeshDataset):
@@ -193,13 +203,17 @@ def _mesh_of_point(points: Sequence[Any], row: int) -> Any:
 
 
 def _recorded(
-    environment: PublishedEnvironment, provider: AssetSource | None, settings: dict[str, Any], own: Any
+    environment: PublishedEnvironment,
+    provider: AssetSource | None,
+    settings: dict[str, Any],
+    own: Any,
+    unit: str | None,
 ) -> dict[str, Any]:
     """Return the settings that hold the recorded touches of an environment, and what was touched."""
     from env_assets.published.datasets import as_touch_dataset
 
     split = environment.split
-    if own is not None:
+    if own is not None or unit is not None:
         raise InputError(
             f"{environment.spec.id!r} plays recorded touches, no objects can be given for them",
             next="leave `assets` out, and name the place of the touches in `places` of the provider",

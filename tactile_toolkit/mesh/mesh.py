@@ -38,10 +38,13 @@ class Mesh:
         Corner positions in metres: z away from the plate; each kind of data set states its frame.
     faces : ndarray of int32, shape (F, 3)
         Rows of ``vertices_m``, counter-clockwise when seen from outside.
+    notes : tuple of str
+        What reading a file changed or left out.
     """
 
     vertices_m: NDArray[np.floating[Any]]
     faces: NDArray[np.int32]
+    notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
         # As trimesh prints its own.

@@ -112,6 +112,8 @@ class PrintReport:
         Area of the first layer, cut at its top.
     warnings : tuple of str
         Of :data:`WARNINGS`.
+    notes : tuple of str
+        What reading the file changed or left out (:attr:`tactile_toolkit.mesh.mesh.Mesh.notes`).
     """
 
     is_solid: bool
@@ -129,6 +131,7 @@ class PrintReport:
     overhang_mm2: float = math.nan
     contact_mm2: float = math.nan
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def to_row(self) -> dict[str, Any]:
         """Give the report as a flat row with the columns of :data:`REPORT_COLUMNS`.
@@ -171,7 +174,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     check = check_manifold(mesh)
     counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
     if check.problem is not None:
-        return PrintReport(False, check.status, check.problem, check.detail, *counts)
+        return PrintReport(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
     vertices_mm, faces = mesh.vertices_mm, mesh.faces.astype(np.int64)
     # Axis by axis: along rows of three numpy takes thirteen times as long.
     low, high = ([reach(axis) for axis in vertices_mm.T] for reach in (np.min, np.max))
@@ -207,6 +210,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
         overhang_mm2=overhang_mm2,
         contact_mm2=contact_mm2,
         warnings=tuple(name for name in WARNINGS if found[name]),
+        notes=mesh.notes,
     )
 
 

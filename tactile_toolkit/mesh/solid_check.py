@@ -108,15 +108,24 @@ def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
 
     if len(parts) == 1:
         return None
-    outer = [part for part in parts if part.volume() > 0]
-    boxes_mm = np.array([part.bounding_box() for part in outer]).reshape(-1, 2, 3)
-    for one, other in near_pairs(boxes_mm, 0.0).T.tolist():
-        shared_mm3 = (outer[one] ^ outer[other]).volume()
-        if shared_mm3 > OVERLAP_MM3:
-            return "overlap", f"two of {len(outer)} bodies overlap by {shared_mm3:.3g} mm³"
-    for cavity in (part for part in parts if part.volume() < 0):
-        if not any(_encloses(part, cavity) for part in outer):
+    bodies = [part for part in parts if part.volume() > 0]
+    cavities = [part for part in parts if part.volume() < 0]
+    # A cavity is one of the smallest body around it: what lies loose in a cavity of one body is another.
+    order = sorted(range(len(bodies)), key=lambda number: float(bodies[number].volume()))
+    held = list(bodies)
+    for cavity in cavities:
+        around = next((number for number in order if _encloses(bodies[number], cavity)), None)
+        if around is None:
             return "inside-out", f"one of {len(parts)} bodies faces inwards without lying inside another one"
+        less = held[around] - _filled(cavity)
+        if abs(less.volume() - held[around].volume() - cavity.volume()) > OVERLAP_MM3:
+            return "overlap", f"two cavities of one of {len(bodies)} bodies overlap"
+        held[around] = less
+    boxes_mm = np.array([body.bounding_box() for body in bodies]).reshape(-1, 2, 3)
+    for one, other in near_pairs(boxes_mm, 0.0).T.tolist():
+        shared_mm3 = (held[one] ^ held[other]).volume()
+        if shared_mm3 > OVERLAP_MM3:
+            return "overlap", f"two of {len(bodies)} bodies overlap by {shared_mm3:.3g} mm³"
     return None
 
 
@@ -129,9 +138,13 @@ def _crossing_problem(mesh: Mesh, bodies: int) -> tuple[str, str] | None:
 
 
 def _encloses(body: Any, cavity: Any) -> bool:
-    inside_out = Mesh.from_manifold(cavity)
-    filling = Mesh(inside_out.vertices_m, np.ascontiguousarray(inside_out.faces[:, ::-1])).to_manifold()
+    filling = _filled(cavity)
     return bool((filling ^ body).volume() >= filling.volume() - OVERLAP_MM3)
+
+
+def _filled(cavity: Any) -> Any:
+    inside_out = Mesh.from_manifold(cavity)
+    return Mesh(inside_out.vertices_m, np.ascontiguousarray(inside_out.faces[:, ::-1])).to_manifold()
 
 
 def _edge_story(mesh: Mesh) -> str:

@@ -1,7 +1,8 @@
 """3MF, the file that slicers prefer: a zip archive with one XML model (3MF core specification 1.3).
 
 Read here and not by trimesh: that skips an object that is missing, takes a number up to the first letter that
-is none, and knows no bounds, so that a damaged file becomes another solid without a word.
+is none, and knows no bounds, so that a damaged file becomes another solid without a word. Nor by lib3mf: it
+has no wheels for Linux on aarch64, and knows no volumes of slicers.
 """
 
 from __future__ import annotations
@@ -9,9 +10,10 @@ from __future__ import annotations
 import io
 import zipfile
 from array import array
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import IO
+from typing import NamedTuple
 from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
@@ -20,19 +22,35 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
+from tactile_toolkit.mesh.units import MM_PER_UNIT
+from tactile_toolkit.wording import counted
 
-_MM_PER_UNIT = {
-    "micron": 1e-3,
-    "millimeter": 1.0,
-    "centimeter": 10.0,
-    "inch": 25.4,
-    "foot": 304.8,
-    "meter": 1e3,
+_UNITS = {
+    "micron": "um",
+    "millimeter": "mm",
+    "centimeter": "cm",
+    "inch": "in",
+    "foot": "ft",
+    "meter": "m",
 }
-_CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
-_PATH = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06 path"
+_SCHEMAS = "http://schemas.microsoft.com/3dmanufacturing"
+_CORE = f"{_SCHEMAS}/core/2015/02"
+_PRODUCTION = f"{_SCHEMAS}/production/2015/06"
+_PATH = f"{_PRODUCTION} path"
+# Extensions that can be required: paths between models, and what adds no shape.
+_KNOWN = (_CORE, _PRODUCTION, f"{_SCHEMAS}/material/2015/02", f"{_SCHEMAS}/trianglesets/2021/07")
+# Shapes of other extensions, which a file need not require.
+_SHAPES = ("beamlattice", "booleanshape", "displacementmesh", "levelset", "slicestack")
 _MODEL_PATH = "3D/3dmodel.model"
+_RELATIONS_PATH = "_rels/.rels"
+_MODEL_RELATION = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
+# What slicers state of the volumes of an object: PrusaSlicer as ranges of triangles, Bambu Studio and
+# OrcaSlicer as parts that it is composed of.
+_VOLUMES_PATHS = ("metadata/slic3r_pe_model.config", "metadata/model_settings.config")
+_BODY_VOLUMES = ("modelpart", "normal_part")
+_NEGATIVE_VOLUMES = ("negativevolume", "negative_part")
 
 # A file of a few bytes can name itself as its own part, or unpack to any size.
 _DEEPEST = 32
@@ -55,14 +73,28 @@ class BuildItem:
     offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
+class Build(NamedTuple):
+    """What a file says to build.
+
+    ``items`` are in its order and where they will be built: each ``offset_mm`` is zero. ``left_out`` says
+    what of the file is not of the model, and ``unit`` is that of its root model, as units.MM_PER_UNIT has it.
+    """
+
+    items: list[BuildItem]
+    left_out: tuple[str, ...]
+    unit: str
+
+
 @dataclass(slots=True, eq=False)
 class _Object:
     """An object of a model, or what is to be built: its surface in mm, or the parts that it is made of.
 
-    A part is what it names, a path and an id, and how that is moved, in mm.
+    A part is what it names, a path and an id, and how that is moved, in mm. Objects of other types than
+    "model" are not of the model.
     """
 
     name: str = ""
+    type: str = "model"
     surface: Surface | None = None
     parts: list[tuple[tuple[str, str], NDArray[np.float64]]] = field(default_factory=list)
 
@@ -78,58 +110,114 @@ class _Package:
         self._file_bytes = file_bytes
         self._objects: dict[tuple[str, str], _Object] = {}
         self._tags = self._placed_parts = self._built_bytes = 0
-        self._mm_per_unit = 1.0
-        models = {
-            _plain(each.filename): each
-            for each in archive.infolist()
-            if _plain(each.filename).endswith(".model")
-        }
+        self._left_out = Counter[tuple[str, str]]()
+        self._units: dict[str, str] = {}
+        self._namespaces: dict[str | None, str] = {}
+        self._target = ""
+        # Of objects of the root model: the kind of a part, by its id, or of triangles, from first to last.
+        self._parts: dict[tuple[str, str], str] = {}
+        self._ranges: dict[str, list[tuple[int, int, str]]] = {}
+        entries = {_plain(each.filename): each for each in archive.infolist()}
+        models = [path for path in entries if path.endswith(".model")]
         if not models:
-            raise ValueError("the archive holds no .model file")
-        self._root = _MODEL_PATH.lower() if _MODEL_PATH.lower() in models else next(iter(models))
-        size = sum(entry.file_size for entry in models.values())
+            raise InputError("the archive holds no .model file")
+        known = [path for path in (_RELATIONS_PATH, *_VOLUMES_PATHS) if path in entries]
+        size = sum(entries[path].file_size for path in (*models, *known))
         require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
-        for self._path, entry in models.items():
-            with archive.open(entry) as stream:
-                self._read(stream)
+        for path in known:
+            self._read(archive, entries[path], self._begin_other)
+        self._root = self._target or (_MODEL_PATH.lower() if _MODEL_PATH.lower() in models else models[0])
+        if self._root not in models:
+            raise InputError(f"the archive holds no model /{self._root}, which it says is its root")
+        for self._path in models:
+            self._last = self._objects[self._path, ""] = _Object()
+            self._points, self._corners = array("d"), array("i")
+            self._read(archive, entries[self._path], self._begin)
 
-    def _read(self, stream: IO[bytes]) -> None:
-        self._last = self._objects[self._path, ""] = _Object()
-        self._points, self._corners = array("d"), array("i")
+    def _read(
+        self, archive: zipfile.ZipFile, entry: zipfile.ZipInfo, begin: Callable[[str, dict[str, str]], None]
+    ) -> None:
         parser = expat.ParserCreate(namespace_separator=" ")
-        parser.StartElementHandler, parser.EndElementHandler = self._begin, self._end
+        parser.StartElementHandler, parser.EndElementHandler = begin, self._end
+        parser.StartNamespaceDeclHandler = self._namespaces.__setitem__
         parser.StartDoctypeDeclHandler = self._refuse_names_for_text
-        while piece := stream.read(_PIECE_BYTES):
-            before = self._tags
-            parser.Parse(piece)
-            if len(piece) == _PIECE_BYTES and self._tags == before:
-                # Attributes take 30 times as much memory, and are looked through again with each piece.
-                raise ValueError(f"XML of {_PIECE_BYTES:,} bytes in which no element ends")
+        with archive.open(entry) as stream:
+            while piece := stream.read(_PIECE_BYTES):
+                before = self._tags
+                parser.Parse(piece)
+                if len(piece) == _PIECE_BYTES and self._tags == before:
+                    # Attributes take 30 times as much memory, and are looked through again with each piece.
+                    raise InputError(f"XML of {_PIECE_BYTES:,} bytes in which no element ends")
         parser.Parse(b"", True)
 
+    def _begin_other(self, tag: str, given: Mapping[str, str]) -> None:
+        """Read what names the root model, or says what volumes are for."""
+        match tag.rpartition(" ")[2]:
+            case "Relationship" if given.get("Type") == _MODEL_RELATION:
+                self._target = _plain(given["Target"])
+            case "object":
+                self._number = given["id"]
+            case "volume":
+                first, last = int(given["firstid"]), int(given["lastid"])
+                self._ranges.setdefault(self._number, []).append((first, last, "modelpart"))
+            case "part":
+                self._parts[self._number, given["id"]] = given.get("subtype", "normal_part").lower()
+            case "metadata" if self._ranges.get(getattr(self, "_number", "")):
+                first, last, kind = self._ranges[self._number][-1]
+                if given.get("key") == "volume_type":
+                    kind = given["value"].lower()
+                if given.get("key") == "modifier" and given["value"] == "1" and kind == "modelpart":
+                    kind = "parametermodifier"  # as releases before 2.3 said it
+                self._ranges[self._number][-1] = first, last, kind
+        self._count_tag(2)
+
     def _begin(self, tag: str, given: Mapping[str, str]) -> None:
+        # The parser keeps all names that it has met, of which those that it need not know are many.
+        cost = 1
         match tag.removeprefix(f"{_CORE} "):
             case "vertex":
                 self._points.extend([float(given[axis]) for axis in "xyz"])
             case "triangle":
                 self._corners.extend([int(given[corner]) for corner in ("v1", "v2", "v3")])
             case "object":
-                self._last = self._objects[self._path, given["id"]] = _Object(given.get("name", ""))
+                kind = given.get("type", "model")
+                self._last = self._objects[self._path, given["id"]] = _Object(given.get("name", ""), kind)
             case "build":
                 self._last = self._objects[self._path, ""]
+            case "item" if given.get("printable") in ("0", "false"):
+                self._left_out["objects", "not to be printed"] += self._path == self._root
             case "component" | "item":
                 numbers = [float(number) for number in given.get("transform", _UNMOVED).split()]
                 # Each model has a unit of its own.
                 matrix = np.array(numbers).reshape(4, 3) * np.array([[1], [1], [1], [self._mm_per_unit]])
                 self._last.parts.append(((_plain(given.get(_PATH, self._path)), given["objectid"]), matrix))
             case "model":
-                self._mm_per_unit = _MM_PER_UNIT[given.get("unit", "millimeter")]
+                self._begin_model(given)
             case "mesh" | "vertices" | "triangles" | "resources" | "components":
                 pass
             case _:
-                # The parser keeps all names that it has met, of which those that it need not know are many.
-                self._tags += 2
-        self._tags += 1
+                cost = 3
+                name = tag.rpartition(" ")[2]
+                if name in _SHAPES:
+                    raise InputError(f"the model holds a {name}, which is not supported")
+        self._count_tag(cost)
+
+    def _begin_model(self, given: Mapping[str, str]) -> None:
+        unit = given.get("unit", "millimeter")
+        if unit not in _UNITS:
+            raise InputError(f"the unit is {unit[:40]!r}; expected one of {', '.join(_UNITS)}")
+        self._units[self._path] = _UNITS[unit]
+        self._mm_per_unit = MM_PER_UNIT[_UNITS[unit]]
+        for prefix in given.get("requiredextensions", "").split():
+            extension = self._namespaces.get(prefix, prefix)
+            if extension not in _KNOWN:
+                raise InputError(
+                    f"the file requires the extension {extension[:120]!r}, which is not supported",
+                    next="export it as a plain solid",
+                )
+
+    def _count_tag(self, cost: int) -> None:
+        self._tags += cost
         if self._tags % 1024 < 3:
             what = f"3MF file: XML of more than {self._tags:,} elements"
             require_unpackable(_PER_ELEMENT * self._tags, what, self._file_bytes)
@@ -142,46 +230,87 @@ class _Package:
 
     def _refuse_names_for_text(self, *_: object) -> None:
         """Refuse what 3MF does not have: a few bytes repeat them to any size."""
-        raise ValueError("the model has a document type; expected plain XML")
+        raise InputError("the model has a document type; expected plain XML")
 
-    def built(self) -> Iterator[BuildItem]:
-        """Yield each thing to build where it will be built, all its parts as one."""
+    def build(self) -> Build:
+        """Return each thing to build where it will be built, all its parts as one."""
+        items = []
         for named, matrix in self._objects[self._root, ""].parts:
-            vertices_mm, faces = joined(list(self._placed(named, matrix)))
-            yield BuildItem(self._objects[named].name, Mesh(vertices_mm / MM_PER_M, faces))
+            surfaces = list(self._placed(named, matrix))
+            if surfaces:
+                vertices_mm, faces = joined(surfaces)
+                items.append(BuildItem(self._objects[named].name, Mesh(vertices_mm / MM_PER_M, faces)))
+        left_out = tuple(
+            f"left out: {counted(count, things)} {kind}"
+            for (things, kind), count in self._left_out.items()
+            if count
+        )
+        if left_out and not items:
+            raise InputError(f"the file holds nothing to build; {', '.join(left_out)}")
+        return Build(items, left_out, self._units[self._root])
 
     def _placed(
         self, named: tuple[str, str], matrix: NDArray[np.float64], depth: int = 0
     ) -> Iterator[Surface]:
         """Yield the surfaces of an object, moved."""
         if named not in self._objects:
-            raise ValueError(f"the archive holds no object {named[1]!r} of /{named[0]}")
+            raise InputError(f"the archive holds no object {named[1]!r} of /{named[0]}")
         thing = self._objects[named]
+        if thing.type != "model":
+            self._left_out["objects", f"of type {thing.type[:40]!r}"] += 1
+            return
         # A few bytes can name the same object again and again.
         self._placed_parts += 1
         self._built_bytes += sum(each.nbytes for each in thing.surface or ())
         if depth > _DEEPEST or self._placed_parts > _MOST_PARTS:
-            raise ValueError(f"object {named[1]!r} holds itself, or more than {_MOST_PARTS:,} parts")
+            raise InputError(f"object {named[1]!r} holds itself, or more than {_MOST_PARTS:,} parts")
         require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
         mirrored = np.linalg.det(matrix[:3]) < 0
-        below = (surface for part in thing.parts for surface in self._placed(*part, depth + 1))
-        for vertices_mm, faces in below if thing.surface is None else [thing.surface]:
+        own = thing.surface and self._without_volumes(named, thing.surface)
+        parts = [part for part in thing.parts if self._is_body(self._parts.get((named[1], part[0][1])))]
+        below = (surface for part in parts for surface in self._placed(*part, depth + 1))
+        for vertices_mm, faces in below if own is None else [own]:
             yield moved(vertices_mm, matrix[:3]) + matrix[3], faces[:, ::-1] if mirrored else faces
+
+    def _is_body(self, kind: str | None) -> bool:
+        """Return whether a volume is of the object; InputError for one that is taken away from it."""
+        if kind in _NEGATIVE_VOLUMES:
+            raise InputError(
+                "an object has a negative volume, which is taken away from it when it is sliced",
+                next="subtract it in the slicer or in a CAD program, and export the result",
+            )
+        if kind is None or kind in _BODY_VOLUMES:
+            return True
+        self._left_out["volumes", f"of kind {kind[:40]!r}"] += 1
+        return False
+
+    def _without_volumes(self, named: tuple[str, str], surface: Surface) -> Surface:
+        """Return a surface without the triangles of volumes that are not of the object."""
+        vertices_mm, faces = surface
+        ranges = self._ranges.get(named[1], []) if named[0] == self._root else []
+        is_body = np.ones(len(faces), bool)
+        for first, last, kind in ranges:
+            is_body[max(first, 0) : last + 1] &= self._is_body(kind)
+        if is_body.all():
+            return surface
+        used, corners = np.unique(faces[is_body], return_inverse=True)
+        return vertices_mm[used], corners.reshape(-1, 3).astype(np.int32)
 
 
 def _plain(path: str) -> str:
     return path.lower().lstrip("/")
 
 
-def read_build(data: bytes) -> list[BuildItem]:
-    """Read what a file says to build, in its order and where it will be built: each ``offset_mm`` is zero.
+def read_build(data: bytes) -> Build:
+    """Read what a file says to build.
 
-    Raises ValueError, KeyError, zipfile.BadZipFile or xml.parsers.expat.ExpatError where the archive, the
-    model or a number in it is damaged; InputError where it unpacks to more than the limit.
+    Raises InputError, ValueError, KeyError, zipfile.BadZipFile or xml.parsers.expat.ExpatError where the
+    archive, the model or a number in it is damaged; InputError where it needs what is not supported, or
+    unpacks to more than the limit.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         require_plain_archive(archive)
-        return list(_Package(archive, len(data)).built())
+        return _Package(archive, len(data)).build()
 
 
 _CONTENT_TYPES = (
@@ -195,7 +324,7 @@ _RELATIONS = (
     '<?xml version="1.0" encoding="UTF-8"?>'
     '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
     '<Relationship Target="/3D/3dmodel.model" Id="model" '
-    'Type="http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"/></Relationships>'
+    f'Type="{_MODEL_RELATION}"/></Relationships>'
 )
 # The first date that a zip archive can hold: with the time of writing, no two files would be the same.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
@@ -213,7 +342,7 @@ def write_build(items: Sequence[BuildItem]) -> bytes:
         f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" xmlns="{_CORE}">'
         f"<resources>{resources}</resources><build>{build}</build></model>"
     )
-    files = {"[Content_Types].xml": _CONTENT_TYPES, "_rels/.rels": _RELATIONS, _MODEL_PATH: model}
+    files = {"[Content_Types].xml": _CONTENT_TYPES, _RELATIONS_PATH: _RELATIONS, _MODEL_PATH: model}
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, text in files.items():

@@ -146,7 +146,7 @@ def _check_plate(content: bytes, items: Sequence[BuildItem], layout: Layout) -> 
     }
     found = meant
     if layout.physics is None:
-        found = {each.name: each.mesh for each in read_build(content)}
+        found = {each.name: each.mesh for each in read_build(content).items}
     if found.keys() != meant.keys():
         raise ItemError(CHANGED, f"it names {len(found)} objects; {len(meant)} others were written")
     edge_mm = layout.spec.margin_mm - _EDGE_TOLERANCE_MM

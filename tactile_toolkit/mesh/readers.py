@@ -1,0 +1,367 @@
+"""Triangles of STL, OBJ and PLY files, read as these formats say, and polygons cut into triangles.
+
+Read here and not by trimesh: that cuts polygons as if they were convex, takes nothing for what it does not
+expect, and knows no bounds, so that another surface comes back without a word. What memory is taken follows
+from the size of the file, never from numbers in it.
+"""
+
+from __future__ import annotations
+
+import codecs
+import io
+import re
+from array import array
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh.mesh import Indices, Numbers, Surface
+
+_MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
+# Of names and comments any encoding may be; what counts is ASCII.
+_ANY_ENCODING = "latin-1"
+
+
+def _plain_text(data: bytes) -> bytes:
+    """Return text without a byte order mark, one byte for each letter, its lines ended by newlines."""
+    for mark, encoding in _MARKS.items():
+        if data.startswith(mark):
+            data = data[len(mark) :].decode(encoding, "replace").encode(_ANY_ENCODING, "replace")
+    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+
+
+def _floats(words: Iterable[bytes]) -> list[float]:
+    found = []
+    for word in words:
+        try:
+            found.append(float(word))
+        except ValueError:
+            raise InputError(f"{_shown(word)} is not a number; expected one such as -1.5 or 2e-3") from None
+    return found
+
+
+def _shown(word: bytes) -> str:
+    return repr(word[:40].decode(_ANY_ENCODING))
+
+
+# --- STL ----------------------------------------------------------------------------------------------
+
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_HEADER_BYTES = 84
+_VERTEX = rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)\s+"
+_FACET_TEXT = re.compile(
+    rb"facet\s+normal\s+\S+\s+\S+\s+\S+\s+outer\s+loop\s+" + _VERTEX * 3 + rb"end\s*loop\s+end\s*facet\b",
+    re.IGNORECASE,
+)
+_SOLID, _SOLID_END = re.compile(rb"(end\s*)?solid\b", re.IGNORECASE), re.compile(rb"end\s*solid\b", re.I)
+
+
+def read_stl(data: bytes) -> Surface:
+    """Read STL, binary where the size of the file is that of the triangles that it states, text otherwise."""
+    stated = int.from_bytes(data[_HEADER_BYTES - 4 : _HEADER_BYTES], "little")
+    size = _HEADER_BYTES + stated * _FACET.itemsize
+    # By the size: many programs begin binary files with "solid", too.
+    if len(data) == size:
+        corners = np.frombuffer(data, _FACET, stated, _HEADER_BYTES)["corners"]
+        return _apart(corners.reshape(-1, 3).astype(np.float64))
+    text = _plain_text(data)
+    if b"\0" not in data[:_HEADER_BYTES] or b"facet" in text.lower():
+        return _read_stl_text(text)
+    raise InputError(
+        f"the file has {len(data):,} bytes, a binary STL file of {stated:,} triangles has {size:,}"
+    )
+
+
+def _read_stl_text(text: bytes) -> Surface:
+    values, others, end = array("d"), [], 0
+    for facet in _FACET_TEXT.finditer(text):
+        others.append(text[end : facet.start()])
+        values.extend(_floats(facet.groups()))
+        end = facet.end()
+    lines = [line.strip() for part in (*others, text[end:]) if part.strip() for line in part.split(b"\n")]
+    lines = [line for line in lines if line]
+    if not lines or not _SOLID.match(lines[0]):
+        found = _shown(lines[0]) if lines else "nothing"
+        raise InputError(f"the file begins with {found}; expected 'solid' or a binary STL file")
+    if unknown := [line for line in lines if not _SOLID.match(line)]:
+        raise InputError(f"{_shown(unknown[0])} is no whole facet; expected 'facet normal ... endfacet'")
+    if not _SOLID_END.match(lines[-1]):
+        raise InputError("the text is cut short; expected one that ends with 'endsolid'")
+    return _apart(np.array(values).reshape(-1, 3))
+
+
+def _apart(vertices: Numbers) -> Surface:
+    """Return the surface of triangles of three vertices each."""
+    return vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
+
+
+# --- OBJ ----------------------------------------------------------------------------------------------
+
+_FREE_FORM = (b"curv", b"curv2", b"surf")
+
+
+def read_obj(data: bytes) -> Surface:
+    """Read the faces of OBJ; lines, points, textures and names are not of the surface."""
+    values, corners, sizes = array("d"), array("q"), array("q")
+    text = _plain_text(data).replace(b"\\\n", b" ")
+    for line in io.BytesIO(text):
+        words = line.partition(b"#")[0].split()
+        if not words:
+            continue
+        if words[0] == b"v":
+            if len(words) < 4:
+                raise InputError(f"{_shown(line.strip())} has fewer than three coordinates")
+            values.extend(_floats(words[1:4]))
+        elif words[0] == b"f":
+            corners.extend(_corner(word, len(values) // 3) for word in words[1:])
+            sizes.append(len(words) - 1)
+        elif words[0] in _FREE_FORM:
+            raise InputError(f"{_shown(words[0])} is a free-form surface; expected faces ('f')")
+    vertices = np.array(values).reshape(-1, 3)
+    return vertices, cut_polygons(vertices, np.array(sizes, np.int64), np.array(corners, np.int64))
+
+
+def _corner(word: bytes, count: int) -> int:
+    """Return the vertex that a corner such as ``3/1/2`` or ``-1`` names, of so many read so far."""
+    first = word.partition(b"/")[0]
+    try:
+        number = int(first)
+    except ValueError:
+        raise InputError(f"{_shown(word)} is no corner of a face; expected the number of a vertex") from None
+    if number == 0 or number < -count or number > np.iinfo(np.int32).max:
+        raise InputError(f"a face names vertex {number}; expected 1 or more, or back to -{count}")
+    return number - 1 if number > 0 else count + number
+
+
+# --- PLY ----------------------------------------------------------------------------------------------
+
+_PLY_TYPES = {
+    **{"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2"},
+    **{"ushort": "u2", "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4"},
+    **{"int64": "i8", "uint64": "u8", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8"},
+}
+_PLY_ORDERS = {"ascii": "<", "binary_little_endian": "<", "binary_big_endian": ">"}
+_PLY_HEAD = re.compile(rb"ply[ \t]*(\r\n|\n|\r)(.*?[\r\n])?end_header[ \t]*\1", re.DOTALL)
+_CORNERS = ("vertex_indices", "vertex_index")
+
+
+@dataclass(frozen=True, slots=True)
+class _Property:
+    """A property of an element: its type, and that of the number of its values where it is a list."""
+
+    name: str
+    kind: np.dtype[Any]
+    count: np.dtype[Any] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Element:
+    name: str
+    rows: int
+    properties: list[_Property]
+
+
+def read_ply(data: bytes) -> Surface:
+    """Read vertices and faces of PLY, text or binary of either order."""
+    head = _PLY_HEAD.match(data)
+    if head is None:
+        raise InputError("the file has no header from 'ply' to 'end_header'")
+    lines = [line.split() for line in (head[2] or b"").decode(_ANY_ENCODING).splitlines()]
+    form = next((line[1] for line in lines if line[:1] == ["format"] and len(line) > 1), "")
+    if form not in _PLY_ORDERS:
+        raise InputError(f"the format is {form[:40]!r}; expected one of {', '.join(_PLY_ORDERS)}")
+    elements, body = _ply_elements(lines, _PLY_ORDERS[form], form == "ascii"), data[head.end() :]
+    if form == "ascii":
+        # As numbers of eight bytes, text is read as binary files are.
+        body = array("d", _floats(body.split())).tobytes()
+    found: dict[str, dict[str, tuple[Indices, NDArray[Any]]]] = {}
+    at = 0
+    for element in elements:
+        found[element.name], at = _ply_rows(element, body, at)
+    if left := len(body) - at:
+        raise InputError(f"{left:,} bytes follow the elements that the header states")
+    if "tristrips" in found:
+        raise InputError("the file holds strips of triangles ('tristrips'); expected faces")
+    try:
+        columns = [found["vertex"][axis][1] for axis in "xyz"]
+        sizes, corners = next(found["face"][name] for name in _CORNERS if name in found["face"])
+    except (KeyError, StopIteration):
+        raise InputError("the file lacks vertices with x, y, z, or faces with 'vertex_indices'") from None
+    vertices = np.stack(columns, axis=1).astype(np.float64)
+    numbers = corners.astype(np.int64)
+    if (numbers != corners).any():
+        raise InputError("a face names a vertex by a fraction; expected integers")
+    return vertices, cut_polygons(vertices, sizes, numbers)
+
+
+def _ply_elements(lines: Sequence[Sequence[str]], order: str, is_text: bool) -> list[_Element]:
+    """Return what a header declares; of text, all types are numbers of eight bytes."""
+    elements: list[_Element] = []
+
+    def kind(word: str) -> np.dtype[Any]:
+        return np.dtype("<f8" if is_text else order + _PLY_TYPES[word])
+
+    for line in lines:
+        try:
+            match line:
+                case ["element", name, rows]:
+                    elements.append(_Element(name, int(rows), []))
+                case ["property", "list", count, word, name]:
+                    elements[-1].properties.append(_Property(name, kind(word), kind(count)))
+                case ["property", word, name]:
+                    elements[-1].properties.append(_Property(name, kind(word)))
+                case ["format" | "comment" | "obj_info", *_] | []:
+                    continue
+                case _:
+                    raise ValueError
+        except (ValueError, KeyError, IndexError):
+            raise InputError(f"the header has the line {' '.join(line)[:80]!r}") from None
+        if elements[-1].rows < 0:
+            raise InputError(f"the header states {elements[-1].rows} rows of {elements[-1].name[:40]!r}")
+    return elements
+
+
+def _ply_rows(element: _Element, body: bytes, at: int) -> tuple[dict[str, tuple[Indices, NDArray[Any]]], int]:
+    """Return each property of an element, the number of values of each row and all of them; and the end."""
+    if not element.rows or not element.properties:
+        return {}, at
+    # As if all lists were as long as those of the first row, which they nearly always are.
+    fields: list[Any] = []
+    end = at
+    for number, each in enumerate(element.properties):
+        length = 1
+        if each.count is not None:
+            length = _length(element, each, body, end)
+            fields.append((f"count{number}", each.count))
+            end += each.count.itemsize
+        fields.append((f"values{number}", each.kind, (length,)))
+        end += length * each.kind.itemsize
+    row = np.dtype(fields)
+    if at + row.itemsize * element.rows <= len(body):
+        table = np.frombuffer(body, row, element.rows, at)
+        counts = [name for name in row.names or () if name.startswith("count")]
+        if all((table[name] == table[name][0]).all() for name in counts):
+            found = {
+                each.name: (
+                    np.full(element.rows, row[f"values{number}"].shape[0], np.int64),
+                    table[f"values{number}"].reshape(-1),
+                )
+                for number, each in enumerate(element.properties)
+            }
+            return found, at + row.itemsize * element.rows
+    return _ply_uneven_rows(element, body, at)
+
+
+def _ply_uneven_rows(
+    element: _Element, body: bytes, at: int
+) -> tuple[dict[str, tuple[Indices, NDArray[Any]]], int]:
+    sizes: list[array[int]] = [array("q") for _ in element.properties]
+    parts: list[list[bytes]] = [[] for _ in element.properties]
+    for _ in range(element.rows):
+        for number, each in enumerate(element.properties):
+            length = 1
+            if each.count is not None:
+                length = _length(element, each, body, at)
+                at += each.count.itemsize
+            end = at + length * each.kind.itemsize
+            if end > len(body):
+                raise _cut_short(element)
+            sizes[number].append(length)
+            parts[number].append(body[at:end])
+            at = end
+    found = {
+        each.name: (np.array(sizes[number], np.int64), np.frombuffer(b"".join(parts[number]), each.kind))
+        for number, each in enumerate(element.properties)
+    }
+    return found, at
+
+
+def _length(element: _Element, each: _Property, body: bytes, at: int) -> int:
+    """Return how many values the list at a place has."""
+    kind: Any = each.count
+    stored = np.frombuffer(body[at : at + kind.itemsize].ljust(kind.itemsize, b"\xff"), kind)[0]
+    if at + kind.itemsize > len(body):
+        raise _cut_short(element)
+    if not 0 <= stored <= len(body) or stored != int(stored):
+        raise InputError(f"a list {each.name[:40]!r} has {stored} values; the file is not as long")
+    return int(stored)
+
+
+def _cut_short(element: _Element) -> InputError:
+    return InputError(f"the file is cut short; its header states {element.rows:,} of {element.name[:40]!r}")
+
+
+# --- polygons -----------------------------------------------------------------------------------------
+
+# Cutting a polygon that crosses itself takes a time that grows with the square of its corners.
+_MOST_CORNERS = 10_000
+
+
+def cut_polygons(vertices: Numbers, sizes: Indices, corners: Indices) -> NDArray[np.int32]:
+    """Cut polygons into triangles that lie in them, whether they are convex or not.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (V, 3)
+        In whatever unit.
+    sizes : ndarray of int64, shape (P,)
+        How many corners each polygon has.
+    corners : ndarray of int64, shape (sum of sizes,)
+        Rows of ``vertices``, polygon after polygon.
+
+    Returns
+    -------
+    ndarray of int32, shape (F, 3)
+        Turned as their polygons.
+
+    Raises
+    ------
+    InputError
+        A polygon has fewer than 3 or more than 10,000 corners, or names a vertex that is not there.
+    """
+    if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
+        wrong = corners.max() if corners.min() >= 0 else corners.min()
+        raise InputError(f"a face names vertex {wrong}, counted from 0; there are {len(vertices):,}")
+    if not len(sizes) or (sizes == 3).all():
+        return corners.reshape(-1, 3).astype(np.int32)
+    least, most = int(sizes.min()), int(sizes.max())
+    if least < 3 or most > _MOST_CORNERS:
+        wrong_size = least if least < 3 else most
+        raise InputError(f"a face has {wrong_size:,} corners; expected 3 to {_MOST_CORNERS:,}")
+    starts = np.cumsum(sizes) - sizes
+    found = []
+    for size in np.unique(sizes).tolist():
+        polygons = corners[starts[sizes == size][:, None] + np.arange(size)]
+        found.append(polygons if size == 3 else _cut_equal(vertices, polygons))
+    return np.concatenate(found).astype(np.int32)
+
+
+def _cut_equal(vertices: Numbers, polygons: Indices) -> Indices:
+    """Cut polygons of equally many corners, shape (P, corners)."""
+    import manifold3d
+
+    places = vertices[polygons]
+    places -= places[:, :1]
+    following = np.roll(places, -1, axis=1)
+    normal = np.cross(places, following).sum(axis=1)
+    # Seen along the axis that the polygon faces most; mirrored where it faces against it.
+    axis = np.abs(normal).argmax(axis=1)
+    rows = np.arange(len(polygons))
+    upwards = np.where(normal[rows, axis] < 0, -1.0, 1.0)
+    x = np.take_along_axis(places, ((axis + 1) % 3)[:, None, None], axis=2)[..., 0]
+    y = np.take_along_axis(places, ((axis + 2) % 3)[:, None, None], axis=2)[..., 0] * upwards[:, None]
+    flat = np.stack([x, y], axis=2)
+    along = np.roll(flat, -1, axis=1) - flat
+    onward = np.roll(along, -1, axis=1)
+    turns = along[..., 0] * onward[..., 1] - along[..., 1] * onward[..., 0]
+    is_convex = (turns > 0).all(axis=1)
+    middle = np.arange(1, polygons.shape[1] - 1)
+    fan = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
+    found = [polygons[is_convex][:, fan].reshape(-1, 3)]
+    cut: Callable[..., Any] = manifold3d.triangulate
+    found += [polygons[row][np.asarray(cut([flat[row]]))] for row in np.flatnonzero(~is_convex).tolist()]
+    return np.concatenate(found)
