@@ -30,7 +30,7 @@ _QUANTIZATION = "KHR_mesh_quantization"
 _APPEARANCE = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_texture_")
 # Turns z up into y up, column by column; exact in floating point.
 _Y_UP = (1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1)
-_Z_UP = np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]])
+_Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 _PER_BYTE = 4
 
 

@@ -188,19 +188,31 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
     verdict = require_solid(place_on_plate(item.load(), scale))
     outline = outline_of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
+    footprint = outline.footprint()
     # Outlines as wide as the plate fit, whatever their last bits.
-    if width_mm > spec.inner_mm[0] + 1e-6 or depth_mm > spec.inner_mm[1] + 1e-6:
+    fits = width_mm <= spec.inner_mm[0] + 1e-6 and depth_mm <= spec.inner_mm[1] + 1e-6
+    cells = cells_of(spec, footprint) if fits else np.zeros((0, 0), np.bool_)
+    if not (fits and _fits_corner(spec, cells)):
         margins = f" less {spec.margin_mm:g} mm at each edge" if spec.margin_mm else ""
+        if any(spec.corner_mm):
+            margins += f" and {spec.corner_mm[0]:g} x {spec.corner_mm[1]:g} mm in a corner"
         raise InputError(
             f"{item.name} does not fit on the plate: it needs {width_mm:.1f} x {depth_mm:.1f} mm, the plate "
             f"has {spec.width_mm:g} x {spec.depth_mm:g} mm{margins}; nothing was written",
             next=f"a larger --plate, a smaller {'--margin-mm or ' if margins else ''}--scale, or other --ids",
         )
     box = verdict.manifold.bounding_box()
-    footprint = outline.footprint()
     area_mm2 = float(footprint.grown(spec.gap_mm / 2).area())
     height_mm = float(box[5] - box[2])
-    return Placed(item, outline, height_mm, verdict.volume_mm3, cells_of(spec, footprint), area_mm2)
+    return Placed(item, outline, height_mm, verdict.volume_mm3, cells, area_mm2)
+
+
+def _fits_corner(spec: PlateSpec, cells: NDArray[np.bool_]) -> bool:
+    """Return whether an object that is no larger than a plate fits on it, for all the corner."""
+    beside = np.subtract(spec.cells, spec.corner_cells)
+    return bool((cells.shape <= beside).any()) or any(
+        _fill(spec.cells, spec.corner_cells, [cells], [0], 0.0, [0.0])
+    )
 
 
 def arrange(measured: Layout, on_progress: Progress = lambda _done, _total: None) -> Layout:
@@ -212,7 +224,7 @@ def arrange(measured: Layout, on_progress: Progress = lambda _done, _total: None
     spec, pieces = measured.spec, measured.pieces
     # Plates that are filled to the last bit are not one more.
     least = math.ceil(sum(piece.area_mm2 for piece in pieces) / spec.area_mm2 - 1e-9)
-    packed = pack([piece.cells for piece in pieces], spec.cells, least, on_progress)
+    packed = pack([piece.cells for piece in pieces], spec.cells, least, on_progress, spec.corner_cells)
     cell_width_mm, cell_depth_mm = spec.cell_mm
     plates = []
     for spots in packed:
@@ -220,13 +232,31 @@ def arrange(measured: Layout, on_progress: Progress = lambda _done, _total: None
         sizes_mm = np.array([pieces[spot.shape].outline.size_mm for spot in spots])
         # What lies there is moved to the middle: the bed is flattest and most evenly warm there.
         reach_mm = corners_mm.min(axis=0) + (corners_mm + sizes_mm).max(axis=0)
-        corners_mm += (np.array(spec.sides_mm) - reach_mm) / 2
+        middle_mm = corners_mm + (np.array(spec.sides_mm) - reach_mm) / 2
         placed = [
-            replace(pieces[spot.shape], x_mm=x_mm, y_mm=y_mm)
-            for spot, (x_mm, y_mm) in zip(spots, corners_mm.tolist(), strict=True)
+            _at(pieces[spot.shape], *place) for spot, place in zip(spots, middle_mm.tolist(), strict=True)
         ]
+        if any(spec.corner_mm) and any(_is_in_corner(each, spec) for each in placed):
+            corners_mm += spec.margin_mm
+            placed = [
+                _at(pieces[spot.shape], *place)
+                for spot, place in zip(spots, corners_mm.tolist(), strict=True)
+            ]
         plates.append(tuple(sorted(placed, key=lambda each: (each.y_mm, each.x_mm))))
     return replace(measured, plates=tuple(plates), least_plates=least)
+
+
+def _at(piece: Placed, x_mm: float, y_mm: float) -> Placed:
+    return replace(piece, x_mm=x_mm, y_mm=y_mm)
+
+
+def _is_in_corner(placed: Placed, spec: PlateSpec) -> bool:
+    """Return whether an object is nearer to the corner that a printer cannot use than the margin."""
+    import manifold3d
+
+    corner = manifold3d.CrossSection.square(np.add(spec.corner_mm, spec.margin_mm).tolist())
+    section = placed.outline.footprint().section.translate((placed.x_mm, placed.y_mm))
+    return not (section ^ corner).is_empty()
 
 
 class Spot(NamedTuple):
@@ -253,11 +283,13 @@ def pack(
     plate: tuple[int, int],
     least_plates: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+    corner: tuple[int, int] = (0, 0),
 ) -> list[list[Spot]]:
-    """Put every shape, none larger than a plate of so many rows and columns, on a plate.
+    """Put every shape, none of which needs more than a plate, on a plate of so many rows and columns.
 
-    No two have a cell in common. The search ends when it reaches ``least_plates``, a known lower bound;
-    progress counts shapes placed over all attempts. Returns one list per plate, the same for the same input.
+    No two have a cell in common, and none has one of so many first rows and columns in the ``corner``. The
+    search ends when it reaches ``least_plates``, a known lower bound; progress counts shapes placed over all
+    attempts. Returns one list per plate, the same for the same input.
     """
     attempts = _TRIED_WEIGHTS if len(shapes) <= _MOST_SHAPES_FOR_ALL_WEIGHTS else _TRIED_WEIGHTS[:1]
     total, done = len(attempts) * len(shapes), 0
@@ -269,7 +301,7 @@ def pack(
         left, plates = largest_first, list[list[Spot]]()
         while left:
             plates.append([])
-            for spot in _fill(plate, shapes, left, front, bonuses):
+            for spot in _fill(plate, corner, shapes, left, front, bonuses):
                 plates[-1].append(spot)
                 done += 1
                 on_progress(done, total)
@@ -288,6 +320,7 @@ def pack(
 
 def _fill(
     plate: tuple[int, int],
+    corner: tuple[int, int],
     shapes: Sequence[NDArray[np.bool_]],
     numbers: Sequence[int],
     front: float,
@@ -296,6 +329,7 @@ def _fill(
     """Put down as many of the numbered shapes as have a position on one plate, and yield where."""
     # The edge counts as a neighbour: what lies against it wastes nothing.
     taken = np.pad(np.zeros(plate, np.float32), _RIM_CELLS, constant_values=1)
+    taken[_RIM_CELLS:, _RIM_CELLS:][: corner[0], : corner[1]] = 1
     size = [fft.next_fast_len(side, real=True) for side in taken.shape]
     along_y, along_x = (np.arange(side, dtype=np.float32) / np.float32(side) for side in plate)
     # Ten times less for columns: plates fill up from the front.

@@ -156,9 +156,14 @@ def _check_plate(content: bytes, items: Sequence[BuildItem], layout: Layout) -> 
         except ItemError as error:
             raise ItemError(error.reason, f"{name}: {error}") from error
         low, high = mesh.bounds_m * MM_PER_M
-        outside = (low[:2] < edge_mm).any() or (high[:2] > np.subtract(layout.spec.sides_mm, edge_mm)).any()
+        in_corner = (mesh.vertices_mm[:, :2] < layout.spec.corner_mm).all(axis=1).any()
+        outside = (
+            in_corner
+            or (low[:2] < edge_mm).any()
+            or (high[:2] > np.subtract(layout.spec.sides_mm, edge_mm)).any()
+        )
         if outside or low[2] < -_EDGE_TOLERANCE_MM:
-            raise ItemError(OFF_PLATE, f"{name} reaches beyond the plate or its margin")
+            raise ItemError(OFF_PLATE, f"{name} reaches beyond the plate or its margin, or into its corner")
 
 
 _COLUMNS = (
@@ -184,9 +189,15 @@ def _table_product(rows: Sequence[dict[str, Any]], unknown: Sequence[str]) -> Pr
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(rows)
+    writer.writerows({name: _no_formula(value) for name, value in row.items()} for row in rows)
     made = Made({TABLE_FILE: text.getvalue().encode()}, str)
     return Product(TABLE_FILE, (TABLE_FILE, *unknown), lambda: made)
+
+
+def _no_formula(value: Any) -> Any:
+    """Return what a spreadsheet shows as text, where it would run a formula."""
+    is_formula = isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r"))
+    return f"'{value}" if is_formula else value
 
 
 def _unknown_files(layout: Layout, folder: Path) -> tuple[str, ...]:
@@ -257,6 +268,8 @@ def draw_map(layout: Layout, number: int) -> bytes:
             x, y = np.add(places(ends_mm)[0], aside_px).tolist()
             draw_text(pen, (x, y), f"{at_mm:g}", _NUMBER_PX, anchor=anchor)
     frame(spec.margin_mm, _MARGIN, 2)
+    if any(spec.corner_mm):
+        pen.rectangle(places(((0, spec.corner_mm[1]), (spec.corner_mm[0], 0))), _MARGIN, _OUTLINE, 2)
     frame(0, _OUTLINE, 4)
     for placed in plate:
         # The hull around several parts is their object's own.

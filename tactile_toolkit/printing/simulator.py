@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.spec import Physics
@@ -30,7 +31,10 @@ _OUTLINE_MM = 0.02  # finer detail of an outline decides no cut
 # Larger than any plate, and small enough for a half plane of doubles.
 _FAR_MM = 1e5
 _LEAST_MM3 = 1e-6  # what a cut leaves of a face is not a part
-
+TOO_LIGHT = "too-light"
+"""What is wrong with a body beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
+# MuJoCo refuses bodies with a moment below.
+_LEAST_MOMENT_KG_M2 = 1e-14
 
 # The moments of inertia, by their name in URDF, in the order of MJCF.
 _MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
@@ -53,13 +57,23 @@ class Body:
 
 
 def body_of(name: str, mesh: Mesh, physics: Physics) -> Body:
-    """Weigh an evenly filled solid and cut it into convex parts; raises ItemError where it is none."""
+    """Weigh an evenly filled solid and cut it into convex parts.
+
+    Raises ItemError where it is none, or so light that MuJoCo refuses it.
+    """
     parts = tuple(convex_parts(mesh))
     measured = mesh.to_trimesh()
     measured.density = physics.density_kg_m3
     properties = measured.mass_properties
     center_m = np.asarray(properties.center_mass, np.float64)
     inertia_kg_m2 = np.asarray(properties.inertia, np.float64)
+    least = float(np.linalg.eigvalsh(inertia_kg_m2)[0])
+    if least < _LEAST_MOMENT_KG_M2:
+        raise ItemError(
+            TOO_LIGHT,
+            f"its least moment of inertia is {least:.2g} kg m²; MuJoCo takes bodies from "
+            f"{_LEAST_MOMENT_KG_M2:g} kg m² on; next: a larger --scale or --density-kg-m3",
+        )
     return Body(name, mesh, parts, float(properties.mass), center_m, inertia_kg_m2, physics.friction)
 
 
@@ -127,7 +141,9 @@ def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
     ]
     contact = _tag("contact", _tag("lateral_friction", value=_text((body.friction,))))
     link = _tag("link", inertial, *shapes, contact, name=body.name)
-    return {**files, f"{folder}.urdf": _written(_tag("robot", link, name=body.name))}
+    # MuJoCo before 4.0 looks for meshes next to the URDF file, by their names alone, unless it is told.
+    paths = _tag("mujoco", _tag("compiler", strippath="false"))
+    return {**files, f"{folder}.urdf": _written(_tag("robot", paths, link, name=body.name))}
 
 
 _USD_INDENT = " " * 4

@@ -28,6 +28,9 @@ BEDS_MM = {
 }
 """Width and depth of what printers can reach, as their makers state it."""
 
+_CORNERS_MM = dict.fromkeys(("bambu-p1", "bambu-x1"), (18.0, 28.0))
+"""Width and depth of what a printer cannot use at the front left, where it wipes or cuts the filament."""
+
 _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 _PITCH_MM = 1.0
 # Cells along the longer side of a plate; beyond it cells grow with the plate.
@@ -48,6 +51,8 @@ class PlateSpec:
     gap_mm: float = real(3.0, 0, 1_000, help="Distance between objects on a plate.")
     # Room for PrusaSlicer's skirt as it is without settings: one loop, under 1 mm wide, 6 mm around objects.
     margin_mm: float = real(7.0, 0, help="Room at the edges of a plate, for a skirt.")
+    # The front left corner, which some printers cannot use; the margin is kept to it, too.
+    corner_mm: tuple[float, float] = real((0.0, 0.0), 0, many=2)
 
     def __post_init__(self) -> None:
         """Refuse plates that no printer has."""
@@ -72,7 +77,7 @@ class PlateSpec:
                 f"{', '.join(BEDS_MM)}{did_you_mean(plate, BEDS_MM)}"
             )
         sides_mm = BEDS_MM[text] if match is None else (float(match[1]), float(match[2]))
-        return cls(*sides_mm, **distances)
+        return cls(*sides_mm, corner_mm=_CORNERS_MM.get(text, (0.0, 0.0)), **distances)
 
     @property
     def text(self) -> str:
@@ -109,9 +114,18 @@ class PlateSpec:
         return self._packed_mm[0] / columns, self._packed_mm[1] / rows
 
     @property
+    def corner_cells(self) -> tuple[int, int]:
+        """Rows and columns of cells at the front left that the printer cannot use."""
+        # Cells begin, and objects with half a gap around them end, as far from the corner as from the edges.
+        columns, rows = (
+            math.ceil(side / cell) for side, cell in zip(self.corner_mm, self.cell_mm, strict=True)
+        )
+        return rows, columns
+
+    @property
     def area_mm2(self) -> float:
-        """Area of all cells."""
-        return self._packed_mm[0] * self._packed_mm[1]
+        """Area of all cells that can be used."""
+        return self._packed_mm[0] * self._packed_mm[1] - self.corner_mm[0] * self.corner_mm[1]
 
 
 MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}

@@ -314,7 +314,7 @@ def test_a_plate_holds_named_objects_where_the_table_says(tmp_path: Path) -> Non
     assert names == {"plates.csv", *(f"plate-{n:02d}.{kind}" for n in numbers for kind in ("3mf", "png"))}
     for plate in made.files:
         mine = [row for row in rows if row["file"] == plate.file]
-        items = read_build((tmp_path / plate.file).read_bytes())
+        items = read_build((tmp_path / plate.file).read_bytes()).items
         assert [item.name for item in items] == [row["name"] for row in mine]
         for item, row in zip(items, mine, strict=True):
             low, high = item.mesh.bounds_m * 1e3
@@ -350,7 +350,7 @@ def test_the_model_keeps_to_the_core_specification(tmp_path: Path) -> None:
 @pytest.mark.parametrize("name", ["a", "<&\"'>", "ä 七"])
 def test_names_come_back_as_they_were(name: str) -> None:
     shape = box(2, 3, 4)
-    (back,) = read_build(write_build([BuildItem(name, shape, (7.0, 8.0, 0.5))]))
+    (back,) = read_build(write_build([BuildItem(name, shape, (7.0, 8.0, 0.5))])).items
     assert back.name == name
     assert back.mesh.vertices_mm.min(axis=0).tolist() == [7, 8, 0.5]
 
