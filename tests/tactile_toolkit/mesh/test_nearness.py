@@ -13,8 +13,9 @@ from hypothesis import given, settings, strategies as st
 from tactile_toolkit.mesh.nearness import FACING, near_pairs, thinnest_wall_mm
 
 REACH_MM = 2.5
-# Of the definition: a way along the surface, and one along an edge; what is in a plane.
+# Of the definition: a way along the surface, and one along an edge; what is in a plane; what is round.
 ALONG, LENGTHWISE, LEVEL = 0.05, math.sqrt(1 - FACING**2), 1e-9
+ROUND, ROUND_CORNER = (math.cos(math.radians(angle)) for angle in (40, 20))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 70), st.floats(0.0, 4.0))
@@ -46,23 +47,28 @@ def wall_of_all_pairs(vertices: np.ndarray, faces: np.ndarray) -> float:
     half_edge = {
         (a, b): face for face, (p, q, r) in enumerate(faces.tolist()) for a, b in ((p, q), (q, r), (r, p))
     }
-    one, other = np.nonzero(~(faces[:, None, :, None] == faces[None, :, None, :]).any(axis=(2, 3)))
+    joined = (faces[:, None, :, None] == faces[None, :, None, :]).any(axis=(2, 3))
+    one, other = np.nonzero(~joined | (inward @ inward.T <= 1 - 2 * FACING**2))
     # Each has something of the other before it.
     depths = np.einsum("nkc,nc->nk", corners[other] - corners[one, :1], inward[one]).max(axis=1)
     before = np.zeros((len(faces), len(faces)), dtype=bool)
     before[one, other] = depths > LEVEL
     one, other = np.nonzero(before & before.T)
+    if joined[one, other].any():
+        return 0.0
     best = math.inf
     for k in range(3):
         # From a corner of the one straight to the inside of the other.
         point, into = corners[one, k], inward[other]
         depth = dot(point - corners[other, 0], into)
-        cosine = np.maximum(-dot(inward[one], into), -dot(at_corner[faces[one, k]], into))
+        here = at_corner[faces[one, k]]
+        is_round = dot(here, inward[one]) >= ROUND_CORNER
+        cosine = np.where(is_round, -dot(here, into), -dot(inward[one], into))
         faced = (depth > 0) & (cosine >= FACING)
         for start in range(3):
             along = corners[other, (start + 1) % 3] - corners[other, start]
             faced &= dot(np.cross(along, into), point - corners[other, start]) >= -1e-9 * dot(along, along)
-        best = min(best, (depth[faced] / cosine[faced]).min(initial=math.inf))
+        best = min(best, (2 * depth[faced] / (1 + cosine[faced])).min(initial=math.inf))
         for m in range(3):
             best = min(best, wall_between_edges(vertices, faces, inward, half_edge, (one, k), (other, m)))
     return best
@@ -98,7 +104,10 @@ def wall_between_edges(
         leads = np.maximum(dot(np.cross(along, own), way), -dot(np.cross(along, beyond), way))
         sinks = dot(own, way), dot(beyond, way)
         notch = (leads <= ALONG) & (np.minimum(*sinks) > LEVEL) & (dot(along, way) ** 2 <= LENGTHWISE**2)
-        cosine = np.minimum(cosine, np.where(notch, 1.0, np.maximum(*sinks)))
+        hollow = dot(own, np.cross(beyond, along)) < -LEVEL
+        straight = np.where(hollow, 1.0, np.sqrt(1 - np.minimum(dot(along, way) ** 2, 1)))
+        bent = np.where(dot(own, beyond) < ROUND, np.maximum(*sinks), dot(unit(own + beyond), way))
+        cosine = np.minimum(cosine, np.where(notch, straight, bent))
     faced = cosine >= FACING
     return float((distance[near][faced] / cosine[faced]).min(initial=math.inf))
 

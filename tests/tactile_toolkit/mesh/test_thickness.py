@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 from typing import Any
 
 import manifold3d
@@ -80,6 +81,51 @@ def test_finely_divided_surfaces_measure_the_same(wall: float) -> None:
     assert thinnest_wall_mm(plate.vertices, plate.faces, 2.5) == pytest.approx(wall, rel=0.03)
     solid = hourglass(wall, 40, 8, 6).refine_to_length(0.4)
     require_wall(solid, wall)
+
+
+def sharp(angle_deg: float) -> Any:
+    side = 20 * math.tan(math.radians(angle_deg / 2))
+    return manifold3d.CrossSection([[(0, 0), (20, -side), (20, side)]]).extrude(10)
+
+
+def blunt() -> Any:
+    return manifold3d.CrossSection([[(0, -0.2), (9, -2.6), (9, 2.6), (0, 0.2)]]).extrude(8)
+
+
+def ring() -> Any:
+    return manifold3d.CrossSection.circle(0.6, 32).translate((8, 0)).revolve(48)
+
+
+def rod(wide_mm: float, sides: int = 64) -> Any:
+    return Solid.cylinder(20, wide_mm / 2, wide_mm / 2, sides)
+
+
+DIVIDED = {
+    **{f"rod {wide}": (partial(rod, wide), wide) for wide in (0.84, 1.0, 2.0)},
+    "rod of 18 sides": (partial(rod, 1.0, 18), 1.0),
+    **{f"wedge of {angle} degrees": (partial(sharp, angle), 0.0) for angle in (5, 10, 19, 30, 36)},
+    "cone": (partial(Solid.cylinder, 20, 3, 0, 32), 0.0),
+    "wedge of 37 degrees": (partial(sharp, 37), math.inf),
+    "plate": (partial(Solid.cube, (12, 9, 0.7)), 0.7),
+    "ring": (ring, 1.2),
+    "neck": (partial(hourglass, 0.9, 40, 8, 6), 0.9),
+    "blunt wedge": (blunt, 0.4),
+}
+
+
+@pytest.mark.parametrize("name", DIVIDED)
+def test_a_wall_does_not_change_when_faces_are_divided(name: str) -> None:
+    make, wall_mm = DIVIDED[name]
+    solid = make()
+    surfaces = [solid.to_mesh64(), solid.refine(2).to_mesh64(), solid.refine(3).to_mesh64()]
+    arrays = [
+        (np.array(each.vert_properties)[:, :3], np.array(each.tri_verts).astype(np.int64))
+        for each in surfaces
+    ]
+    arrays.append(trimesh.remesh.subdivide(*arrays[0]))
+    found = [thinnest_wall_mm(np.asarray(v), np.asarray(f), 2.5) for v, f in arrays]
+    assert found[0] == pytest.approx(wall_mm, rel=0.08)
+    assert found == pytest.approx([found[0]] * len(found), rel=0.02)
 
 
 def test_corners_are_no_walls() -> None:
