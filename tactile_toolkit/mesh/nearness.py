@@ -49,9 +49,7 @@ _STRAIGHT = math.sqrt(FACING**2 - _ALONG**2)
 # Two directions into the solid that face each other are at least so far opposite: to 36 degrees.
 _FACED = 2 * FACING**2 - 1
 
-# Faces that meet at less than 40 degrees are taken for those of a round surface, whose direction lies between
-# theirs: there the ball touches, not at the edge.
-_ROUND = math.cos(math.radians(40.0))
+# A corner whose direction is nearer than this to that of a face, 20 degrees, is one of a round surface.
 _ROUND_CORNER = math.cos(math.radians(20.0))
 
 # So directions of which none are this near to opposite do not face each other; the last is for rounding.
@@ -565,13 +563,11 @@ def _cosine_in(solid: Solid, half: int, way: Vector) -> float:
         nearest = max(nearest, turned * _dot(_cross(along, into), way))
     lengthwise = _dot(along, way)
     is_notch = nearest <= _ALONG and least > _LEVEL and lengthwise * lengthwise <= 1 - FACING * FACING
-    if is_notch:
-        # At a flat edge the ball touches faces, and may not lie aslant to them.
-        is_hollow = _dot(ours, _cross(theirs, along)) < -_LEVEL
-        return 1.0 if is_hollow else math.sqrt(1 - lengthwise * lengthwise)
-    if _dot(ours, theirs) < _ROUND:
+    if not is_notch:
         return most
-    return _dot(_unit((ours[0] + theirs[0], ours[1] + theirs[1], ours[2] + theirs[2])), way)
+    # At a flat edge the ball touches faces, and may not lie aslant to them.
+    is_hollow = _dot(ours, _cross(theirs, along)) < -_LEVEL
+    return 1.0 if is_hollow else math.sqrt(1 - lengthwise * lengthwise)
 
 
 # --- what leans out -------------------------------------------------------------------------------

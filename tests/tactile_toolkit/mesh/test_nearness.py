@@ -15,7 +15,7 @@ from tactile_toolkit.mesh.nearness import FACING, near_pairs, thinnest_wall_mm
 REACH_MM = 2.5
 # Of the definition: a way along the surface, and one along an edge; what is in a plane; what is round.
 ALONG, LENGTHWISE, LEVEL = 0.05, math.sqrt(1 - FACING**2), 1e-9
-ROUND, ROUND_CORNER = (math.cos(math.radians(angle)) for angle in (40, 20))
+ROUND_CORNER = math.cos(math.radians(20))
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 70), st.floats(0.0, 4.0))
@@ -106,8 +106,7 @@ def wall_between_edges(
         notch = (leads <= ALONG) & (np.minimum(*sinks) > LEVEL) & (dot(along, way) ** 2 <= LENGTHWISE**2)
         hollow = dot(own, np.cross(beyond, along)) < -LEVEL
         straight = np.where(hollow, 1.0, np.sqrt(1 - np.minimum(dot(along, way) ** 2, 1)))
-        bent = np.where(dot(own, beyond) < ROUND, np.maximum(*sinks), dot(unit(own + beyond), way))
-        cosine = np.minimum(cosine, np.where(notch, straight, bent))
+        cosine = np.minimum(cosine, np.where(notch, straight, np.maximum(*sinks)))
     faced = cosine >= FACING
     return float((distance[near][faced] / cosine[faced]).min(initial=math.inf))
 

@@ -42,7 +42,8 @@ def hourglass(neck_mm: float, taper_deg: float, half_mm: float, high_mm: float) 
     return manifold3d.CrossSection([outline + [(-x, -y) for x, y in outline]]).extrude(high_mm)
 
 
-@given(st.floats(0.3, 1.2), st.floats(5, 60), st.floats(5, 15), st.floats(3, 12), ANGLES)
+# Steeper, the outer edges are sharper than 36 degrees.
+@given(st.floats(0.3, 1.2), st.floats(5, 53), st.floats(5, 15), st.floats(3, 12), ANGLES)
 def test_necks(neck: float, taper: float, half: float, high: float, angle: float) -> None:
     require_wall(hourglass(neck, taper, half, high).rotate((0, 0, angle)).translate((20, -30, 0)), neck)
 
