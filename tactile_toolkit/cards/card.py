@@ -28,6 +28,7 @@ from tactile_toolkit.cards.facts import (
 )
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_export
+from tactile_toolkit.mesh.files import unpack_mesh
 from tactile_toolkit.mesh.records import FACES, MESH, SIZES, VERTICES
 from tactile_toolkit.pictures.render import relief
 from tactile_toolkit.pictures.sheets import Tile, png_bytes, sheet
@@ -204,14 +205,12 @@ def write_table_card(
 
 def _table_sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first objects as PNG; None without rows."""
-    import trimesh
-
     tiles, file = [], f"{MESH}.bytes"  # of tables, whose meshes are GLB files
     is_glb = VERTICES not in column_names(facts.schema)
     for row in islice(rows_to_draw(facts, [file] if is_glb else [VERTICES, FACES]), _SHOWN):
         if is_glb:
-            mesh: Any = trimesh.load_mesh(io.BytesIO(row.value(file)), file_type="glb")
-            vertices_m, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+            mesh = unpack_mesh(row.value(file), ".glb")
+            vertices_m, faces = mesh.vertices_m, mesh.faces
         else:
             vertices_m, faces = row.array(VERTICES), row.array(FACES)
         pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)

@@ -87,10 +87,10 @@ def _read_stl_text(text: bytes) -> Surface:
     if not lines or not _SOLID.match(lines[0]):
         found = _shown(lines[0]) if lines else "nothing"
         raise InputError(f"the file begins with {found}; expected 'solid' or a binary STL file")
-    if unknown := [line for line in lines if not _SOLID.match(line)]:
-        raise InputError(f"{_shown(unknown[0])} is no whole facet; expected 'facet normal ... endfacet'")
     if not _SOLID_END.match(lines[-1]):
         raise InputError("the text is cut short; expected one that ends with 'endsolid'")
+    if unknown := [line for line in lines if not _SOLID.match(line)]:
+        raise InputError(f"{_shown(unknown[0])} is no whole facet; expected 'facet normal ... endfacet'")
     return _apart(np.array(values).reshape(-1, 3))
 
 
@@ -203,7 +203,8 @@ def _ply_elements(lines: Sequence[Sequence[str]], order: str, is_text: bool) -> 
     elements: list[_Element] = []
 
     def kind(word: str) -> np.dtype[Any]:
-        return np.dtype("<f8" if is_text else order + _PLY_TYPES[word])
+        stored = _PLY_TYPES[word]
+        return np.dtype("<f8" if is_text else order + stored)
 
     for line in lines:
         try:

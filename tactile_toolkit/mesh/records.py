@@ -7,6 +7,7 @@ such column to the mesh class, so that no other column may begin so (package tac
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
 import numpy as np
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.files import pack_mesh
+from tactile_toolkit.mesh.files import pack_mesh, write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.read.columns import (
     Expected,
@@ -178,6 +179,21 @@ class SolidRecord(Record):
     def volume_m3(self) -> float:
         """Volume in cubic metres: the stored one, or that of the mesh where none is stored."""
         return float(self._row.required("volume_m3") if self._row.has("volume_m3") else self.mesh.volume)
+
+    def export(self, path: str | Path) -> None:
+        """Write the mesh to a file in the unit that programs expect of it.
+
+        Parameters
+        ----------
+        path : str or Path
+            Ends with .stl, .3mf, .ply or .obj, which are in millimetres, or .glb, in metres.
+
+        Raises
+        ------
+        InputError, StorageError
+            The ending is unknown; the file cannot be written.
+        """
+        write_mesh(path, self)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}(id={self.id}, label={self.label}, {len(self.faces):,} faces)"

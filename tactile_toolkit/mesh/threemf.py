@@ -309,7 +309,10 @@ def read_build(data: bytes) -> Build:
     unpacks to more than the limit.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
-        require_plain_archive(archive)
+        try:
+            require_plain_archive(archive)
+        except ValueError as error:
+            raise InputError(str(error)) from error
         return _Package(archive, len(data)).build()
 
 
