@@ -100,15 +100,11 @@ def expanded(place: str | Path, what: str = "path") -> Path:
         ) from error
 
 
-def open_regular(path: Path, below: Path | None = None) -> IO[bytes]:
-    """Open a local file for reading; IntegrityError for what is not one, or a link out of a folder.
+def open_regular(path: Path) -> IO[bytes]:
+    """Open a local file for reading; IntegrityError for what is not one.
 
-    A pipe would be waited for, and a device may have no end. ``below`` is a folder whose files are of anyone:
-    a link in it may lead to what its reader alone can read.
+    A pipe would be waited for, and a device may have no end.
     """
-    # Not `Path.resolve`, which fails for links in a circle.
-    if below is not None and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(below)):
-        raise IntegrityError(f"{str(path)!r} is a link out of {str(below)!r}; nothing was read from it")
     unwaiting = getattr(os, "O_NONBLOCK", 0)
     stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | unwaiting))  # noqa: SIM115
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):

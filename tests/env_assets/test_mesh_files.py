@@ -94,3 +94,25 @@ def test_objects_are_laid_onto_their_broadest_side_and_stay_as_they_lie(sides: A
         assert axes[2, 2] == pytest.approx(np.sign(tilt[2, 2]))
         laid = MeshView([SimpleNamespace(id=0, label=0, mesh=tilted)], ("a",), flat=True)[0].mesh
         np.testing.assert_allclose(laid.extents, sides, atol=1e-6)
+
+
+def test_meshes_in_metres_need_their_unit(tmp_path: Path) -> None:
+    for name in ("a.obj", "b.obj"):
+        SOLID.export(tmp_path / name)
+    with pytest.raises(InputError, match=r"a\.obj: .* probably in m; next: give --unit m "):
+        _ = meshes_at(tmp_path, "train").bounds_m
+    found = meshes_at(tmp_path, "train", unit="m")
+    np.testing.assert_allclose(np.ptp(found.bounds_m, axis=1), [(0.01, 0.02, 0.03)] * 2, rtol=1e-5)
+    with pytest.raises(InputError, match="expected one of mm, cm, m, in"):
+        meshes_at(tmp_path, "train", unit="inches")
+    (tmp_path / "set").mkdir()
+    with pytest.raises(InputError, match="--unit is for mesh files"):
+        meshes_at(tmp_path / "set", "train", unit="m")
+
+
+def test_a_link_out_of_a_folder_of_meshes_is_not_followed(tmp_path: Path) -> None:
+    write(tmp_path, "own.stl")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "folder" / "a.stl").symlink_to(tmp_path / "own.stl")
+    with pytest.raises(InputError, match="a link leads out of the folder"):
+        _ = meshes_at(tmp_path / "folder", "train").bounds_m

@@ -100,6 +100,17 @@ def test_a_cavity_is_no_body() -> None:
     assert report.volume_mm3 == pytest.approx(7000)
 
 
+def test_a_body_loose_in_a_cavity_is_one_of_two() -> None:
+    """Winding numbers 1, 0, 1: a rattle; and one with a cavity of its own, and a body in that."""
+    ball = cube(4, (8, 8, 8)) - cube(2, (9, 9, 9))
+    rattle = pile(shell(), mesh_of(cube(6, (7, 7, 7))))
+    nested = pile(shell(), mesh_of(ball), mesh_of(cube(1, (9.5, 9.5, 9.5))))
+    for mesh, bodies, volume_mm3 in ((rattle, 2, 7216), (nested, 3, 7000 + 64 - 8 + 1)):
+        report = inspect(mesh)
+        assert (report.is_solid, report.bodies, report.status) == (True, bodies, "NoError")
+        assert report.volume_mm3 == pytest.approx(volume_mm3)
+
+
 @pytest.mark.parametrize(
     ("size_mm", "warning"),
     [
@@ -234,7 +245,16 @@ def one_face_turned() -> Mesh:
     return Mesh(box().vertices_m, faces)
 
 
+def shell() -> Mesh:
+    return mesh_of(cube(20) - cube(10, (5, 5, 5)))
+
+
 BROKEN = {
+    "cavities that overlap": (
+        pile(shell(), turned(mesh_of(cube(10, (8, 8, 8))))),
+        "overlap",
+    ),
+    "a body that sticks in the wall of a cavity": (pile(shell(), mesh_of(cube(6, (11, 7, 7)))), "overlap"),
     "inside out": (turned(box()), "inside-out"),
     "hole": (Mesh(box().vertices_m, box().faces[1:]), "not-manifold"),
     "one face turned": (one_face_turned(), "not-manifold"),

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import trimesh
 
 from mnist3d.make import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.validate import validate_paths
+from tactile_toolkit.errors import InputError
 
 SHARD = Path("data") / "test-00000-of-00001.parquet"
 
@@ -46,3 +49,20 @@ def test_a_row_without_a_value_is_named_and_the_others_are_checked(rows, tmp_pat
     (unreadable,) = checked.unreadable
     assert unreadable == (f"split 'test', row 2 of {SHARD.name}: field {column!r} is null; expected a value")
     assert validate_paths([str(tmp_path)], limit=2)[0].failed == 0
+
+
+def test_mesh_files_are_checked_in_their_unit(tmp_path: Path) -> None:
+    """As the command does; what reading changed is in the table and in JSON."""
+    ball = trimesh.creation.icosphere(1, 0.01)
+    torn = ball.vertices[ball.faces].reshape(-1, 3)
+    torn[0] += 1e-8
+    path = str(tmp_path / "ball.obj")
+    trimesh.Trimesh(torn, np.arange(len(torn)).reshape(-1, 3), process=False).export(path, digits=12)
+    (without,) = validate_paths([path])
+    assert "--unit m " in without.unreadable[0]
+    (item,) = validate_paths([path], unit="m")[0].items
+    assert item.report.size_mm == pytest.approx((20, 20, 20), rel=0.1)
+    assert item.to_dict()["notes"] == ["1 corner welded"]
+    assert item.table_row()[-1] == "small-contact, 1 corner welded"
+    with pytest.raises(InputError, match="--unit is for mesh files"):
+        validate_paths([str(tmp_path)], unit="m")

@@ -597,11 +597,11 @@ def test_relations_name_the_root_model(tmp_path: Path) -> None:
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes have names here")
 def test_only_regular_files_inside_are_opened(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe.stl")
-    with pytest.raises(InputError, match="a pipe or a device"):
+    with pytest.raises(InputError, match="not a regular file"):
         read_mesh(tmp_path / "pipe.stl")
     (tmp_path / "inside").mkdir()
     (tmp_path / "part.stl").write_bytes(pack_mesh(cube(), ".stl"))
     (tmp_path / "inside" / "link.stl").symlink_to(tmp_path / "part.stl")
     assert len(read_mesh(tmp_path / "inside" / "link.stl").faces) == 12
-    with pytest.raises(InputError, match="is a link out of"):
+    with pytest.raises(InputError, match="a link leads out of the folder"):
         read_mesh(tmp_path / "inside" / "link.stl", below=tmp_path / "inside")

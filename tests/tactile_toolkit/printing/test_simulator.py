@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -182,3 +183,19 @@ def test_only_files_of_the_export_are_replaced(tmp_path: Path):
     with pytest.raises(InputError, match="is a symbolic link"):
         export_files([body], str(tmp_path / "out"), "urdf", overwrite=True)
     assert (folder / "part-99.obj").exists()
+
+
+def test_bodies_that_mujoco_refuses_are_named_before(tmp_path: Path):
+    """MuJoCo takes moments of inertia from 1e-14 kg m² on."""
+    for kind in ("mjcf", "urdf", "usd"):
+        made = export_files(named(SHAPES), str(tmp_path), kind, scale=0.02)
+        assert [each.problem for each in made.failed] == ["too-light"] * len(SHAPES)
+        assert "MuJoCo" in made.failed[0].detail
+
+
+def test_urdf_files_keep_the_paths_of_their_meshes(tmp_path: Path):
+    (made,) = export_files(named(SHAPES[:1]), str(tmp_path), "urdf").files
+    root = ElementTree.parse(tmp_path / made.file).getroot()
+    assert root.find("mujoco/compiler").attrib == {"strippath": "false"}
+    mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra simulators")
+    assert mujoco.MjModel.from_xml_path(str(tmp_path / made.file)).nmesh > 0
