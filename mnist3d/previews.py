@@ -75,7 +75,9 @@ def plan_previews(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
     :class:`~tactile_toolkit.pictures.previews.MeshPreviews`, and where a file cannot be read; IntegrityError
     where the data set is damaged or unfinished.
     """
+    unit = spec.unit if isinstance(spec, DigitPreviewSpec) else None
     if isinstance(name, Place) or not is_picture_or_mesh(fspath(name)):
+        refuse_unit(unit, name.name if isinstance(name, Place) else fspath(name))
         return _plan_set(name, spec)
     name = fspath(name)
     path = expanded(name)

@@ -118,6 +118,7 @@ def validate_paths(
     workers: int = 1,
     *,
     profile: PrintProfile | None = None,
+    unit: str | None = None,
     opened: Callable[[str], Place] = open_place,
     unit: str | None = None,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -134,6 +135,8 @@ def validate_paths(
         Processes that check rows of folders.
     profile : PrintProfile, optional
         Printer and material.
+    unit : str, optional
+        Of mesh files, as :func:`mnist3d.read_mesh` takes it.
     opened : callable
         Says what the name of a data set stands for.
     unit : str, optional

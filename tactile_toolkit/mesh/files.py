@@ -19,6 +19,8 @@ from tactile_toolkit.mesh.readers import read_obj, read_ply, read_stl
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.mesh.units import MM_PER_UNIT, require_likely_size, require_unit
 from tactile_toolkit.store.files import expanded, named_failures, open_regular, write_file
+from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.inside import open_inside
 from tactile_toolkit.wording import counted
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
@@ -65,18 +67,25 @@ def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None =
     ending = file_ending(path)
     require_unit(unit)
     try:
-        with open_regular(path, below) as stream:
-            data = stream.read()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); expected a mesh file") from error
-    except IntegrityError as error:
-        raise InputError(str(error)) from error
-    try:
+        data = _content(path, below)
         mesh, stated = _unpacked(data, ending, unit)
         require_likely_size(float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M, unit, stated)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
     return mesh
+
+
+def _content(path: Path, below: Path | None) -> bytes:
+    try:
+        if below is not None:
+            with open_inside(DataFolder(str(below)), path.relative_to(below).as_posix()) as stream:
+                return stream.read()
+        with open_regular(path) as stream:
+            return stream.read()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror}); expected a mesh file") from error
+    except IntegrityError as error:
+        raise InputError("not a regular file; nothing was read from it") from error
 
 
 def unpack_mesh(data: bytes, ending: str) -> Mesh:

@@ -11,7 +11,8 @@ import codecs
 import io
 import re
 from array import array
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -34,14 +35,19 @@ def _plain_text(data: bytes) -> bytes:
     return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
 
 
-def _floats(words: Iterable[bytes]) -> list[float]:
-    found = []
-    for word in words:
-        try:
-            found.append(float(word))
-        except ValueError:
-            raise InputError(f"{_shown(word)} is not a number; expected one such as -1.5 or 2e-3") from None
-    return found
+def _floats(words: Sequence[bytes]) -> list[float]:
+    try:
+        return list(map(float, words))
+    except ValueError:
+        wrong = next(word for word in words if not _is_number(word))
+        raise InputError(f"{_shown(wrong)} is not a number; expected one such as -1.5 or 2e-3") from None
+
+
+def _is_number(word: bytes) -> bool:
+    with suppress(ValueError):
+        float(word)
+        return True
+    return False
 
 
 def _shown(word: bytes) -> str:
@@ -101,6 +107,7 @@ def _apart(vertices: Numbers) -> Surface:
 
 # --- OBJ ----------------------------------------------------------------------------------------------
 
+_MOST_VERTICES = 2**31 - 1
 _FREE_FORM = (b"curv", b"curv2", b"surf")
 
 
@@ -109,32 +116,32 @@ def read_obj(data: bytes) -> Surface:
     values, corners, sizes = array("d"), array("q"), array("q")
     text = _plain_text(data).replace(b"\\\n", b" ")
     for line in io.BytesIO(text):
-        words = line.partition(b"#")[0].split()
-        if not words:
-            continue
-        if words[0] == b"v":
-            if len(words) < 4:
+        kind, *words = line.partition(b"#")[0].split() or (b"",)
+        if kind == b"v":
+            if len(words) < 3:
                 raise InputError(f"{_shown(line.strip())} has fewer than three coordinates")
-            values.extend(_floats(words[1:4]))
-        elif words[0] == b"f":
-            corners.extend(_corner(word, len(values) // 3) for word in words[1:])
-            sizes.append(len(words) - 1)
-        elif words[0] in _FREE_FORM:
-            raise InputError(f"{_shown(words[0])} is a free-form surface; expected faces ('f')")
+            values.extend(_floats(words[:3]))
+        elif kind == b"f":
+            corners.extend(_vertices_of(words, len(values) // 3))
+            sizes.append(len(words))
+        elif kind in _FREE_FORM:
+            raise InputError(f"{_shown(kind)} is a free-form surface; expected faces ('f')")
     vertices = np.array(values).reshape(-1, 3)
     return vertices, cut_polygons(vertices, np.array(sizes, np.int64), np.array(corners, np.int64))
 
 
-def _corner(word: bytes, count: int) -> int:
-    """Return the vertex that a corner such as ``3/1/2`` or ``-1`` names, of so many read so far."""
-    first = word.partition(b"/")[0]
+def _vertices_of(words: Sequence[bytes], count: int) -> list[int]:
+    """Return the vertices, from 0, that corners such as ``3/1/2`` or ``-1`` name, of so many read so far."""
     try:
-        number = int(first)
+        numbers = list(map(int, [word.partition(b"/")[0] for word in words]))
     except ValueError:
-        raise InputError(f"{_shown(word)} is no corner of a face; expected the number of a vertex") from None
-    if number == 0 or number < -count or number > np.iinfo(np.int32).max:
-        raise InputError(f"a face names vertex {number}; expected 1 or more, or back to -{count}")
-    return number - 1 if number > 0 else count + number
+        line = _shown(b"f " + b" ".join(words))
+        raise InputError(f"{line} has no corners; expected the numbers of vertices") from None
+    if numbers and min(numbers) > 0 and max(numbers) <= _MOST_VERTICES:
+        return [number - 1 for number in numbers]
+    if numbers and (min(numbers) < -count or max(numbers) > _MOST_VERTICES or 0 in numbers):
+        raise InputError(f"a face names vertices {min(numbers)} to {max(numbers)} of {count:,} so far")
+    return [number - 1 if number > 0 else count + number for number in numbers]
 
 
 # --- PLY ----------------------------------------------------------------------------------------------

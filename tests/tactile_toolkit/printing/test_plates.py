@@ -489,5 +489,6 @@ def test_the_corner_that_a_printer_cannot_use_is_left_free(tmp_path: Path) -> No
 def test_no_label_becomes_a_formula(tmp_path: Path) -> None:
     (thing,) = named([box(10, 10)])
     made = write_plates(lay_out([replace(thing, label="=1+1")], SMALL), str(tmp_path))
-    (row,) = csv.DictReader((tmp_path / plates.TABLE_FILE).open(encoding="utf-8"))
+    table = (tmp_path / plates.TABLE_FILE).read_text(encoding="utf-8")
+    (row,) = csv.DictReader(table.splitlines())
     assert (row["label"], made.objects[0]["label"]) == ("'=1+1", "=1+1")
