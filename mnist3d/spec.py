@@ -36,13 +36,11 @@ PUBLISHED_SIZES: dict[str, int] = {
 }
 """Digits per class in each published split; 1,358 in all."""
 
-_MOST_DIGITS = 10**9
-
 LARGEST_HALF_THICKNESS_PX = 100
 """Squares of distances in pixels have to fit 16 bits (:func:`mnist3d.lattice.signed_distance_px`)."""
 
-MOST_DIGITS = 10_000_000
-"""Digits of the synthetic source, at most: numbers of all of them are held in memory."""
+MOST_DIGITS = 1_000_000_000
+"""Largest number of digits of a source or a split."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +217,7 @@ class SplitSpec:
             raise InputError(
                 "split sizes are given for digits that are not divided; expected by='digit' or 'writer'"
             )
-        sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, _MOST_DIGITS)
+        sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, MOST_DIGITS)
         object.__setattr__(self, "sizes", sizes)
 
     def to_dict(self) -> dict[str, Any]:

@@ -120,7 +120,6 @@ def validate_paths(
     profile: PrintProfile | None = None,
     unit: str | None = None,
     opened: Callable[[str], Place] = open_place,
-    unit: str | None = None,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Checked]:
     """Check data set folders and mesh files.
@@ -139,8 +138,6 @@ def validate_paths(
         Of mesh files, as :func:`mnist3d.read_mesh` takes it.
     opened : callable
         Says what the name of a data set stands for.
-    unit : str, optional
-        Of mesh files, as :func:`mnist3d.read_mesh` takes it.
     on_progress : callable
         Called with meshes done and in all.
 
@@ -153,11 +150,14 @@ def validate_paths(
     """
     profile = profile or PrintProfile()
     # All names are looked at first: a typing error should not show after an hour of checking.
-    found = [path if _is_single_file(path) else opened(path) for path in paths]
+    files = [path for path in paths if _is_single_file(path)]
+    for name in paths:
+        if name not in files:
+            refuse_unit(unit, name)
+    found: list[str | Place] = [name if name in files else opened(name) for name in paths]
     results = []
     for path in found:
         if isinstance(path, Place):
-            refuse_unit(unit, path.name)
             shards = shards_to_check(path, split, KIND)
             rows = check_rows(
                 shards, partial(_inspect_row, profile=profile), _COLUMNS, limit, workers, on_progress

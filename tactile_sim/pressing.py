@@ -370,7 +370,7 @@ def _face_blocks(
 
 
 def _digest(values: NDArray[Any]) -> tuple[str, bytes]:
-    """Return what tells arrays of numbers apart, by their type and content."""
+    """Return what distinguishes arrays of numbers: their type and content."""
     import xxhash
 
     content = np.ascontiguousarray(values)

@@ -248,7 +248,7 @@ class _Steps:
         self._done, self._total, self._on_progress = 0, total, on_progress
 
     def advance(self, count: int) -> None:
-        """Tell of further steps."""
+        """Report further steps."""
         self._done += count
         self._on_progress(self._done, self._total)
 
@@ -387,7 +387,7 @@ class SmallCNN:
     ) -> SmallCNN:
         """Learn pictures (n, 3, H, W), -1 to 1; each class is drawn equally often.
 
-        ``advance`` is told of how many steps were taken since it was told last.
+        ``advance`` gets the number of steps since it was called last.
         """
         rng = np.random.default_rng(self._seed)
         groups = [np.flatnonzero(labels == label) for label in np.unique(labels)]

@@ -365,7 +365,7 @@ def generated(
 ) -> Any:
     """Return what a generator makes of images, (n, 3, H, W), where it lies, some images at a time.
 
-    ``channels`` makes its input; ``advance`` is told of how many images were made since it was told last.
+    ``channels`` makes its input; ``advance`` gets the number of images since it was called last.
     """
     device = next(network.parameters()).device
     together = max(1, _PIXELS_TOGETHER // (images.shape[1] * images.shape[2]))

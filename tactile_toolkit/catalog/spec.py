@@ -54,7 +54,7 @@ def id_range(given: GivenId) -> tuple[int, int]:
 
 
 def id_text(given: GivenId) -> str:
-    """Return the text that a given id is where ids are text: ``2024-01`` is no range there."""
+    """Return the text that a given id is where ids are text: ``2024-01`` is not a range there."""
     return "-".join(map(str, given)) if isinstance(given, tuple) else str(given)
 
 

@@ -31,10 +31,10 @@ _PLAIN: dict[str, Callable[[bytes], Surface]] = {".stl": read_stl, ".ply": read_
 
 # Corners nearer than this share of the size of the object are one where that closes the surface.
 _WELDED = 1e-5
-# More of them in one place are no rounding; this bounds memory.
+# More of them in one place are not rounding; this bounds memory.
 _NEIGHBOURS = 16
 
-# Errors of parsers whose words tell where a file is damaged.
+# Errors of parsers whose words state where a file is damaged.
 _TELLING = (zipfile.BadZipFile, expat.ExpatError, json.JSONDecodeError)
 
 

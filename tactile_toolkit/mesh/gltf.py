@@ -26,7 +26,7 @@ _VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
 _WIDTHS = {"SCALAR": 1, "VEC3": 3}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _QUANTIZATION = "KHR_mesh_quantization"
-# What they add is no shape.
+# They add no shape.
 _APPEARANCE = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_texture_")
 # Turns z up into y up, column by column; exact in floating point.
 _Y_UP = (1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1)
@@ -106,7 +106,7 @@ class _Document:
         is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
         for primitive in mesh["primitives"]:
             if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
-                continue  # points and lines are no surface
+                continue  # points and lines have no surface
             vertices, faces = self._triangles(primitive)
             # The same surface can be placed again and again.
             self._placed_bytes += vertices.nbytes + faces.nbytes

@@ -96,7 +96,7 @@ def _read_stl_text(text: bytes) -> Surface:
     if not _SOLID_END.match(lines[-1]):
         raise InputError("the text is cut short; expected one that ends with 'endsolid'")
     if unknown := [line for line in lines if not _SOLID.match(line)]:
-        raise InputError(f"{_shown(unknown[0])} is no whole facet; expected 'facet normal ... endfacet'")
+        raise InputError(f"{_shown(unknown[0])} is not a facet; expected 'facet normal ... endfacet'")
     return _apart(np.array(values).reshape(-1, 3))
 
 
@@ -197,7 +197,7 @@ def read_ply(data: bytes) -> Surface:
         columns = [found["vertex"][axis][1] for axis in "xyz"]
         sizes, corners = next(found["face"][name] for name in _CORNERS if name in found["face"])
     except (KeyError, StopIteration):
-        raise InputError("the file lacks vertices with x, y, z, or faces with 'vertex_indices'") from None
+        raise InputError("the file has no vertices with x, y, z, or faces with 'vertex_indices'") from None
     vertices = np.stack(columns, axis=1).astype(np.float64)
     numbers = corners.astype(np.int64)
     if (numbers != corners).any():

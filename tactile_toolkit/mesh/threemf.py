@@ -128,7 +128,7 @@ class _Package:
             self._read(archive, entries[path], self._begin_other)
         self._root = self._target or (_MODEL_PATH.lower() if _MODEL_PATH.lower() in models else models[0])
         if self._root not in models:
-            raise InputError(f"the archive holds no model /{self._root}, which it says is its root")
+            raise InputError(f"the archive holds no model /{self._root}, which it names as its root")
         for self._path in models:
             self._last = self._objects[self._path, ""] = _Object()
             self._points, self._corners = array("d"), array("i")

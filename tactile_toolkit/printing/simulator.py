@@ -141,7 +141,7 @@ def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
     ]
     contact = _tag("contact", _tag("lateral_friction", value=_text((body.friction,))))
     link = _tag("link", inertial, *shapes, contact, name=body.name)
-    # MuJoCo before 4.0 looks for meshes next to the URDF file, by their names alone, unless it is told.
+    # Without this, MuJoCo before 4.0 looks for meshes next to the URDF file, by their names alone.
     paths = _tag("mujoco", _tag("compiler", strippath="false"))
     return {**files, f"{folder}.urdf": _written(_tag("robot", paths, link, name=body.name))}
 

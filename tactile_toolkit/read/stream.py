@@ -41,7 +41,7 @@ class Stream(Generic[S]):
         @property
         def __class__(self) -> type[Self]:
             # A loader asks `isinstance`, which asks this. Torch may be imported after the stream was made,
-            # and takes seconds to import: it is told of its subclass where it is there already.
+            # and takes seconds to import: the subclass is registered where torch is there already.
             if "torch.utils.data" in sys.modules:
                 sys.modules["torch.utils.data"].IterableDataset.register(type(self))
             return type(self)

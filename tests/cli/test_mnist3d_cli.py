@@ -115,7 +115,9 @@ def test_validate_files_of_anyone(tmp_path, capsys, kind):
     box.update_faces(np.arange(len(box.faces)) > 0)
     write(box, bad)
     assert call("validate", good) == 0
-    assert "30.0 x 20.0 x 10.0" in capsys.readouterr().out
+    # glTF has y up (section 3.4): its 20 mm stand, and its 10 mm lie.
+    size = "30.0 x 10.0 x 20.0" if kind == "glb" else "30.0 x 20.0 x 10.0"
+    assert size in capsys.readouterr().out
     assert call("validate", good, bad) == 1
     printed = capsys.readouterr().out
     assert "1 of 2 meshes are valid" in printed

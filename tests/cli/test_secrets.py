@@ -61,7 +61,9 @@ def places() -> list[tuple[str, list[str]]]:
     return found
 
 
-SECRETS = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), min_size=1, max_size=40)
+SECRETS = st.text(st.characters(categories=("L", "N", "P", "S", "Zs")), min_size=1, max_size=40).filter(
+    lambda secret: not secret.isdecimal()  # HOST:PORT is an address
+)
 ENCODED = SECRETS | SECRETS.map(lambda secret: quote(secret, safe=""))
 OTHER = "of-nobody"  # what is told of any secret is what is told of this one
 

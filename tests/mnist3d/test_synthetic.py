@@ -78,7 +78,7 @@ def test_same_bytes_in_another_order_and_process() -> None:
     assert len(set(here)) == len(ids)
 
 
-@given(seed=st.integers(0, 2**70), digit_id=st.integers(0, MANY - 1))
+@given(seed=st.integers(0, 2**63 - 1), digit_id=st.integers(0, MANY - 1))
 def test_every_digit_is_well_placed_ink(seed: int, digit_id: int) -> None:
     digit = SyntheticSource(seed, MANY).image(digit_id)
     assert (digit.id, digit.label, digit.writer) == (digit_id, digit_id % 140 // 14, digit_id // 140)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,7 @@ from tactile_toolkit.touch.jpeg import decode_image
 from tests.command_line import call
 from tests.env_assets.factories import write_meshes
 from tests.realtouch.images_of_others import write_table
+from tests.sealed import edit
 from tests.tactile_sim.solids import block
 
 pytestmark = pytest.mark.sim
@@ -212,9 +214,8 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
         with pytest.raises(IntegrityError, match=text):
             depth.image(row)
     assert (depth.image(2) == Pairs.open(pairs).depth.image(2)).all()
-    verdicts = json.loads(Path(pairs, "manifest.json").read_text())
-    del verdicts["spec"]["options"]["size_px"]
-    (tmp_path / "manifest.json").write_text(json.dumps(verdicts))
+    shutil.copy(Path(pairs, "manifest.json"), tmp_path / "manifest.json")
+    edit(tmp_path / "manifest.json", lambda values: values["spec"]["options"].pop("size_px"))
     with pytest.raises(IntegrityError, match="does not state size and window of the pictures"):
         Pairs.open(str(tmp_path))
 
