@@ -162,7 +162,7 @@ def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pai
     with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no picture with contact"):
         train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
     edit(tmp_path / "few" / "manifest.json", lambda values: values.update(complete=False))
-    with pytest.raises(InputError, match="few' is not finished; next: run the same command"):
+    with pytest.raises(IntegrityError, match=r"few' is not finished \(2 of 2 shards\); next: run the same"):
         train(str(tmp_path / "few"), tmp_path / "out", CONFIG, device="cpu")
     assert not (tmp_path / "out").exists()
 
