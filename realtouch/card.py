@@ -16,7 +16,7 @@ from realtouch.dataset import TouchDataset, dataset_of
 from realtouch.kind import KIND
 from realtouch.media import contact_sheet, evenly_spaced
 from realtouch.rounds import Touch, TouchSeqRound, TouchSingleRound
-from realtouch.schema import kind_of, origin_of
+from realtouch.schema import media_kind, origin_of
 from tactile_toolkit.cards.card import Card, Column, between, bibtex, card_words, rows_to_draw
 from tactile_toolkit.cards.facts import FolderFacts, folder_facts
 from tactile_toolkit.errors import ToolkitError
@@ -73,7 +73,7 @@ def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
         content = _plain_content(folder, facts, manifest, words)
         heights = [of_origin.get("drift")]
     else:
-        kind = kind_of(facts.schema, folder.address())
+        kind = media_kind(facts.schema, folder.address())
         template, licence_text = kind if origin == "real" else origin, of_origin["licence_text"]
         content = _stored_content(facts, kind, rule, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])

@@ -25,7 +25,7 @@ from realtouch.rounds import (
     TouchSingleRound,
     touch_id,
 )
-from realtouch.schema import POSE_COLUMN, flat_row, is_per_touch, kind_of
+from realtouch.schema import POSE_COLUMN, flat_row, is_per_touch, media_kind
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -603,7 +603,7 @@ def dataset_of(
     """Return the data set of some shards of one kind: of all rows, or those that are not skipped."""
     stated = stated_class_names(shards)
     names = CLASS_NAMES if stated is None else stated
-    is_seq = kind_of(shards[0].schema, shards[0].path) == "seq"
+    is_seq = media_kind(shards[0].schema, shards[0].path) == "seq"
     dataset = TouchSeqDataset if is_seq else TouchSingleDataset
     return dataset(ShardedTable(tuple(shards)), rows, names, skipped)
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from realtouch.columns import Damage, DamagedRoundError, TouchRow, rows_of
 from realtouch.media import SensorImages, TouchClip
-from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, kind_of, require_types
+from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, media_kind, require_types
 from tactile_toolkit.catalog.locate import manifest_beside
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import column_types
@@ -37,7 +37,7 @@ def agreeing_files(shards: Iterable[Shard], where: str, left_out: list[Damage] |
     files: list[Shard] = []
     for shard in shards:
         try:
-            kind = kind_of(shard.schema, shard.path if files else where)
+            kind = media_kind(shard.schema, shard.path if files else where)
             require_types(shard)
             if files:
                 _require_agreement(shard, kind, files)
@@ -51,7 +51,7 @@ def agreeing_files(shards: Iterable[Shard], where: str, left_out: list[Damage] |
 
 def _require_agreement(shard: Shard, kind: Kind, files: Sequence[Shard]) -> None:
     """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
-    first = kind_of(files[0].schema, files[0].path)
+    first = media_kind(files[0].schema, files[0].path)
     if kind != first:
         raise IntegrityError(
             f"{shard.path!r}, field {MEDIA_COLUMN[first]!r}: the column is not there; expected it as in "

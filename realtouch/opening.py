@@ -9,7 +9,7 @@ from realtouch.columns import Damage
 from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
 from realtouch.integrity import agreeing_files, find_damage, modal_touch_count
 from realtouch.kind import KIND
-from realtouch.schema import kind_of
+from realtouch.schema import media_kind
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places.place import Name, Place, open_place
 
@@ -105,7 +105,7 @@ def load(
     # Over all files: one of them may have lost touches of every round.
     expected = modal_touch_count(files) if skips else None
     if streaming:
-        kind = kind_of(files[0].schema, files[0].path)
+        kind = media_kind(files[0].schema, files[0].path)
         return TouchStream(
             tuple(files), kind, skip_damage=skips, expected_touches=expected, left_out=left_out
         )

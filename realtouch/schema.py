@@ -65,7 +65,7 @@ def is_per_touch(name: str, data_type: pa.DataType) -> bool:
     return name in PER_TOUCH_COLUMNS or (name.startswith("info.") and list_depth(data_type)[0] >= 2)
 
 
-def kind_of(schema: pa.Schema | None, where: str) -> Kind:
+def media_kind(schema: pa.Schema | None, where: str) -> Kind:
     """Return whether a set holds clips (``seq``) or images (``single``); InputError if neither or both."""
     names = column_names(schema) if schema is not None else ()
     kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]

@@ -21,7 +21,7 @@ from realtouch.card import write_card
 from realtouch.columns import TouchRow
 from realtouch.dataset import dataset_of
 from realtouch.kind import KIND
-from realtouch.schema import flat_schema, kind_of, origin_of, require_types
+from realtouch.schema import flat_schema, media_kind, origin_of, require_types
 from tactile_toolkit.catalog.locate import (
     manifest_beside,
     refuse_source,
@@ -69,7 +69,7 @@ class Source:
         shards = {each: place.shards(each, kind=KIND) for each in splits}
         for found in shards.values():
             deque(in_threads(require_types, found, _READERS), maxlen=0)
-        return cls(place.name, shards, kind_of(shards[splits[0]][0].schema, place.name), place.unfinished)
+        return cls(place.name, shards, media_kind(shards[splits[0]][0].schema, place.name), place.unfinished)
 
     @property
     def schema(self) -> pa.Schema:

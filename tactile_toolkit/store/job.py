@@ -366,10 +366,13 @@ def manifest_so_far(folder: DataFolder) -> Manifest | None:
 
 def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
     """Return the pending records that a manifest does not hold and whose files exist."""
+    pending = pending_records(folder, manifest.identity)
+    if not pending:
+        return []  # of a finished set no file is looked at: it may have 50,000
     listed, sizes = {record.shard for record in manifest.shards}, folder.sizes(DATA_FOLDER)
     return [
         record
-        for shard, record in pending_records(folder, manifest.identity).items()
+        for shard, record in pending.items()
         if shard not in listed and shard.split in manifest.split_order and record.is_size_of(sizes)
     ]
 

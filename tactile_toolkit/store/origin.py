@@ -25,7 +25,7 @@ _SHA256_DIGITS = 64
 _STORED_NAMES = {"repo_id": "repository", "metadata_files": "labels"}
 
 
-def kind_of(digest: str) -> str:
+def digest_algorithm(digest: str) -> str:
     """Return the kind of a digest, in a word for messages."""
     return "sha256" if len(digest) == _SHA256_DIGITS else "git-sha1"
 

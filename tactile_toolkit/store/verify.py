@@ -21,8 +21,8 @@ from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.origin import (
     RECORD_FILE,
     HubFile,
+    digest_algorithm,
     digest_like,
-    kind_of,
     read_record,
 )
 from tactile_toolkit.store.parquet import named_damage, open_checked
@@ -235,7 +235,7 @@ def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
     with folder.open(file.path) if folder.is_local else io.BytesIO(folder.read_bytes(file.path)) as stream:
         found = None if file.digest is None else digest_like(stream, file.digest)
         if found != file.digest:
-            raise IntegrityError(f"{kind_of(str(found))} is {found}, expected {file.digest}")
+            raise IntegrityError(f"{digest_algorithm(str(found))} is {found}, expected {file.digest}")
         size = stream.seek(0, io.SEEK_END)
         if file.digest is None and size != file.size_bytes:
             raise IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
