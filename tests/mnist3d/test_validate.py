@@ -51,7 +51,7 @@ def test_a_row_without_a_value_is_named_and_the_others_are_checked(rows, tmp_pat
     assert validate_paths([str(tmp_path)], limit=2)[0].failed == 0
 
 
-def test_mesh_files_are_checked_in_their_unit(tmp_path: Path) -> None:
+def test_mesh_files_are_checked_in_their_unit(rows: pa.Table, tmp_path: Path) -> None:
     """As the command does; what reading changed is in the table and in JSON."""
     ball = trimesh.creation.icosphere(1, 0.01)
     torn = ball.vertices[ball.faces].reshape(-1, 3)
@@ -64,5 +64,6 @@ def test_mesh_files_are_checked_in_their_unit(tmp_path: Path) -> None:
     assert item.report.size_mm == pytest.approx((20, 20, 20), rel=0.1)
     assert item.to_dict()["notes"] == ["1 corner welded"]
     assert item.table_row()[-1] == "small-contact, 1 corner welded"
+    pq.write_table(rows, tmp_path / "train.parquet")
     with pytest.raises(InputError, match="--unit is for mesh files"):
-        validate_paths([str(tmp_path)], unit="m")
+        validate_paths([str(tmp_path / "train.parquet")], unit="m")

@@ -219,7 +219,7 @@ BOMBS = {
     ),
     "bytes.ply": (
         lambda: ply("binary_little_endian", 750_000, 0, bytes(2_250_000)),
-        "the file lacks vertices with x, y, z, or faces",
+        "the file has no vertices with x, y, z, or faces",
     ),
     "polygon.obj": (
         lambda: TRIANGLE + b"f" + b" 1" * 500_000,

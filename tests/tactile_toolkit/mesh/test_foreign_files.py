@@ -135,7 +135,7 @@ DAMAGED = {
     "cut.stl": (CUBE_STL[:-20].encode(), "ends with 'endsolid'"),
     "comma.stl": (CUBE_STL.replace("10", "10,0").encode(), "'-10,0' is not a number"),
     "letters.stl": (CUBE_STL.replace("vertex 10", "vertex ten", 1).encode(), "'ten' is not a number"),
-    "half.stl": (CUBE_STL.replace("endfacet", "", 1).encode(), "is no whole facet"),
+    "half.stl": (CUBE_STL.replace("endfacet", "", 1).encode(), "is not a facet"),
     "tail.stl": (pack_mesh(cube(), ".stl") + bytes(92), "776 bytes, a binary STL file of 12 triangles"),
     "page.stl": (b"<html>not found</html>\n" * 9, "begins with '<html>not found</html>'"),
     "short.obj": (b"v 1 2\nf 1 1 1\n", "fewer than three coordinates"),
