@@ -47,6 +47,7 @@ SHARED = (
     "tactile_toolkit.mesh.printability.UNREADABLE",
     "tactile_toolkit.mesh.printability.WARNINGS",
     "tactile_toolkit.mesh.records.RecordStream",
+    "tactile_toolkit.read.stream.Stream",
     "tactile_toolkit.mesh.records.SolidRecord",
     "tactile_toolkit.mesh.solid_check.PROBLEMS",
     "tactile_toolkit.mesh.torch.SolidTensors",

@@ -115,7 +115,7 @@ class PrintReport:
     warnings : tuple of str
         Of :data:`WARNINGS`.
     notes : tuple of str
-        What reading the file changed or left out (:attr:`tactile_toolkit.mesh.mesh.Mesh.notes`).
+        What reading the file changed or left out (``Mesh.notes``).
     """
 
     is_solid: bool
