@@ -8,7 +8,7 @@ else: then the picture is refused.
 from __future__ import annotations
 
 import contextlib
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,20 +58,14 @@ def is_clean(levels: Levels) -> bool:
     """
     if min(levels.shape) < SMALL_PX:
         return True
-    edge = margin(levels)
-    paper = int(np.median(edge))
-    if _share_near(edge, paper) < _CLEAN_MARGIN or _share_near(levels, paper) < _CLEAN_IMAGE:
+    from scipy import ndimage
+
+    paper = int(np.median(margin(levels)))
+    other = np.abs(levels.astype(np.int16) - paper) > CLEAN_LEVELS
+    if margin(other).mean() > 1 - _CLEAN_MARGIN or other.mean() > 1 - _CLEAN_IMAGE:
         return False
-    step = max(1, max(levels.shape) // 128)
-    other = np.abs(levels[::step, ::step].astype(np.int16) - paper) > CLEAN_LEVELS
-    side = max(2, int(_SHEET * min(other.shape)))
-    sums = np.pad(other.astype(np.int32).cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
-    squares = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
-    return bool(squares.max() < side * side)
-
-
-def _share_near(values: NDArray[Any], paper: int) -> float:
-    return float((np.abs(values.astype(np.int16) - paper) <= CLEAN_LEVELS).mean())
+    few = other[:: max(1, other.shape[0] // 128), :: max(1, other.shape[1] // 128)]
+    return not ndimage.minimum_filter(few, max(2, int(_SHEET * min(few.shape))), mode="constant").any()
 
 
 def even_out(picture: NDArray[np.uint8], ink: str = "auto") -> Levels:
@@ -234,37 +228,31 @@ def _one_digit(mask: Mask, inside: Mask, found: _Ink) -> Mask:
     labels, count = ndimage.label(mask, np.ones((3, 3)))
     if not count:
         refuse("no-ink", sentence="empty-page")
-    side = max(mask.shape)
-    boxes = ndimage.find_objects(labels)
-    spans = np.array([max(part.stop - part.start for part in box) for box in boxes])
-    depth = ndimage.distance_transform_edt(mask)
-    depths = ndimage.maximum(depth, labels, np.arange(1, count + 1))
+    pieces, piece, side = np.arange(1, count + 1), labels[mask], max(mask.shape)
+    depth, from_rim = ndimage.distance_transform_edt(mask), ndimage.distance_transform_cdt(np.pad(inside, 1))
     # A blur of a pixel takes the noise away.
     slopes = ndimage.gaussian_gradient_magnitude(found.reflectance, 1.0) / (1 - found.ink)
     slopes = ndimage.maximum_filter(slopes, 3)
-    slopes[(depth == 0) | (depth > 1)] = np.nan
-    edges = np.isfinite(slopes)
-    sharp = ndimage.median(slopes[edges], labels[edges], np.arange(1, count + 1)) >= _SOFT
+    edges = (depth > 0) & (depth <= 1)
+    spans = np.array([max(part.stop - part.start for part in box) for box in ndimage.find_objects(labels)])
     # What lies along the rim alone is the border of a scan.
-    deep = np.zeros(count + 1, bool)
-    deep[labels[_eroded_page(inside, int(_RIM * side))]] = True
-    possible = deep[1:] & (spans > _SPECK * side) & sharp
+    possible = ndimage.maximum(from_rim[1:-1, 1:-1][mask], piece, pieces) > _RIM * side
+    possible &= ndimage.median(slopes[edges], labels[edges], pieces) >= _SOFT
+    possible &= spans > _SPECK * side
     if not possible.any():
         refuse("no-ink", sentence="empty-page")
-    sizes = np.bincount(labels.ravel())[1:]
-    main = int(np.where(possible, sizes, 0).argmax())
-    width = float(np.percentile(depth[boxes[main]][labels[boxes[main]] == main + 1], 90))
-    possible &= (spans >= _PART * spans[main]) & (depths >= _THIN_PART * width)
-    parts = _near(labels, main, np.flatnonzero(possible), _GAP * spans[main])
-    others = [
-        each for each in np.flatnonzero(possible) if each not in parts and spans[each] >= _OTHER * spans[main]
-    ]
-    if others:
-        refuse("several-digits", len(others) + 1)
-    chosen = np.zeros(count + 1, bool)
-    chosen[np.array(parts) + 1] = True
-    digit = chosen[labels]
-    if (digit & ~_eroded_page(inside, _NEAR_PX)).any():
+    main = int(np.where(possible, np.bincount(piece)[1:], 0).argmax())
+    stroke = float(np.percentile(depth[labels == main + 1], 90))
+    possible &= spans >= _PART * spans[main]
+    possible &= ndimage.maximum(depth[mask], piece, pieces) >= _THIN_PART * stroke
+    # Pieces that are near each other are one digit.
+    away = ndimage.distance_transform_cdt(~np.isin(labels, pieces[possible]))
+    groups = ndimage.maximum(ndimage.label(away <= _GAP / 2 * spans[main])[0][mask], piece, pieces)
+    digits = np.unique(groups[possible & (spans >= _OTHER * spans[main])])
+    if len(digits) > 1:
+        refuse("several-digits", len(digits))
+    digit = np.isin(labels, pieces[possible & (groups == groups[main])])
+    if from_rim[1:-1, 1:-1][digit].min() <= _NEAR_PX:
         refuse("cut-off")
     _check(digit, float(depth[digit].max()), inside)
     if np.percentile(slopes[digit & edges], 10) < _SOFT:
@@ -272,41 +260,15 @@ def _one_digit(mask: Mask, inside: Mask, found: _Ink) -> Mask:
     return digit
 
 
-def _eroded_page(inside: Mask, steps: int) -> Mask:
-    """Draw in the page also where it ends with the picture."""
-    from scipy import ndimage
-
-    return np.asarray(ndimage.minimum_filter(inside, 2 * steps + 1, mode="constant", cval=0))
-
-
-def _near(labels: NDArray[Any], main: int, possible: NDArray[Any], gap_px: float) -> list[int]:
-    """Return the pieces that are near the main one, or near one that is."""
-    from scipy import ndimage
-
-    parts, left = [main], [each for each in possible.tolist() if each != main]
-    while left:
-        away = ndimage.distance_transform_edt(~np.isin(labels, np.array(parts) + 1))
-        joined = [each for each in left if away[labels == each + 1].min() <= gap_px]
-        if not joined:
-            break
-        parts += joined
-        left = [each for each in left if each not in joined]
-    return parts
-
-
 def _check(digit: Mask, depth_px: float, inside: Mask) -> None:
     """Refuse ink that is too small, too wide or a blob."""
-    rows, columns = np.flatnonzero(digit.any(axis=1)), np.flatnonzero(digit.any(axis=0))
-    height, width = int(np.ptp(rows)) + 1, int(np.ptp(columns)) + 1
-    longer = max(height, width)
-    page_px = min(int(inside.any(axis=0).sum()), int(inside.any(axis=1).sum()))
-    if longer < _SMALLEST * page_px:
-        refuse("not-a-digit", f"ink of {height / page_px:.0%} of the page", f"{_SMALLEST:.0%} or more")
-    if width > _WIDEST * height:
-        refuse(
-            "not-a-digit", f"ink {width / height:.1f} times as wide as it is high", f"{_WIDEST} times at most"
-        )
-    if 2 * depth_px > _BLOB * longer:
-        refuse(
-            "not-a-digit", f"ink {2 * depth_px / longer:.0%} as thick as it is long", f"{_BLOB:.0%} at most"
-        )
+    height, width = (int(np.ptp(np.flatnonzero(digit.any(axis=axis)))) + 1 for axis in (1, 0))
+    small = max(height, width) / min(int(inside.any(axis=axis).sum()) for axis in (0, 1))
+    thick, wide = 2 * depth_px / max(height, width), width / height
+    for fits, what, expected in (
+        (small >= _SMALLEST, f"ink of {small:.0%} of the page", f"{_SMALLEST:.0%} or more"),
+        (wide <= _WIDEST, f"ink {wide:.1f} times as wide as it is high", f"{_WIDEST} times at most"),
+        (thick <= _BLOB, f"ink {thick:.0%} as thick as it is long", f"{_BLOB:.0%} at most"),
+    ):
+        if not fits:
+            refuse("not-a-digit", what, expected)
