@@ -54,11 +54,11 @@ def fine_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
     return fine(np.where(mask, np.uint8(255), np.uint8(0)), shape) > 127
 
 
-def paper(values: Levels) -> Levels:
+def paper(values: Levels, widest: float = WIDEST_STROKE) -> Levels:
     """Return the paper around each coarse pixel: what a closing leaves that is wider than any stroke."""
     from scipy import ndimage
 
-    side = int(max(values.shape) * WIDEST_STROKE) | 1
+    side = int(max(values.shape) * widest) | 1
     # What reaches the edge of the picture goes on beyond it.
     beyond = np.pad(values, side, mode="edge")
     closed = ndimage.minimum_filter(ndimage.maximum_filter(beyond, side), side)

@@ -27,27 +27,40 @@ CLEAN_LEVELS = 2
 """Paper of a clean image is within so many grey levels of the paper of its margin."""
 
 _CLEAN_MARGIN, _CLEAN_IMAGE = 0.9, 0.5
-# Of the shorter side: what is wider is a sheet on a desk, not ink. Blobs of MNIST fill squares of 0.36.
+"""Shares of the margin, and of all of a clean image, that are its paper."""
+
 _SHEET = 0.4
+"""Of the shorter side: what is wider is a sheet on a desk, not ink. Blobs of MNIST fill squares of 0.36."""
 
 _WORK_PX = 1000
 """Longer side at which pictures are worked on; digits are drawn with 500 px in the end."""
 
-# Only paper that is darker than this can have lighter ink.
 _BOARD = 140
+"""Only paper whose grey level is below has lighter ink."""
 
-# Ink is darker than paper by such a share at least, and by so many deviations of the paper.
 _CONTRAST, _DEVIATIONS = 0.15, 6
-# Shares of the longer side, or of the longest piece of ink.
-_RIM, _SPECK, _PART, _GAP, _OTHER = 0.05, 0.02, 0.1, 0.14, 0.2
-_THIN_PART = 0.4
-# Of the page; of the digit's longer side; width by height; contrast within a pixel at the edge of ink.
-_SMALLEST, _BLOB, _WIDEST, _SOFT = 0.08, 0.45, 1.5, 0.1
-_CROSSED = 0.15
-_NEAR_PX = 2
-_GAIN = 2
-_MIDDLE = 0.35
-_SHADOW_PX = 3 / 700
+"""Ink is darker than paper by such a share at least, and by so many standard deviations of the paper."""
+
+_MIDDLE, _SHADOW_PX = 0.35, 3 / 700
+"""From ink to paper, where shadows begin; they are wider than this share of the longer side, edges are not."""
+
+_RIM, _SPECK = 0.05, 0.02
+"""Of the longer side: how far the border of a scan reaches, and how long ink is."""
+
+_PART, _THIN_PART, _GAP, _OTHER = 0.1, 0.4, 0.14, 0.2
+"""Of the longest piece: length and thickness of further pieces, gaps in a digit, length of another digit."""
+
+_SMALLEST, _BLOB, _WIDEST = 0.08, 0.45, 1.5
+"""Ink by the page's width, its thickness by its length, its width by its height."""
+
+_SOFT = 0.1
+"""Share of its contrast by which ink changes within a pixel, at nine tenths of its edges."""
+
+_CROSSED, _NARROW, _CORE, _KEPT = 0.15, 0.5, 0.2, 0.9
+"""Limits of a second look: outline of the page that is ink; width of strokes; dark ink, and how much stays."""
+
+_NEAR_PX, _GAIN = 2, 2
+"""How far the greys of edges reach, and how much steeper they are made."""
 
 
 def is_clean(levels: Levels) -> bool:
@@ -120,23 +133,39 @@ def _even_out(views: Levels, ink: str) -> Levels:
     try:
         return _ink_on(views, page)
     except ItemError as error:
-        if error.reason != "cut-off" or page.all():
-            raise
-        # Ink does not reach over the edge of a page: it may be the edge of a shadow, if it is no ink itself.
+        again = {"cut-off": _across_shadow, "not-a-digit": _under_fingers}.get(error.reason)
         with contextlib.suppress(ItemError):
-            levels = _ink_on(views, np.ones_like(page))
-            outline = pages.fine_mask(page & ~pages.eroded(page, 2), levels.shape)
-            if (levels[outline] < 128).mean() < _CROSSED:
+            levels = None if again is None else again(views, page)
+            if levels is not None:
                 return levels
         raise
 
 
-def _ink_on(views: Levels, page: Mask) -> Levels:
+def _across_shadow(views: Levels, page: Mask) -> Levels | None:
+    """Look again without the edge of the page that ink reaches over: it may be that of a shadow.
+
+    None where the edge is now taken for ink.
+    """
+    levels = _ink_on(views, np.ones_like(page))
+    outline = pages.fine_mask(page & ~pages.eroded(page, 2), levels.shape)
+    return levels if (levels[outline] < 128).mean() < _CROSSED else None
+
+
+def _under_fingers(views: Levels, page: Mask) -> Levels | None:
+    """Look again with a paper that also follows narrow shadows; None where it follows wide strokes, too."""
+    levels = _ink_on(views, page, _NARROW * pages.WIDEST_STROKE)
+    inside = pages.fine_mask(pages.eroded(page, 2), levels.shape)
+    wide = _find_ink(_reflectance(views, page, pages.WIDEST_STROKE), inside)
+    core = wide.mask & (wide.reflectance < wide.ink + _CORE * (1 - wide.ink))
+    return levels if (levels[core] < 128).mean() > _KEPT else None
+
+
+def _ink_on(views: Levels, page: Mask, widest: float = pages.WIDEST_STROKE) -> Levels:
     """Return the levels of the one digit on a page."""
     from scipy import ndimage
 
     inside = pages.fine_mask(pages.eroded(page, 2), views[0].shape)
-    found = _find_ink(_reflectance(views, page), inside)
+    found = _find_ink(_reflectance(views, page, widest), inside)
     digit = _one_digit(without_lines(_without_shadows(found), inside), inside, found)
     # The greys of edges are kept, but steeper: any threshold divides them where this one did.
     gain = _GAIN * 255 / (1 - found.ink)
@@ -170,7 +199,7 @@ def _deviation(values: Floats) -> float:
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
-def _reflectance(views: Levels, page: Mask) -> Floats:
+def _reflectance(views: Levels, page: Mask, widest: float) -> Floats:
     """Divide the view that shows ink best by the paper around each pixel; paper becomes 1."""
     inside = pages.eroded(page, 2)
     if not inside.any():
@@ -178,7 +207,7 @@ def _reflectance(views: Levels, page: Mask) -> Floats:
     best, divided = -1.0, np.ones(page.shape, np.float32)
     for number, view in enumerate(views):
         coarse = pages.coarse(view)
-        paper = pages.paper(coarse)
+        paper = pages.paper(coarse, widest)
         seen = np.divide(coarse, paper, dtype=np.float32)[inside]
         level = float(np.median(seen))
         clearness = (level - float(np.percentile(seen, 0.5))) / (_deviation(seen) + 0.01 * level)
