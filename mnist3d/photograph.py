@@ -42,7 +42,7 @@ _CONTRAST, _DEVIATIONS = 0.15, 6
 """Ink is darker than paper by such a share at least, and by so many standard deviations of the paper."""
 
 _MIDDLE, _SHADOW_PX = 0.35, 3 / 700
-"""From ink to paper, where shadows begin; they are wider than this share of the longer side, edges are not."""
+"""From ink to paper, where shadows begin; and how wide they are, of the longer side, other than edges."""
 
 _RIM, _SPECK = 0.05, 0.02
 """Of the longer side: how far the border of a scan reaches, and how long ink is."""
@@ -57,7 +57,7 @@ _SOFT = 0.1
 """Share of its contrast by which ink changes within a pixel, at nine tenths of its edges."""
 
 _CROSSED, _NARROW, _CORE, _KEPT = 0.15, 0.5, 0.2, 0.9
-"""Limits of a second look: outline of the page that is ink; width of strokes; dark ink, and how much stays."""
+"""Limits of a second look: outline of a page that is ink; width of strokes; dark ink, and how much stays."""
 
 _NEAR_PX, _GAIN = 2, 2
 """How far the greys of edges reach, and how much steeper they are made."""

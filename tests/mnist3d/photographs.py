@@ -14,10 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 from scipy import ndimage
+from skimage.morphology import skeletonize
+
+from mnist3d.ink import clean
+from mnist3d.sources.synthetic import SyntheticSource
+from mnist3d.spec import SolidSpec
 
 Floats = NDArray[np.float64]
 
 SIDE_PX = 700
+THIN_PX = 12
 EASY = ("hand", "corner", "gradient", "desk", "border", "ruled", "pen")
 HARD = ("perspective", "squared", "thin")
 REFUSED = ("several", "blank", "blank ruled", "blank desk")
@@ -244,3 +250,37 @@ def compose(covers: Sequence[Floats], kind: str, seed: int, pen_px: float = 40.0
         light = "even"
     pixels = _camera(layers * _light(light, rng)[..., None], rng)
     return Photograph(pixels, ink > 0.5 if len(covers) == 1 and kind not in REFUSED else None, pen_px)
+
+
+def drawn(label: int, number: int, height_px: float, pen_px: float | None = None) -> Floats:
+    """Return the cover of the cut ink of a synthetic digit, its pen as it is or of a given width."""
+    page = SyntheticSource().image(140 * number + 14 * label).pixels
+    # Without the specks that the source draws next to ink.
+    ink = clean(page < 128, SolidSpec())
+    if pen_px is not None:
+        scale = height_px / np.ptp(np.flatnonzero(ink.any(axis=1)))
+        ink = ndimage.distance_transform_edt(~skeletonize(ink)) <= pen_px / 2 / scale
+    rows, columns = np.flatnonzero(ink.any(axis=1)), np.flatnonzero(ink.any(axis=0))
+    cut = _levels(ink[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
+    scale = height_px / cut.height
+    size = (max(1, round(cut.width * scale)), round(height_px))
+    return np.asarray(cut.resize(size, Image.Resampling.BOX), np.float64) / 255
+
+
+def _levels(mask: NDArray[np.bool_]) -> Image.Image:
+    return Image.fromarray(np.where(mask, np.uint8(255), np.uint8(0)))
+
+
+def likeness(found: NDArray[np.bool_], ink: NDArray[np.bool_], pen_px: float) -> float:
+    """Return intersection over union of two masks, both cut to their ink; of thin pens within one pixel."""
+    cuts = []
+    for mask in (found, ink):
+        rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+        cuts.append(mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1])
+    height, width = cuts[1].shape
+    scaled = _levels(cuts[0]).resize((width, height), Image.Resampling.BILINEAR)
+    one, other = np.asarray(scaled) > 127, cuts[1]
+    if pen_px >= THIN_PX:
+        return float((one & other).sum() / (one | other).sum())
+    near = [ndimage.binary_dilation(np.pad(mask, 1), np.ones((3, 3)))[1:-1, 1:-1] for mask in (one, other)]
+    return float(((one & near[1]).sum() + (other & near[0]).sum()) / (one.sum() + other.sum()))
