@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
+from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
 from cli.options import ANY_SET, Making, Opening, Work, argument, out_folder, process_count
@@ -14,13 +15,15 @@ from tactile_toolkit.catalog.spec import Chosen
 from tactile_toolkit.checked_fields import integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted, listed
+from tactile_toolkit.wording import counted, listed, printable
 
 if TYPE_CHECKING:
     from tactile_toolkit.making import Forecast, Making as RowMaking
     from tactile_toolkit.store.build import Progress
     from tactile_toolkit.store.manifest import Manifest
 
+
+_LEFT_OUT_SHOWN = 20
 
 PrintMade = Callable[..., None]
 """Prints what a folder holds.
@@ -177,6 +180,16 @@ def print_set(
     sink.table(header, rows)
     for reason, count in manifest.skipped_reasons().items():
         sink.line(f"left out {counted(count, kind.nouns)}: {reason} (each is named in {out}/manifest.json)")
+
+
+def print_left_out(sink: Sink, manifest: Manifest) -> None:
+    """Print the first items that gave no row, and the first files of the source that hold none."""
+    skipped = (f"{item.message} ({item.reason})" for record in manifest.shards for item in record.skipped)
+    source = manifest.spec.get("source")
+    files = source.get("left_out") if isinstance(source, dict) else None
+    named = (f"{name} ({reason})" for name, reason in (files.items() if isinstance(files, dict) else ()))
+    for line in islice(chain(named, skipped), _LEFT_OUT_SHOWN):
+        sink.info(printable(f"left out: {line}"))
 
 
 def least_to_most(counts: Sequence[int]) -> str:

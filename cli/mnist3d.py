@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cli.application import OptionsOf, command, new_app, run
 from cli.folders import Geometry
-from cli.making import generate_set, least_to_most, print_set
+from cli.making import generate_set, least_to_most, print_left_out, print_set
 from cli.options import Making, Opening, argument, out_folder
 from cli.output import Sink, bytes_text
 from cli.products import Pictures
@@ -89,6 +89,7 @@ def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, ela
     header = ("split", "digits", "per class", "Parquet", *measures)
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
     skipped = manifest.skipped_reasons()
+    print_left_out(sink, manifest)
     print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits, skipped=skipped)
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
-from cli.making import least_to_most, make_with_progress, print_set
+from cli.making import least_to_most, make_with_progress, print_left_out, print_set
 from cli.options import TOUCH_SET, WORKERS, Opening, Work, argument, out_folder, parse_address, process_count
 from cli.output import Sink, flat_lines
 from cli.products import gallery_of_touches, preview_touches
@@ -201,9 +201,6 @@ def _print_summary(sink: Sink, split: str, summary: Summary) -> None:
         least, median, most = summary.clip_frames
         rows.append(("clips", f"{least} to {most} frames, median {median}, {summary.fps:g} per second"))
     sink.table((split, summary.kind), rows)
-
-
-_SKIPPED_SHOWN = 20
 
 
 _FRAME = choice(
@@ -409,9 +406,7 @@ def _print_imported(
         sink.info(f"the images were converted without loss: {options[CONVERSION]}")
     if not options["classes"]:
         sink.info("no classes are known (--label-column names their column): the label of all is -1")
-    skipped = [item for record in manifest.shards for item in record.skipped]
-    for item in skipped[:_SKIPPED_SHOWN]:
-        sink.info(f"left out: {item.message} ({item.reason})")
+    print_left_out(sink, manifest)
     fields = add_up(list(manifest.statistics().values())).get(NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())

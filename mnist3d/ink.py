@@ -29,6 +29,12 @@ SMALL_PX = 64
 CONTACT_PX = 3
 """A speck that touches wider ink by at most so many pixels is a speck still."""
 
+MOST_INK = 0.5
+"""More ink than such a share of an image is not a digit, but what surrounds its page."""
+
+MOST_BORDER = 0.05
+"""Ink that touches more of the border of an image is cut off, or is no ink."""
+
 PAPER_SHARE = 0.75
 """At least so much of the margin of an image is paper; the margin is a fiftieth of the shorter side wide."""
 
@@ -47,6 +53,12 @@ _SENTENCES = {
     "no-ink": "no pixel is dark enough to be ink; expected a digit",
     "all-ink": "ink covers {:.0%} of the margin of the image, which would make a slab; expected a digit on "
     "paper, with less than {:.0%} of the margin ink",
+    "empty-page": "nothing on the page is as dark as ink and has edges like ink; expected a digit",
+    "half-ink": "ink covers {:.0%} of the image, which would make a slab; expected at most half of it",
+    "border": "ink touches {:.0%} of the border of the image; expected {:.0%} at most, and paper elsewhere",
+    "several-digits": "the page shows {} digits or other pieces of ink; expected one digit",
+    "cut-off": "the ink reaches the edge of the page; expected paper on all sides of the digit",
+    "not-a-digit": "found {}; expected a digit, {}",
     "only-specks": "no piece of ink is as large as {} mm^2 (min_speck_mm2); expected a digit",
     "topology": "no lattice keeps the {} bodies and {} holes of the ink; the finest has {} and {}",
     "layers": "the layers of the ink, stacked, have {} bodies and {} holes; the ink has {} and {}",
@@ -57,6 +69,12 @@ _NEXT = {
     "too-small": "solidify(..., resample=True) draws it again with 500",
     "unclear-ink": "give dark or light (--foreground, ink=), or crop the image",
     "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
+    "several-digits": "cut the picture so that each digit has its own file, or cover what is no digit",
+    "cut-off": "take the picture again with room around the digit, or cut away what is beside the page",
+    "not-a-digit": "leave the picture out, or photograph the digit from nearer, in even light",
+    "empty-page": "leave the picture out, or photograph the digit from nearer, in even light",
+    "half-ink": "give ink='light' if the ink is the lighter part, or crop the image to its page",
+    "border": "leave room around the digit, or crop the image to its page",
     "layers": "leave the digit out, or try method='fast'",
     "vertex-budget": "ask for {5:,} (target_vertices, --vertices)",
 }
@@ -83,7 +101,22 @@ def ink_of_levels(levels: Levels, threshold: float | None = None) -> Mask:
     paper = float(1 - margin(mask).mean())
     if mask.all() or paper <= 1 - PAPER_SHARE:
         refuse("all-ink", 1 - paper, PAPER_SHARE)
+    require_paper_around(mask)
     return mask
+
+
+def require_paper_around(mask: Mask) -> None:
+    """Refuse ink that covers more than half of an image, or touches a twentieth of its border.
+
+    Raises ItemError ``all-ink`` or ``cut-off``.
+    """
+    covered = float(mask.mean())
+    if covered > MOST_INK:
+        refuse("all-ink", covered, sentence="half-ink")
+    border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])
+    touched = float(border.mean())
+    if touched > MOST_BORDER:
+        refuse("cut-off", touched, MOST_BORDER, sentence="border")
 
 
 def margin(values: NDArray[Any]) -> NDArray[Any]:
@@ -112,14 +145,15 @@ def levels_and_threshold(pixels: NDArray[Any], ink: str) -> tuple[Levels, int | 
     the margin of the image is paper. Otsu's threshold comes with them where it is known by then. Raises
     ItemError ``bad-shape``, ``bad-dtype``, ``not-finite``, ``bad-range`` or ``unclear-ink``.
     """
-    levels = _as_levels(pixels)
+    levels = as_levels(pixels)
     threshold = otsu_threshold(levels) if ink == "auto" and levels.min() < levels.max() else None
     if ink == "light" or (threshold is not None and paper_is_dark(levels, threshold, "the image")):
         return 255 - levels, None
     return levels, threshold
 
 
-def _as_levels(pixels: NDArray[Any]) -> Levels:
+def as_levels(pixels: NDArray[Any]) -> Levels:
+    """Turn an image of any number type into grey levels from 0 to 255; ItemError where it has none."""
     image = np.asarray(pixels)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE_PX:
         refuse("bad-shape", image.shape, MIN_SIDE_PX)

@@ -192,7 +192,7 @@ _OPTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "synthetic": ((), ("digits",)),
     "hwdplus": (("images", "writer_info"), ("writer_column",)),
     "mnist": (("images",), ("download",)),
-    "folder": (("images",), ("foreground",)),
+    "folder": (("images",), ("foreground", "threshold")),
 }
 
 
@@ -218,7 +218,7 @@ def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource
     if name == "hwdplus":
         return HwdPlusSource(**given)
     if name == "folder":
-        return FolderSource(given["images"], given.get("foreground", "auto"))
+        return FolderSource(given["images"], given.get("foreground", "auto"), given.get("threshold", "auto"))
     if given.get("download"):
         download_mnist(given["images"])
     return MnistSource(given["images"])
@@ -233,12 +233,17 @@ def source_again(described: Mapping[str, Any], **files: str | None) -> DigitSour
     if name not in _OPTIONS:
         raise InputError(f"the data set was made from source {name!r}, which is not known")
     needed, taken = _OPTIONS[name]
-    known = {**files, "digits": described.get("count"), "foreground": described.get("ink")}
+    known = {
+        **files,
+        "digits": described.get("count"),
+        "foreground": described.get("ink"),
+        "threshold": described.get("threshold"),
+    }
     given = {option: known[option] for option in (*needed, *taken) if known.get(option) is not None}
     source = chosen_source(name, given, int(described.get("seed", 0)))
-    # Who wrote a digit decides no solid, and the column of writers is not asked for.
-    found = {**source.fingerprint(), "writers_sha256": described.get("writers_sha256")}
-    if found != {"writers_sha256": None, **described}:
+    # Who wrote a digit decides no solid, and the column of writers is not asked for; nor do other files.
+    unasked = {key: described.get(key) for key in ("writers_sha256", "left_out")}
+    if {**source.fingerprint(), **unasked} != {**described, **unasked}:
         raise InputError(
             f"--images {files['images']!r} holds other images than the data set was made from",
             next="give the same files as when it was made",

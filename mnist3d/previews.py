@@ -63,7 +63,6 @@ _LIGHTEST, _DARKEST = (214, 230, 241), (8, 64, 112)
 _SAMPLING = 2
 # How many times their distance the layers of the stack are drawn apart.
 _SPREAD = 4.0
-_IMAGES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 _TILE_PX = 132
 _VIEW_PX = 520
 
@@ -87,25 +86,35 @@ def plan_previews(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
         mesh = read_mesh(path, unit=unit)
         return _plan_file("sheet", name, spec, partial(draw_mesh, mesh=mesh, title=path.name))
     refuse_unit(unit, name)
-    from mnist3d.sources.canvas import fit
-    from mnist3d.sources.folder import read_picture
-
-    # As the sources do: the numbers of the default specification are for sheets of 500 px.
-    pixels = fit(read_picture(path))
-    draw = partial(draw_steps, pixels=pixels, spec=SolidSpec(), title=path.name)
-    return _plan_file("steps", name, spec, draw)
+    return _plan_file("steps", name, spec, *_draw_pages(path))
 
 
 def is_picture_or_mesh(name: str) -> bool:
     """Return whether a name is that of a single picture or mesh on this machine, and of no data set."""
+    from mnist3d.sources.pictures import ENDINGS
+
     if is_remote(name):
         return False
     path = expanded(name)
-    return path.suffix.lower() in (*FORMATS, *_IMAGES) and path.is_file()
+    return path.suffix.lower() in (*FORMATS, *ENDINGS) and path.is_file()
 
 
-def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixels]) -> PicturePlan:
-    """Plan the one picture that a single file allows; InputError where anything else was asked for."""
+def _draw_pages(path: Path) -> list[Callable[[], Pixels]]:
+    """Read the pages of a picture; each is a digit."""
+    from mnist3d.sources.canvas import fit
+    from mnist3d.sources.pictures import pages_of, read_picture
+
+    pages = pages_of(path)
+    titles = [f"{path.name}, page {number}" for number in range(1, len(pages) + 1)]
+    # As the sources do: the numbers of the default specification are for sheets of 500 px.
+    return [
+        partial(draw_steps, pixels=fit(read_picture(path, page=page)), spec=SolidSpec(), title=title)
+        for page, title in zip(pages, titles if len(pages) > 1 else [path.name], strict=True)
+    ]
+
+
+def _plan_file(kind: str, name: str, spec: PreviewSpec, *draws: Callable[[], Pixels]) -> PicturePlan:
+    """Plan the pictures that a single file allows; InputError where anything else was asked for."""
     asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
     given = {
         "--split": spec.split,
@@ -116,7 +125,11 @@ def _plan_file(kind: str, name: str, spec: PreviewSpec, draw: Callable[[], Pixel
     asked += [option for option, value in given.items() if value]
     if asked:
         raise InputError(f"{asked[0]} needs a data set, and {name!r} is a single file", next="leave it out")
-    return PicturePlan((PlannedPicture(f"{file_stem(name)}-{kind}.png", Path(name).name, draw),))
+    stems = [f"{file_stem(name)}-{number}" for number in range(1, len(draws) + 1)]
+    planned = zip(stems if len(draws) > 1 else [file_stem(name)], draws, strict=True)
+    return PicturePlan(
+        tuple(PlannedPicture(f"{stem}-{kind}.png", Path(name).name, draw) for stem, draw in planned)
+    )
 
 
 def _plan_set(name: Name | Place, spec: PreviewSpec) -> PicturePlan:

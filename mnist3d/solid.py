@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from mnist3d.ink import (
     SMALL_PX,
     Mask,
+    as_levels,
     clean,
     count_bodies_and_holes,
     ink_of_levels,
@@ -26,6 +27,7 @@ from mnist3d.ink import (
 )
 from mnist3d.lattice import Lattice, Mirrored, erode, lattice_of, mirror, stack
 from mnist3d.literal import literal_solid
+from mnist3d.photograph import even_out, is_clean
 from mnist3d.spec import SolidSpec
 from mnist3d.surface import BUDGET_SLACK, Surface, bodies_and_holes, decimate, marching_cubes, scale, smooth
 from tactile_toolkit.errors import InputError
@@ -54,8 +56,9 @@ def solidify(
         ``"fast"``: one distance transform and a lattice of real values; ``"literal"``: the algorithm as the
         paper prints it.
     ink : {"auto", "dark", "light"}
-        Which part is ink. ``"auto"`` takes the margin for paper, and where ``spec.threshold`` is given what
-        is up to it for ink.
+        Which part is ink. ``"auto"`` takes the margin of a clean image for paper, evens out the light of
+        photographs and scans (:func:`mnist3d.photograph.even_out`), and where ``spec.threshold`` is given
+        takes what is up to it for ink. With the others one threshold counts for all of the image.
     resample : bool
         Draw the image again with 500 pixels on its longer side, as the sources do. Images of less than 64
         pixels are refused otherwise: 28 pixels of 0.2 mm make a block of 5.6 mm.
@@ -72,8 +75,8 @@ def solidify(
     ------
     ItemError
         The image is not a usable digit; ``reason`` is one of ``bad-shape``, ``bad-dtype``, ``bad-range``,
-        ``not-finite``, ``too-small``, ``unclear-ink``, ``no-ink``, ``all-ink``, ``topology``,
-        ``vertex-budget``.
+        ``not-finite``, ``too-small``, ``unclear-ink``, ``no-ink``, ``all-ink``, ``cut-off``,
+        ``several-digits``, ``not-a-digit``, ``topology``, ``vertex-budget``.
     InputError
         An unknown method, or an unknown word for the ink.
     """
@@ -126,7 +129,10 @@ def binarise(
         raise InputError(f"ink is {ink!r}; expected 'auto', 'dark' or 'light'")
     # A threshold says which side of it is ink.
     said = "dark" if ink == "auto" and spec.threshold is not None else ink
-    levels, threshold = levels_and_threshold(pixels, said)
+    levels = as_levels(pixels)
+    if said == "auto" and not is_clean(levels):
+        levels, said = even_out(levels), "dark"
+    levels, threshold = levels_and_threshold(levels, said)
     if resample:
         from mnist3d.sources.canvas import fit
 

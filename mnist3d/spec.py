@@ -249,6 +249,12 @@ class SourceOptions:
         ("auto", "dark", "light"),
         help="Strokes of the images in a folder: darker than the paper, or lighter.",
     )
+    threshold: str = choice(
+        "auto",
+        ("auto", "local", "global"),
+        help="Even out the light of pictures and look for the page (local), or take one grey level for all "
+        "of a picture (global); auto evens out what has no clean paper.",
+    )
     # As many as MNIST 3D has (Tactile MNIST paper).
     digits: int = integer(13_580, 1, MOST_DIGITS, help="Number of digits in the synthetic source.")
 

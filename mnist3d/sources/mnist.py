@@ -31,6 +31,9 @@ IMAGES_MAGIC = 0x803
 LABELS_MAGIC = 0x801
 """First number of a file of labels: unsigned bytes (8) in one dimension (1)."""
 
+_GZIP = b"\x1f\x8b"
+"""First bytes of a gzipped file, whatever its name."""
+
 _PREFIXES = {"train": "train", "test": "t10k"}
 _KINDS = {"images": "idx3-ubyte", "labels": "idx1-ubyte"}
 
@@ -168,7 +171,7 @@ def _read_pair(images_path: Path, labels_path: Path, _images_ns: int, _labels_ns
 
 
 def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
-    """Read a file of unsigned bytes, plain or (when its name ends in ``.gz``) gzipped, read-only.
+    """Read a file of unsigned bytes, plain or (as its first bytes say) gzipped, read-only.
 
     The first number of the file must be ``magic``, whose last byte is the number of dimensions. Raises
     InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind. No more
@@ -176,7 +179,10 @@ def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
     """
     start = 4 + 4 * (magic & 0xFF)
     try:
-        with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as stream:
+        with path.open("rb") as file:
+            is_packed = file.read(len(_GZIP)) == _GZIP
+            file.seek(0)
+            stream = gzip.GzipFile(fileobj=file) if is_packed else file
             found, *shape = struct.unpack(f">{start // 4}I", stream.read(start))
             if found != magic:
                 raise _unusable(path, f"magic number {found}", magic)

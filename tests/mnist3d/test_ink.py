@@ -78,8 +78,8 @@ def test_a_margin_of_both_is_unclear() -> None:
 
 
 def test_binarise_obeys_a_given_threshold() -> None:
-    pixels = np.tile(np.arange(256, dtype=np.uint8), (8, 1))
-    assert ink_of_levels(pixels, 99).sum() == 8 * 100
+    pixels = np.pad(np.tile(np.arange(256, dtype=np.uint8), (80, 1)), 60, constant_values=255)
+    assert ink_of_levels(pixels, 99).sum() == 80 * 100
 
 
 @pytest.mark.parametrize(

@@ -175,12 +175,6 @@ class TestRefusals:
         path.write_bytes(data)
         assert f"{path}: found a file that cannot be read" in refusal(MnistSource(str(tmp_path)))
 
-    def test_plain_file_named_gz(self, tmp_path: Path) -> None:
-        write(tmp_path, end=".gz")
-        path = tmp_path / name_of("test", "labels", end=".gz")
-        path.write_bytes(idx(bars(4)[1]))
-        assert "expected an intact IDX file" in refusal(MnistSource(str(tmp_path)))
-
     def test_counts_differ(self, tmp_path: Path) -> None:
         write(tmp_path, labels=bars(3)[1])
         message = refusal(MnistSource(str(tmp_path)))

@@ -1,0 +1,139 @@
+"""The page in a photograph or scan, and the paper around each pixel, looked for in a coarse picture.
+
+Grey levels stay integers: their means and interpolations are the same on every processor.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mnist3d.ink import Levels, Mask
+
+_COARSE_PX = 175
+"""Longer side at which the page and its light are looked for."""
+
+WIDEST_STROKE = 1 / 6
+"""All strokes are narrower, as a share of the longer side."""
+
+_SHARE, _CONVEX = 0.2, 0.95
+"""Of the picture, and of its convex hull, that a page fills at least."""
+
+_STEP, _SHARP = 0.1, 0.7
+"""Step of the logarithm of brightness at the outline of a page, and the share of it within a few pixels."""
+
+_LEVELS = 12
+"""Levels of brightness at which a page is looked for."""
+
+# Brightness is a level and so much, that the logarithm of black is finite and its noise small.
+_DARK = 4
+
+
+def _factor(shape: tuple[int, ...]) -> int:
+    return max(1, round(max(shape) / _COARSE_PX))
+
+
+def coarse(view: Levels) -> Levels:
+    """Reduce a view, shape (H, W), to some 175 pixels on its longer side, by means of squares of pixels."""
+    from PIL import Image
+
+    return np.asarray(Image.fromarray(view).reduce(_factor(view.shape)))
+
+
+def fine(values: Levels, shape: tuple[int, ...]) -> Levels:
+    """Interpolate what :func:`coarse` gave at the pixels of a view of that shape."""
+    from PIL import Image
+
+    factor, (height, width) = _factor(shape), values.shape
+    larger = Image.fromarray(values).resize((width * factor, height * factor), Image.Resampling.BILINEAR)
+    return np.asarray(larger)[: shape[0], : shape[1]]
+
+
+def fine_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
+    """Return which pixels of a view of that shape are in a mask of coarse pixels."""
+    return fine(np.where(mask, np.uint8(255), np.uint8(0)), shape) > 127
+
+
+def paper(values: Levels, widest: float = WIDEST_STROKE) -> Levels:
+    """Return the paper around each coarse pixel: what a closing leaves that is wider than any stroke."""
+    from scipy import ndimage
+
+    side = int(max(values.shape) * widest) | 1
+    # What reaches the edge of the picture goes on beyond it.
+    beyond = np.pad(values, side, mode="edge")
+    closed = ndimage.minimum_filter(ndimage.maximum_filter(beyond, side), side)
+    return np.maximum(closed[side:-side, side:-side], 1)
+
+
+def eroded(mask: Mask, steps: int) -> Mask:
+    """Draw in a page by so many coarse pixels, but not where it goes on beyond the edge of the picture."""
+    from scipy import ndimage
+
+    return np.asarray(ndimage.binary_erosion(mask, iterations=steps, border_value=1))
+
+
+def find_page(darkest: Levels) -> Mask:
+    """Return where the page is, in coarse pixels; everywhere where nothing else is seen.
+
+    The page is the convex bright part whose outline is a sharp step almost everywhere: shadows are soft.
+
+    Parameters
+    ----------
+    darkest : ndarray of uint8, shape (H, W)
+        The darkest of the channels of each pixel, which shows wood and coloured cloth as dark.
+
+    Returns
+    -------
+    ndarray of bool
+        Shape of :func:`coarse`.
+    """
+    from scipy import ndimage
+    from skimage.morphology import convex_hull_image
+
+    tones = np.log(np.arange(256, dtype=np.float32) + _DARK)
+    tone, tone_px = tones[paper(coarse(darkest))], tones[darkest]
+    page, best = np.ones(tone.shape, bool), _STEP
+    low, high = np.percentile(tone, [1, 99])
+    for level in np.linspace(low, high, _LEVELS + 2)[1:-1] if low < high else ():
+        labels, _ = ndimage.label(tone > level)
+        sizes = np.bincount(labels.ravel())
+        largest = int(sizes[1:].argmax()) + 1
+        if sizes[largest] < _SHARE * tone.size:
+            continue
+        part = ndimage.binary_fill_holes(labels == largest)
+        hull = convex_hull_image(part)  # type: ignore[no-untyped-call]
+        if part.all() or part.sum() < _CONVEX * hull.sum():
+            continue
+        step, sharpness = _step_at_outline(tone_px, part)
+        if sharpness > _SHARP and step > best:
+            page, best = part, step
+    return page
+
+
+def _step_at_outline(tone_px: NDArray[np.float32], part: Mask) -> tuple[float, float]:
+    """Return the step that four fifths of an outline reach, and which share of it is within a few pixels.
+
+    Ink that crosses the outline, and what lies on the desk, are seen along a small part of it.
+    """
+    from scipy import ndimage
+    from skimage.measure import find_contours
+
+    soft = ndimage.gaussian_filter(part.astype(np.float32), 1.5)
+    lines = find_contours(part.astype(np.float32), 0.5)  # type: ignore[no-untyped-call]
+    points = np.concatenate(lines).T
+    shape, factor = np.array(part.shape)[:, None], _factor(tone_px.shape)
+    points = points[:, ((points > 3) & (points < shape - 4)).all(axis=0)]
+    if points.shape[1] < 20:
+        return 0.0, 0.0
+    slopes = np.asarray(np.gradient(soft))
+    inwards = np.stack([ndimage.map_coordinates(slope, points, order=1) for slope in slopes])
+    inwards /= np.hypot(inwards[0], inwards[1]) + 1e-6
+    along = np.arange(-3 * factor, 3 * factor + 1)
+    sharp_px = factor + 1
+    at = points[..., None] * factor + (factor - 1) / 2 + inwards[..., None] * along
+    tones = ndimage.map_coordinates(tone_px, at, order=1, mode="nearest")
+    # Neighbours see the same edge, but other noise.
+    tones = ndimage.uniform_filter1d(tones, 9, axis=0)
+    steps = tones[:, -factor:].mean(axis=1) - tones[:, :factor].mean(axis=1)
+    near = (tones[:, sharp_px:] - tones[:, :-sharp_px]).max(axis=1)
+    return float(np.percentile(steps, 20)), float(np.median(near / np.maximum(steps, 0.05)))
