@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import inspect
-import math
 import os
 import sys
 from collections.abc import Callable, Iterator, Mapping
@@ -16,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 
 import typer
-from typer.core import TyperCommand, TyperGroup
+from typer.core import TyperCommand
 
 from tactile_toolkit.checked_fields import OptionText, Rule, check_value, metavar_of, rule_of, text
 from tactile_toolkit.errors import (
@@ -37,30 +36,6 @@ _DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
 # Help of wide terminals has lines of this length.
 _SETTINGS = {"max_content_width": 100}
 
-# Spellings of an earlier version, where the one of now alone is known; they work for one version.
-_FORMER = {
-    "--at": "--at-mm",
-    "--bed": "--plate",
-    "--density": "--density-kg-m3",
-    "--gap": "--gap-mm",
-    "--ink": "--foreground",
-    "--jpeg": "--format=jpeg",
-    "--layout": "--format",
-    "--like": "--window",
-    "--margin": "--margin-mm",
-    "--noise": "--sensor-noise",
-    "--no-shift": "--no-perturb",
-    "--objects": "--ids",
-    "--place": "--positions",
-    "--png": "--format=png",
-    "--profile": "--edge-profile",
-    "--shift": "--perturb",
-    "--turn": "--turn-deg",
-    "to-single": "clips-to-images",
-}
-# By what the values of these, in metres and radians, are multiplied.
-_FORMER_UNITS = {"--at": 1e3, "--turn": math.degrees(1)}
-
 F = TypeVar("F", bound=Callable[..., None])
 
 
@@ -69,12 +44,10 @@ class OptionsOf:
     """Marks a parameter as the options of a specification, of which a command gets a dict of those given.
 
     ``Annotated[dict[str, Any], OptionsOf(WrenchSpec)]`` serves specifications with defaults that follow from
-    other fields, and commands that must know what was given. ``with_retired`` takes fields without help, too:
-    former options, which stand in the file of ``--config`` now.
+    other fields, and commands that must know what was given.
     """
 
     spec: type
-    with_retired: bool = False
 
 
 def _print_version(wanted: bool) -> None:
@@ -114,7 +87,6 @@ def new_app(name: str, purpose: str) -> typer.Typer:
     # `--help`, and breaks long choices and messages to fit its boxes.
     app = typer.Typer(
         name=name,
-        cls=_Commands,
         help=purpose,
         no_args_is_help=True,
         pretty_exceptions_enable=False,
@@ -130,24 +102,13 @@ def new_app(name: str, purpose: str) -> typer.Typer:
     return app
 
 
-class _Commands(TyperGroup):
-    """The commands of an application, which are found by former names, too."""
-
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:
-        now = _FORMER.get(cmd_name, cmd_name)
-        if now not in self.commands or cmd_name in self.commands:
-            return super().get_command(ctx, cmd_name)
-        _warn(f"{cmd_name} is deprecated; next: write {now}")
-        return super().get_command(ctx, now)
-
-
 class _Command(TyperCommand):
-    """A command with its options by panel, which takes former spellings and refuses values in plain words."""
+    """A command with its options by panel, which refuses values in plain words."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         with self._errors_reported():
             try:
-                return super().parse_args(ctx, list(self._renewed(args)))
+                return super().parse_args(ctx, args)
             except typer.BadParameter as error:
                 error.message = error.message.removeprefix("Value error, ")
                 raise
@@ -155,23 +116,6 @@ class _Command(TyperCommand):
     def invoke(self, ctx: Any) -> Any:
         with self._errors_reported():
             return super().invoke(ctx)
-
-    def _renewed(self, args: list[str]) -> Iterator[str]:
-        """Give arguments their spelling of now, with a warning."""
-        known = {name for each in self.params for name in (*each.opts, *each.secondary_opts)}
-        words = iter(args)
-        for word in words:
-            name, equals, value = word.partition("=")
-            now = _FORMER.get(name, "")
-            if name in known or now.partition("=")[0] not in known:
-                yield word
-                if word == "--":  # all that follows are names
-                    yield from words
-                continue
-            _warn(f"{name} is deprecated; next: write {now}")
-            if name in _FORMER_UNITS:
-                equals, value = "=", _scaled(value if equals else next(words, ""), _FORMER_UNITS[name])
-            yield f"{now}{equals}{value}"
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
         panels: dict[str, list[tuple[str, str]]] = {}
@@ -221,18 +165,6 @@ class _Command(TyperCommand):
         # The library takes metres where people give millimetres: `cell_m` is --cell-mm.
         option = options.get(name) or (options.get(f"{name}m", "") and f"{options[f'{name}m']}, in metres,")
         return f"{option or first}{space}{rest}"
-
-
-def _scaled(words: str, factor: float) -> str:
-    """Multiply numbers with commas between them; other words stay."""
-    try:
-        return ",".join(f"{factor * float(each):.15g}" for each in words.split(","))
-    except ValueError:
-        return words
-
-
-def _warn(text: str) -> None:
-    sys.stderr.write(f"warning: {printable(text)}\n")
 
 
 def command(app: typer.Typer, name: str | None = None, **known: Any) -> Callable[[F], F]:
@@ -309,12 +241,11 @@ def _group(hint: Any, parameter: inspect.Parameter) -> list[inspect.Parameter]:
     group: Any = hint if mark is None else mark.spec
     if not is_dataclass(group):
         return [_parameter(parameter.name, parameter.default)]
-    is_optional, with_retired = mark is not None, mark is not None and mark.with_retired
     found = []
     for each in fields(group):
         rule = rule_of(each)
-        if rule is not None and ("help" in rule.option or with_retired):
-            found.append(_parameter(each.name, each, is_optional=is_optional))
+        if rule is not None and "help" in rule.option:
+            found.append(_parameter(each.name, each, is_optional=mark is not None))
     return found
 
 
@@ -355,8 +286,6 @@ def _declaration(name: str, rule: Rule, default: Any) -> Any:
         """Return the one spelling of a value that was given; InputError where it does not fit."""
         if not _is_given(context, name):
             return default
-        if "help" not in text and "argument" not in text:
-            _warn(f"{label} is deprecated; next: write {name} = {value} into the file of --config")
         expected = rule.expected.removeprefix("None or ")  # that is to leave the option out
         if "read" in text:
             value = list(map(text["read"], value)) if "several" in text else text["read"](value)
@@ -367,7 +296,6 @@ def _declaration(name: str, rule: Rule, default: Any) -> Any:
         "metavar": metavar,
         "show_default": text.get("shown") or True,
         "rich_help_panel": text.get("panel"),
-        "hidden": "help" not in text,
         "callback": check,
     }
     return typer.Argument(**settings) if "argument" in text else typer.Option(*names, **settings)

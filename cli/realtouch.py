@@ -11,7 +11,7 @@ import typer
 
 from cli.application import EXIT_FAILED, command, new_app, run
 from cli.making import least_to_most, make_with_progress, print_left_out, print_set
-from cli.options import TOUCH_SET, WORKERS, Opening, Work, argument, out_folder, parse_address, process_count
+from cli.options import TOUCH_SET, WORKERS, Opening, Work, argument, out_folder, process_count
 from cli.output import Sink, flat_lines
 from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
@@ -205,9 +205,8 @@ def _print_summary(sink: Sink, split: str, summary: Summary) -> None:
 
 _FRAME = choice(
     "contact_end",
-    ("contact_end", "contact_start", "peak", "median", "best"),
-    help="Frame of a clip: last or first of the contact, of the deepest press, least like the median, "
-    "or with the best contact score.",
+    ("contact_end", "contact_start", "peak", "best"),
+    help="Frame of a clip: last or first of the contact, of the deepest press, or with the best contact score.",
 )
 
 
@@ -306,26 +305,18 @@ def _add(name: str, options_of: type, function: Callable[..., Manifest], nouns: 
         *,
         source: str = TOUCH_SET,
         opening: Opening,
-        former_out: str | None = text(argument=True, metavar="OUT", read=parse_address),
-        out: str | None = text(
-            name="--out -o", metavar="DIR", read=parse_address, help="Folder to write; required."
-        ),
+        out: str = out_folder(),
         options: Any,
         split: str | None = SPLIT,
         limit: int | None = LIMIT,
         work: Work,
         sink: Sink,
     ) -> None:
-        if former_out is not None:
-            sink.warn(f"warning: OUT without --out is deprecated; next: write --out {former_out}")
-        place = out or former_out
-        if place is None:
-            raise InputError("--out was not given; expected the folder to write", next="add --out DIR")
         opened = opening.open(sink, source).require(KIND, name)
-        make = partial(function, opened, place, **_arguments(options), split=split, limit=limit)
+        make = partial(function, opened, out, **_arguments(options), split=split, limit=limit)
         announce_fetching(sink, opened, split)
         kind = replace(KIND, nouns=nouns)
-        make_with_progress(sink, "converting", kind, make, work, place, print_set, KIND.nouns)
+        make_with_progress(sink, "converting", kind, make, work, out, print_set, KIND.nouns)
 
     convert.__doc__ = options_of.__doc__
     convert.__annotations__["options"] = options_of

@@ -189,7 +189,7 @@ def train(
         read=local_place,
         help="TOML file with values of fields of `TrainConfig`, such as crop = 1.0; options override it.",
     ),
-    options: Annotated[dict[str, Any], OptionsOf(TrainConfig, with_retired=True)],
+    options: Annotated[dict[str, Any], OptionsOf(TrainConfig)],
     device: str = choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
     deterministic: bool = switch(False, help="Make every run give the same weights, on the CPU."),
     resume: bool = switch(False, help="Continue the training in the folder; an error if there is none."),

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import shlex
-import warnings
 from collections.abc import Mapping, Sequence
 from importlib import import_module
 from os import PathLike, fspath
@@ -109,11 +108,6 @@ class AssetProvider:
         Make only this many of each class of a split, instead of the published numbers.
     workers : int
         Number of processes that make it.
-    cache_meshes : int, optional
-        Has no effect.
-
-        .. deprecated:: 0.1
-           Keep the records that you want to use again.
 
     Notes
     -----
@@ -139,14 +133,11 @@ class AssetProvider:
         places: Mapping[str, str | PathLike[str]] | None = None,
         *,
         revision: str | None = None,
-        cache_meshes: int | None = None,
         generate: bool = False,
         seed: int = 0,
         per_class: int | None = None,
         workers: int = 1,
     ) -> None:
-        if cache_meshes is not None:
-            warnings.warn("cache_meshes has no effect", DeprecationWarning, stacklevel=2)
         for name, number, least in (("seed", seed, 0), ("workers", workers, 1), ("per_class", per_class, 1)):
             if number is not None:
                 checked_integer(number, f"{name} of the AssetProvider", least)

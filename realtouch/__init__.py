@@ -7,6 +7,4 @@ Names are imported on first use, so that ``import realtouch`` costs nothing.
 
 from tactile_toolkit import on_first_use
 
-__getattr__, __dir__, __all__ = on_first_use(
-    __name__, __file__, to_single="clips_to_images", find_contacts="contacts_by_image"
-)
+__getattr__, __dir__, __all__ = on_first_use(__name__, __file__)

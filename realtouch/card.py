@@ -37,7 +37,7 @@ _TILE_WIDTH = 96
 # Each is a block to unpack: of a damaged set a card should not try them all.
 _ROUNDS_SEEN = 4
 
-_COMMANDS = {"to-single": "clips-to-images"}  # manifests of all versions have the former name
+_COMMANDS = {"to-single": "clips-to-images"}  # as manifests name it
 _WINDOW = "18.88 x 14.16 mm of gel"
 
 

@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.checked_fields import check_fields, integer, real
-from tactile_toolkit.deprecation import former_arguments, former_attributes, warn_former
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.contact import RENDERED_CONTACT_M, height_text
 from tactile_toolkit.touch.jpeg import Pixels
@@ -41,9 +40,6 @@ _PIXELS_AT_ONCE = 1 << 13
 
 def require_method(method: str) -> ContactMethod:
     """Return the method of that name; InputError when there is none."""
-    if method == "median":
-        warn_former("median", "best", 4)
-        return "best"
     for known in CONTACT_METHODS:
         if known == method:
             return known
@@ -162,7 +158,6 @@ def _with_background(pictures: Any, background: Any) -> tuple[Pixels, Pixels]:
     return found, base
 
 
-@former_arguments(form="representation")
 def difference(
     pictures: Pixels, background: Pixels, representation: Representation = "signed"
 ) -> NDArray[Any]:
@@ -236,7 +231,6 @@ class ContactRule:
         return slice(margins[0], height - margins[0]), slice(margins[1], width - margins[1])
 
 
-@former_attributes(weight="total_change")
 @dataclass(frozen=True, eq=False)
 class ContactScore:
     """How much of a picture changed, and by how much; numbers, or arrays of shape (N,) for N pictures.

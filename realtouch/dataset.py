@@ -27,7 +27,6 @@ from realtouch.rounds import (
 )
 from realtouch.schema import POSE_COLUMN, flat_row, is_per_touch, media_kind
 from tactile_toolkit.checked_fields import checked_integer
-from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import column_types
 from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions
@@ -420,7 +419,6 @@ class Touches(RecordDataset[Touch], Generic[R]):
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
 
-    @former_arguments(empties="no_contact_fraction")
     def sample(
         self,
         n: int | None = None,

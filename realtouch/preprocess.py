@@ -22,7 +22,6 @@ from realtouch.contact import (
 from realtouch.dataset import Touches, with_no_contact
 from realtouch.media import SensorImages, TouchClip, in_parallel
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
-from tactile_toolkit.deprecation import former_arguments
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch.jpeg import Pixels
 
@@ -147,7 +146,6 @@ class Contacts:
     def __len__(self) -> int:
         return len(self.touches)
 
-    @former_arguments(empties="no_contact_fraction")
     def select(self, no_contact_fraction: float = 0.0, seed: int = 0) -> Contacts:
         """Return the touches with contact, and some without; see :meth:`Touches.sample`.
 

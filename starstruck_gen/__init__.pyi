@@ -11,7 +11,6 @@ from starstruck_gen.placement import (
     Placement as Placement,
     SceneMeshes as SceneMeshes,
     build_meshes as build_meshes,
-    stamp as stamp,
 )
 from starstruck_gen.sampling import (
     SamplingExhausted as SamplingExhausted,

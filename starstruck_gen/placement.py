@@ -25,7 +25,6 @@ from starstruck_gen.shapes import (
     read_only,
 )
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.deprecation import warn_former
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
@@ -384,16 +383,6 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
         RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
         RaggedColumn(faces, _offsets([len(made.faces) for made in outlines])),
     )
-
-
-def stamp(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
-    """Make the meshes of a batch of scenes.
-
-    .. deprecated:: 0.1
-       Use :func:`build_meshes`.
-    """
-    warn_former("stamp", "build_meshes")
-    return build_meshes(layouts)
 
 
 def _offsets(counts: list[int]) -> NDArray[np.int64]:

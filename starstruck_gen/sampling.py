@@ -19,7 +19,6 @@ from starstruck_gen.placement import COLLISION_TESTS, Placement
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.checked_fields import checked_integer
-from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M
 
@@ -280,7 +279,6 @@ def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
     return options[0] if len(options) == 1 else options[int(uniform() * len(options))]
 
 
-@former_attributes(hopeless="infeasible")
 @dataclass(eq=False)
 class SamplingExhausted(InputError):  # noqa: N818
     """No position was found for an object of a scene, in all restarts.

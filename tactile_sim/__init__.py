@@ -6,11 +6,4 @@
 
 from tactile_toolkit import on_first_use
 
-__getattr__, __dir__, __all__ = on_first_use(
-    __name__,
-    __file__,
-    press="render_touch",
-    as_sensor="full_view",
-    as_environment="center_view",
-    GivenTouches="TouchTable",
-)
+__getattr__, __dir__, __all__ = on_first_use(__name__, __file__)

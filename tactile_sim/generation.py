@@ -28,13 +28,12 @@ from tactile_sim.pressing import (
     pose,
     render_touch,
 )
-from tactile_sim.spec import WINDOWS, PictureOptions, TouchPlan, current_window, window_option
+from tactile_sim.spec import WINDOWS, PictureOptions, TouchPlan
 from tactile_toolkit import making
 from tactile_toolkit.catalog.choose import choose_rows
 from tactile_toolkit.catalog.locate import refuse_source
 from tactile_toolkit.catalog.spec import IdChoice
 from tactile_toolkit.checked_fields import check_fields, choice, integer
-from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MeshLike
 from tactile_toolkit.mesh.records import SolidDataset
@@ -64,7 +63,6 @@ _IMAGE_BYTES = "sensor_image.list.element.bytes"
 _JPEG_BYTES_PER_PX = 0.25
 
 
-@former_attributes(like="window")
 @dataclass(frozen=True)
 class GenerateSpec:
     """Everything that decides the touches of a set of solids.
@@ -100,7 +98,7 @@ class GenerateSpec:
 
     size_px: tuple[int, int] = (64, 64)
     optics: str = choice("taxim", OPTICS)
-    window: str = window_option("center")
+    window: str = choice("center", tuple(WINDOWS))
     plan: TouchPlan = field(default_factory=TouchPlan)
     image_format: Literal["jpeg", "png"] = choice("jpeg", ("jpeg", "png"))
     quality: int = integer(95, 1, 100)
@@ -115,7 +113,6 @@ class GenerateSpec:
     def __post_init__(self) -> None:
         # A sensor checks its size: one rule for both.
         object.__setattr__(self, "size_px", full_view(*self.size_px).size_px)
-        object.__setattr__(self, "window", current_window(self.window))
         check_fields(self, "the touches")
         object.__setattr__(self, "layer_m", checked_layer_m(self.layer_m))
         noise: Any = self.noise

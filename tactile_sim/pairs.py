@@ -182,7 +182,7 @@ class Pairs:
         try:
             options = manifest.spec["options"]
             (width, height), stored = options["size_px"], options["like"]
-            window = {former: name for name, former in WINDOWS.items()}[stored]
+            window = {word: name for name, word in WINDOWS.items()}[stored]
         except (KeyError, TypeError, ValueError) as error:
             raise IntegrityError(
                 f"the specification in {place.name!r} does not state size and window of the pictures",

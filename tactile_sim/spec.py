@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
-from tactile_toolkit.deprecation import former_attributes, warn_former
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch.contact import contact_height_option, size_option
@@ -34,21 +33,7 @@ _MOST_ROUNDS = 1_000_000
 
 
 WINDOWS = {"center": "environment", "full": "published"}
-"""What of the sensor is seen, and as manifests name it."""
-
-
-def current_window(word: Any) -> Any:
-    """Return the name of today of a window; former ones, those of manifests, work with a warning."""
-    for name, former in WINDOWS.items():
-        if word == former:
-            warn_former(former, name)
-            return name
-    return word
-
-
-def window_option(default: str, **option: Any) -> Any:
-    """Declare the window of a sensor."""
-    return choice(default, tuple(WINDOWS), metavar="|".join(WINDOWS), read=current_window, **option)
+"""What of the sensor is seen, and how manifests name it."""
 
 
 def _turn_rad(word: str) -> float:
@@ -57,7 +42,6 @@ def _turn_rad(word: str) -> float:
     return TURNS[word]
 
 
-@former_attributes(place="positions", lie="object_placement", shift="perturb")
 @dataclass(frozen=True)
 class TouchPlan:
     """How often and where each object is touched.
@@ -148,15 +132,6 @@ class TouchPlan:
 _LEAST_CROP_PX = 32
 
 
-_FORMER_SETTINGS = {
-    "judge_filters": "discriminator_filters",
-    "judge_noise": "discriminator_noise",
-    "start_steps": "pretrain_steps",
-    "level_weight": "background_weight",
-}
-
-
-@former_attributes(**_FORMER_SETTINGS)
 @dataclass(frozen=True)
 class TrainConfig:
     """Settings of a training. The paper gives crops and nothing else; Zhu et al. 2017 means CycleGAN's paper.
@@ -208,9 +183,9 @@ class TrainConfig:
 
     filters: int = integer(64, 1, 1024, help="Number of filters of the generators.")
     blocks: int = integer(9, 0, 64, help="Number of residual blocks.")
-    discriminator_filters: int = integer(64, 1, 1024, name="--judge-filters")
+    discriminator_filters: int = integer(64, 1, 1024)
     steps: int = integer(200_000, 1, 10**9, help="Total number of steps.")
-    pretrain_steps: int = integer(2500, 0, 10**9, name="--start-steps")
+    pretrain_steps: int = integer(2500, 0, 10**9)
     batch: int = integer(1, 1, 4096, help="Images of each kind in a step.")
     crop: float = real(0.875, 0.1, 1)
     learning_rate: float = real(2e-4, 1e-8, 1, help="Learning rate of Adam.")
@@ -219,7 +194,7 @@ class TrainConfig:
     depth_cycle_weight: float = real(10.0, 0, 1e4)
     touch_cycle_weight: float = real(10.0, 0, 1e4)
     identity_weight: float = real(5.0, 0, 1e4)
-    background_weight: float = real(10.0, 0, 1e4, name="--level-weight")
+    background_weight: float = real(10.0, 0, 1e4)
     sensor_noise: SensorNoise | None = text(
         metavar="none|calibrated|FILE",
         shown="none",
@@ -228,7 +203,7 @@ class TrainConfig:
         "--sensor-noise`.",
     )
     noise: float = real(0.0, 0, 1)
-    discriminator_noise: float = real(0.0, 0, 1, name="--judge-noise")
+    discriminator_noise: float = real(0.0, 0, 1)
     pool: int = integer(50, 0, 10_000)
     seed: int = integer(0, 0, 2**63, help="Random seed.")
     checkpoint_every: int = integer(1000, 1, 10**9)
@@ -261,7 +236,7 @@ class TrainConfig:
                 f"--config {str(path)!r} cannot be read ({error}); expected a TOML file"
             ) from error
         known = [each.name for each in fields(cls)]
-        unknown = [name for name in held if name not in {*known, *_FORMER_SETTINGS}]
+        unknown = [name for name in held if name not in known]
         if unknown:
             raise InputError(
                 f"--config {str(path)!r} has {unknown[0]!r}; expected some of {', '.join(known)}"
@@ -312,8 +287,9 @@ class PictureOptions:
         shown="taxim; depth without the extra sim",
         help="How an image is made from depth.",
     )
-    window: str = window_option(
+    window: str = choice(
         "center",
+        tuple(WINDOWS),
         help="center: what the environments show in this size; full: the full view of the sensor, as in "
         "published sets.",
     )
@@ -352,7 +328,6 @@ def _metres(words: str) -> float:
 _SIDES_PX = range(16, 2049, 4)
 
 
-@former_attributes(like="window")
 @dataclass(frozen=True)
 class PairsSpec:
     """Everything that decides a training set of learned rendering.
@@ -387,8 +362,9 @@ class PairsSpec:
     min_height_m: float | None = contact_height_option(
         above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
     )
-    window: str = window_option(
+    window: str = choice(
         "full",
+        tuple(WINDOWS),
         help="full: depth of the full view of the sensor, as real touches show it; center: as environments "
         "do.",
     )
@@ -400,7 +376,6 @@ class PairsSpec:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", plain(self.size_px))
-        object.__setattr__(self, "window", current_window(self.window))
         check_fields(self, "the training set")
         if len(self.size_px) != 2 or not all(side in _SIDES_PX for side in self.size_px):
             raise InputError(

@@ -37,13 +37,10 @@ def library_versions(*distributions: str) -> dict[str, str]:
     return {name: version(name) for name in distributions}
 
 
-def on_first_use(
-    package: str, file: str, **former: str
-) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
+def on_first_use(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
     """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package: the names that its stub imports.
 
-    ``former`` names, each with what to write, give the same with a DeprecationWarning. The stub next to its
-    ``__init__.py`` is what type checkers and editors read, and the only list.
+    The stub next to its ``__init__.py`` is what type checkers and editors read, and the only list.
     """
     import ast
     from importlib import import_module
@@ -55,11 +52,6 @@ def on_first_use(
     home_of = {alias.name: str(node.module) for node in imports for alias in node.names}
 
     def attribute(name: str) -> Any:
-        if name in former:
-            from tactile_toolkit.deprecation import warn_former
-
-            warn_former(f"{package}.{name}", f"{package}.{former[name]}")
-            name = former[name]
         home = "tactile_toolkit" if name == "__version__" else home_of.get(name)
         if home is None:
             raise AttributeError(f"module {package!r} has no attribute {name!r}")

@@ -43,9 +43,6 @@ INSTEAD = {
 ONLY_IN_MESSAGES = {r"says?|said": "states, reports, shows"}
 """The same of strings that are not docstrings."""
 
-FORMER = {"starstruck_gen/sampling.py": "hopeless"}
-"""Former public names, which are kept with a warning."""
-
 NAMES = re.compile(
     r"(?:\b|_)(?:told|says?|vouch\w*|anew|nobody|forsaken|fleck|hopeless|whim|unproven|insist|talk)(?:_|\b)",
     re.IGNORECASE,
@@ -82,11 +79,10 @@ def faults(file: Path) -> Iterator[str]:
             message = {} if id(node) in docstrings else ONLY_IN_MESSAGES
             for pattern, instead in compiled(INSTEAD | message):
                 for found in pattern.finditer(node.value):
-                    if found[0] != FORMER.get(str(file.relative_to(ROOT))):
-                        yield f"{file.relative_to(ROOT)}:{node.lineno}: {found[0]!r}; write: {instead}"
+                    yield f"{file.relative_to(ROOT)}:{node.lineno}: {found[0]!r}; write: {instead}"
         elif isinstance(node, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef | ast.arg | ast.Name):
             name = getattr(node, "name", None) or getattr(node, "arg", None) or getattr(node, "id", "")
-            if NAMES.search(name) and name != FORMER.get(str(file.relative_to(ROOT))):
+            if NAMES.search(name):
                 yield f"{file.relative_to(ROOT)}:{node.lineno}: the name {name}"
     with file.open("rb") as stream:
         for token in tokenize.tokenize(stream.readline):

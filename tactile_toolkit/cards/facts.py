@@ -409,8 +409,6 @@ def check_croissant(folder: DataFolder, facts: FolderFacts) -> list[Finding]:
     try:
         stated = json.loads(folder.read_bytes(CROISSANT_FILE).decode())
         expected = _structure(facts, stated.get("url"))
-        for each in (stated, expected):  # earlier versions listed single files too
-            each["distribution"] = [entry for entry in each["distribution"] if "includes" in entry]
         differing = [name for name in expected if stated[name] != expected[name]]
         wrong = [f"its {name!r} is not that of the files here" for name in differing]
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError, ToolkitError) as error:

@@ -216,8 +216,7 @@ def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
             raise InputError(
                 f"{str(path)!r} holds {entry.name!r}, which is not part of a gallery or was changed since; "
                 "nothing was changed",
-                next="choose an empty or new folder with --out; a gallery of an earlier version has to be "
-                "removed by hand",
+                next="choose an empty or new folder with --out",
             )
     return former
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.checked_fields import checked_integer
-from tactile_toolkit.deprecation import former_attributes
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh.raster import MOST_PIXELS, covered_pixels, highest_values
 from tactile_toolkit.mesh.records import SolidRecord
@@ -167,7 +166,6 @@ class MeshBatch(NamedTuple):
     face_counts: torch.Tensor
 
 
-@former_attributes(form="representation")
 class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     """A map-style data set of solids.
 

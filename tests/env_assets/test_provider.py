@@ -144,11 +144,6 @@ def test_placements_of_what_is_no_scene_are_refused(provider):
         provider.placements(provider.meshes("mnist3d", "test")[0])
 
 
-def test_the_cache_of_meshes_has_gone(assets):
-    with pytest.warns(DeprecationWarning, match="cache_meshes has no effect"):
-        env_assets.AssetProvider(assets, cache_meshes=3)
-
-
 FORKS = """
 import sys, env_assets
 from tests.env_assets.processes import fingerprint, seen_by_a_child

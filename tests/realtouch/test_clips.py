@@ -102,11 +102,9 @@ def test_contact_frames_of_a_round(seq_folder: Path) -> None:
         np.testing.assert_array_equal(out, expected)
 
 
-def test_methods_are_named_and_the_former_one_is_an_alias(clip: TouchClip) -> None:
+def test_an_unknown_method_is_refused_with_those_that_there_are(clip: TouchClip) -> None:
     with pytest.raises(InputError, match="unknown frame method 'finest'; expected one of contact_start"):
         clip.contact_index("finest")
-    with pytest.deprecated_call(match="'median' is deprecated; use 'best'"):
-        assert clip.contact_index("median") == clip.contact_index("best")
 
 
 @given(st.lists(st.floats(0, 10), min_size=1, max_size=30), st.floats(-1, 11), st.floats(0, 5))

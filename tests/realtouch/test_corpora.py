@@ -186,7 +186,7 @@ def test_they_come_back_as_they_were(layout: Any, single_folder: Path, tmp_path:
     realtouch.export(single_folder, tmp_path / "there", layout)
     place = tmp_path / "there" / PLACES[layout]
     assert (
-        call("realtouch", "import", place, "--layout", layout, "--out", tmp_path / "back", "--workers", 1)
+        call("realtouch", "import", place, "--format", layout, "--out", tmp_path / "back", "--workers", 1)
         == 0
     )
     before, after = realtouch.load(single_folder, "train"), realtouch.load(tmp_path / "back", "train")

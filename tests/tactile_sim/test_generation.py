@@ -336,7 +336,7 @@ def test_one_look_at_a_mesh_file(tmp_path):
 
     block((0.02, 0.006, 0.004)).apply_scale(1000).export(tmp_path / "part.stl")
     out = tmp_path / "touch.png"
-    place = ("--at", "0.002,0", "--turn", "0.3")
+    place = ("--at-mm", "2,0", "--turn-deg", "17")
     command = ["render", str(tmp_path / "part.stl"), *place, "--optics", "depth", "--size"]
     result = CliRunner().invoke(app, [*command, "80x60", "--out", str(out)])
     assert result.exit_code == 0, result.output

@@ -84,10 +84,10 @@ def test_every_package_is_recorded():
 
 
 @pytest.mark.parametrize("command_line", COMMAND_LINES)
-def test_help_is_unchanged_and_names_no_former_spelling_or_type_of_python(command_line):
+def test_help_is_unchanged_and_names_no_type_of_python(command_line):
     found = help_of_commands(command_line)
     for name, text in found.items():
-        for word in ("<bool>", "<int range>", "<float>", "<float range>", " --layout", " --gap ", " --bed"):
+        for word in ("<bool>", "<int range>", "<float>", "<float range>"):
             assert not name or word not in text, (name, word)
         assert "Example" in text or name in ("", "upload", "download"), name
     if library_versions(HELP_LIBRARIES) != RECORD["help_libraries"]:
