@@ -284,3 +284,16 @@ def likeness(found: NDArray[np.bool_], ink: NDArray[np.bool_], pen_px: float) ->
         return float((one & other).sum() / (one | other).sum())
     near = [ndimage.binary_dilation(np.pad(mask, 1), np.ones((3, 3)))[1:-1, 1:-1] for mask in (one, other)]
     return float(((one & near[1]).sum() + (other & near[0]).sum()) / (one.sum() + other.sum()))
+
+
+def seven(side: int = 240) -> NDArray[np.bool_]:
+    """Ink of a 7 in the middle of a page."""
+    ink = np.zeros((240, 240), bool)
+    ink[50:74, 60:190] = True
+    rows, columns = np.mgrid[:240, :240]
+    ink |= (np.abs((columns - 175) + 0.55 * (rows - 62)) < 14) & (rows > 62) & (rows < 195)
+    return np.kron(ink, np.ones((side // 240, side // 240), bool))
+
+
+def page(ink: NDArray[np.bool_]) -> NDArray[np.uint8]:
+    return np.where(ink, np.uint8(20), np.uint8(240))

@@ -119,6 +119,17 @@ def test_fingerprint_knows_content_and_no_path(tmp_path: Path) -> None:
     assert str(tmp_path) not in repr(a)
 
 
+def test_what_is_in_a_file_says_whether_it_is_packed(tmp_path: Path) -> None:
+    for name in "abc":
+        write(tmp_path / name, end=".gz" if name == "b" else "")
+    plain, packed = (tmp_path / "b" / name_of("test", "labels", end=end) for end in ("", ".gz"))
+    packed.rename(plain)
+    for path in (tmp_path / "c").iterdir():
+        path.rename(f"{path}.gz")
+    a, b, c = (MnistSource(str(tmp_path / name)).fingerprint() for name in "abc")
+    assert a == b == c
+
+
 class TestRefusals:
     def test_no_folder(self, tmp_path: Path) -> None:
         message = refusal(MnistSource(str(tmp_path / "no")))

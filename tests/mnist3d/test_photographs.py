@@ -17,7 +17,18 @@ from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.spec import SolidSpec
 from tactile_toolkit.errors import ItemError
 from tests.mnist3d import photographs
-from tests.mnist3d.photographs import EASY, HARD, REFUSED, Photograph, compose, drawn, likeness, strokes_of
+from tests.mnist3d.photographs import (
+    EASY,
+    HARD,
+    REFUSED,
+    Photograph,
+    compose,
+    drawn,
+    likeness,
+    page,
+    seven,
+    strokes_of,
+)
 from tests.real_input import SHARED, needs_shared
 
 ALIKE = 0.85
@@ -76,19 +87,6 @@ def test_three_hundred_photographs_of_real_strokes(
 
 
 # --- without noise --------------------------------------------------------------------------------
-
-
-def seven(side: int = 240) -> NDArray[np.bool_]:
-    """Ink of a 7 in the middle of a page."""
-    ink = np.zeros((240, 240), bool)
-    ink[50:74, 60:190] = True
-    rows, columns = np.mgrid[:240, :240]
-    ink |= (np.abs((columns - 175) + 0.55 * (rows - 62)) < 14) & (rows > 62) & (rows < 195)
-    return np.kron(ink, np.ones((side // 240, side // 240), bool))
-
-
-def page(ink: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    return np.where(ink, np.uint8(20), np.uint8(240))
 
 
 def on_desk(pixels: NDArray[np.uint8], desk: int, wide: int) -> NDArray[np.uint8]:
