@@ -33,7 +33,7 @@ MOST_INK = 0.5
 """More ink than such a share of an image is not a digit, but what surrounds its page."""
 
 MOST_BORDER = 0.05
-"""Ink that touches more of the border of an image is cut off, or is no ink."""
+"""Ink that touches more of the border of an image is cut off, or not ink at all."""
 
 PAPER_SHARE = 0.75
 """At least so much of the margin of an image is paper; the margin is a fiftieth of the shorter side wide."""
@@ -69,8 +69,8 @@ _NEXT = {
     "too-small": "solidify(..., resample=True) draws it again with 500",
     "unclear-ink": "give dark or light (--foreground, ink=), or crop the image",
     "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
-    "several-digits": "cut the picture so that each digit has its own file, or cover what is no digit",
-    "cut-off": "take the picture again with room around the digit, or cut away what is beside the page",
+    "several-digits": "cut the picture so that each digit has its own file, or cover the rest",
+    "cut-off": "take the picture again with room around the digit, or cut away what surrounds the page",
     "not-a-digit": "leave the picture out, or photograph the digit from nearer, in even light",
     "empty-page": "leave the picture out, or photograph the digit from nearer, in even light",
     "half-ink": "give ink='light' if the ink is the lighter part, or crop the image to its page",

@@ -59,14 +59,14 @@ def paper(values: Levels, widest: float = WIDEST_STROKE) -> Levels:
     from scipy import ndimage
 
     side = int(max(values.shape) * widest) | 1
-    # What reaches the edge of the picture goes on beyond it.
+    # Beyond the edge of the picture, the pixels of the edge are repeated.
     beyond = np.pad(values, side, mode="edge")
     closed = ndimage.minimum_filter(ndimage.maximum_filter(beyond, side), side)
     return np.maximum(closed[side:-side, side:-side], 1)
 
 
 def eroded(mask: Mask, steps: int) -> Mask:
-    """Draw in a page by so many coarse pixels, but not where it goes on beyond the edge of the picture."""
+    """Draw in a page by so many coarse pixels, except where the picture ends and the page continues."""
     from scipy import ndimage
 
     return np.asarray(ndimage.binary_erosion(mask, iterations=steps, border_value=1))

@@ -84,7 +84,7 @@ def is_clean(levels: Levels) -> bool:
 def even_out(picture: NDArray[np.uint8], ink: str = "auto") -> Levels:
     """Return the ink of the one digit in a photograph or scan as grey levels from 0 (ink) to 255 (paper).
 
-    Everything else is 255: what lies beside the page, the borders of scans, specks, and printed lines that
+    Everything else is 255: what surrounds the page, the borders of scans, specks, and printed lines that
     are thinner than the strokes. Size and scale are those of the picture.
 
     Parameters
@@ -181,7 +181,7 @@ def _ink_is_light(coarse: Levels, page: Mask) -> bool:
 
     if np.median(coarse[page]) > _BOARD:
         return False
-    # The page goes on in what surrounds it.
+    # What surrounds the page is filled with its nearest pixels.
     places = ndimage.distance_transform_edt(~page, return_distances=False, return_indices=True)
     beyond = coarse[tuple(places)].astype(np.float32)
     tiny = beyond[::3, ::3]

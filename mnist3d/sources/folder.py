@@ -32,7 +32,7 @@ class FolderSource:
 
     Pictures may have any size, mode and polarity; they are turned to dark ink on white paper and fitted into
     500 x 500 px. Each page of a TIFF, GIF or other file of several pictures is a digit. Hidden files are
-    passed over, and files that are no pictures are left out; :meth:`fingerprint` names them. A name that
+    passed over, and files of other types are left out; :meth:`fingerprint` names them. A name that
     contains ``writer12`` says who wrote the digit; otherwise the writer is unknown.
 
     Parameters
@@ -101,7 +101,7 @@ class FolderSource:
             total.update(b"%s\0%d\0%s" % (os.fsencode(name), size, content))
         found: dict[str, object] = {"name": self.name, "ink": self.ink, "images": len(listing.pictures)}
         # What most folders have not is not said of them.
-        further = {"threshold": self.threshold, "left_out": dict.fromkeys(listing.left_out, "no picture")}
+        further = {"threshold": self.threshold, "left_out": dict.fromkeys(listing.left_out, "not a picture")}
         if self.threshold == "auto":
             del further["threshold"]
         if not listing.left_out:
@@ -129,7 +129,7 @@ class _Picture(NamedTuple):
 class _Listing(NamedTuple):
     pictures: tuple[_Picture, ...]
     left_out: tuple[str, ...]
-    """Names of files that are no pictures."""
+    """Names of files of other types."""
 
 
 @lru_cache(maxsize=4)

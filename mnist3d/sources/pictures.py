@@ -42,7 +42,7 @@ ENDINGS = tuple(ending for endings in _ENDINGS.values() for ending in endings)
 # Each picture of such a file is one of its pages. The further pictures of a JPEG (MPO) are other views.
 _PAGED = frozenset({"TIFF", "GIF", "WEBP", "PNG", "AVIF", "HEIF"})
 _MOST_PAGES = 1000
-# Kind of a picture in TIFF: a smaller copy, or a mask, is no page.
+# Kind of a picture in TIFF: smaller copies and masks are not pages.
 _SUBFILE, _COPY_OR_MASK = 254, 1 | 4
 # Memory that reading takes, by mode, as measured; 24 for transparency and for more than 8 bits.
 _BYTES_PER_PIXEL = {"1": 4, "L": 4, "P": 11, "RGB": 11}

@@ -143,7 +143,7 @@ def test_what_is_no_picture_is_named_and_what_systems_leave_is_not(tmp_path: Pat
         (root / name).write_bytes(b"x")
     (root / "7" / "b.jpg").write_bytes(b"broken")
     source = FolderSource(str(root))
-    expected = {"7/notes.txt": "no picture", "labels.csv": "no picture"}
+    expected = {"7/notes.txt": "not a picture", "labels.csv": "not a picture"}
     assert source.fingerprint()["left_out"] == expected
     manifest = generate(GenerateSpec(source, SolidSpec(target_vertices=500)), tmp_path / "set", workers=1)
     assert manifest.spec["source"]["left_out"] == expected
