@@ -206,7 +206,8 @@ def _print_summary(sink: Sink, split: str, summary: Summary) -> None:
 _FRAME = choice(
     "contact_end",
     ("contact_end", "contact_start", "peak", "best"),
-    help="Frame of a clip: last or first of the contact, of the deepest press, or with the best contact score.",
+    help="Frame of a clip: last or first of the contact, of the deepest press, or with the best score of "
+    "contact.",
 )
 
 

@@ -168,14 +168,14 @@ def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
 def test_conversions(command, check, images, tmp_path, capsys):
     name, *options = command
     out = tmp_path / "out"
-    assert call(name, images, out, *options, "--workers", 1) == 0
+    assert call(name, images, "--out", out, *options, "--workers", 1) == 0
     printed = capsys.readouterr().out
     assert "the data set is in" in printed
     rows = sum(split["rows"] for split in read_manifest(DataFolder(str(out))).split_table().values())
     assert f"made {counted(rows, 'touches' if name == 'frames' else 'rounds')} in " in printed
     assert check(out)
     before = (out / "manifest.json").stat().st_mtime_ns
-    assert call(name, images, out, *options, "--workers", 1, "--quiet") == 0
+    assert call(name, images, "--out", out, *options, "--workers", 1, "--quiet") == 0
     assert (out / "manifest.json").stat().st_mtime_ns == before
     assert capsys.readouterr().out == ""
 

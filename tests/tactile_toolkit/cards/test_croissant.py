@@ -132,13 +132,6 @@ def test_many_shards_are_one_set_of_files(folder):
     loaded(folder)
 
 
-def test_one_of_an_earlier_version_that_lists_files_is_right_still(folder):
-    values = json.loads((folder / "croissant.json").read_text())
-    values["distribution"].insert(0, {"@type": "cr:FileObject", "@id": "manifest.json", "sha256": "0" * 64})
-    (folder / "croissant.json").write_text(json.dumps(values))
-    assert check_card(DataFolder(str(folder))) == []
-
-
 @pytest.mark.parametrize(
     ("spoil", "problem"),
     [
