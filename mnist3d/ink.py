@@ -110,7 +110,7 @@ def require_paper_around(mask: Mask) -> None:
 
     Raises ItemError ``all-ink`` or ``cut-off``.
     """
-    covered = float(mask.mean())
+    covered = np.count_nonzero(mask) / mask.size
     if covered > MOST_INK:
         refuse("all-ink", covered, sentence="half-ink")
     border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])

@@ -74,8 +74,9 @@ def is_clean(levels: Levels) -> bool:
     from scipy import ndimage
 
     paper = int(np.median(margin(levels)))
-    other = np.abs(levels.astype(np.int16) - paper) > CLEAN_LEVELS
-    if margin(other).mean() > 1 - _CLEAN_MARGIN or other.mean() > 1 - _CLEAN_IMAGE:
+    other = (levels < max(0, paper - CLEAN_LEVELS)) | (levels > min(255, paper + CLEAN_LEVELS))
+    most = (1 - _CLEAN_IMAGE) * other.size
+    if margin(other).mean() > 1 - _CLEAN_MARGIN or np.count_nonzero(other) > most:
         return False
     few = other[:: max(1, other.shape[0] // 128), :: max(1, other.shape[1] // 128)]
     return not ndimage.minimum_filter(few, max(2, int(_SHEET * min(few.shape))), mode="constant").any()
