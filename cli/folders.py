@@ -213,13 +213,11 @@ def check_objects(
 def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
     """Write the data card (README.md) of a folder again, with the picture that it shows, and check it.
 
-    Numbers are computed from the data; examples name FOLDER until the folder is uploaded. croissant.json
-    (Croissant 1.1) has the same content for machines.
+    Numbers are computed from the data; examples name FOLDER until the folder is uploaded.
 
     Example: card FOLDER
     """
     from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, check_card
-    from tactile_toolkit.cards.facts import CROISSANT_FILE
     from tactile_toolkit.catalog.locate import specification_read
     from tactile_toolkit.places.place import open_place
     from tactile_toolkit.store.folder import DataFolder
@@ -236,9 +234,8 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
         raise IntegrityError(f"{findings[0].file} of {folder!r}: {findings[0].problem}")
     names = [name for name in place.names(PREVIEW_FOLDER) if name.endswith(".png")]
     pictures = [f"{PREVIEW_FOLDER}/{name}" for name in names]
-    files = {"card": CARD_FILE, "croissant": CROISSANT_FILE, "previews": pictures}
-    sink.document({"folder": folder, **files})
-    made = ", ".join([CARD_FILE, CROISSANT_FILE, *pictures])
+    sink.document({"folder": folder, "card": CARD_FILE, "previews": pictures})
+    made = ", ".join([CARD_FILE, *pictures])
     sink.line(f"{folder}: wrote {made}; all of it matches the data")
 
 

@@ -17,15 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_toolkit.cards.facts import (
-    CROISSANT_FILE,
-    FolderFacts,
-    card_head,
-    check_croissant,
-    croissant_text,
-    folder_facts,
-    head_text,
-)
+from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts, head_text
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_export
 from tactile_toolkit.mesh.files import unpack_mesh
@@ -120,7 +112,7 @@ class Card:
         kind: DatasetKind,
         facts: FolderFacts | None = None,
     ) -> None:
-        """Write ``README.md``, its picture and ``croissant.json``; what is as it should be is left alone.
+        """Write ``README.md`` and its picture; what is as it should be is left alone.
 
         A copy of a published set has no manifest. ``facts`` are those of the folder, where they are known.
         Raises IntegrityError for a damaged shard.
@@ -162,7 +154,6 @@ class Card:
         body = printable(render_card(self.template, {**values, **self.values}), keep="\n")
         text = head_text(card_head(facts, **head)) + "\n" + body
         _write_changed(folder, CARD_FILE, text.encode())
-        _write_changed(folder, CROISSANT_FILE, croissant_text(facts, manifest, head, body).encode())
 
 
 def write_table_card(
@@ -335,7 +326,7 @@ _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
 
 
 def check_card(folder: DataFolder) -> list[Finding]:
-    """List all in the cards of a finished folder that manifest, Parquet files or pictures contradict."""
+    """List all in the card of a finished folder that manifest, Parquet files or pictures contradict."""
     import yaml
     from huggingface_hub import DatasetCard
 
@@ -354,8 +345,7 @@ def check_card(folder: DataFolder) -> list[Finding]:
     except (*_UNREADABLE, yaml.YAMLError) as error:
         first_line = next(iter(str(error).splitlines()), type(error).__name__)
         return [Finding(CARD_FILE, f"its YAML head cannot be read: {first_line}")]
-    found = [*(Finding(CARD_FILE, problem) for problem in problems), *_check_pictures(folder, text)]
-    return [*found, *check_croissant(folder, facts)]
+    return [*(Finding(CARD_FILE, problem) for problem in problems), *_check_pictures(folder, text)]
 
 
 def _contradictions(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:

@@ -17,14 +17,7 @@ from typing import Any
 import msgspec
 
 from tactile_toolkit.cards.card import CARD_FILE
-from tactile_toolkit.cards.facts import (
-    CROISSANT_FILE,
-    card_head,
-    croissant_again,
-    folder_facts,
-    viewer_files,
-    with_head,
-)
+from tactile_toolkit.cards.facts import card_head, folder_facts, viewer_files, with_head
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.hub.calls import not_cached
 from tactile_toolkit.hub.repository import HubRepository, open_repository
@@ -39,7 +32,7 @@ from tactile_toolkit.store.names import names_inside
 from tactile_toolkit.store.origin import DownloadRecord, HubFile, digest_like, read_record, write_record
 
 # What is fitted to the splits that a folder gets.
-_METADATA_FILES = (CARD_FILE, MANIFEST_FILE, CROISSANT_FILE)
+_METADATA_FILES = (CARD_FILE, MANIFEST_FILE)
 
 _EXTRA_FOLDERS = ("reports/", "previews/")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
@@ -286,29 +279,26 @@ def _execute(plan: DownloadPlan, folder: DataFolder, on_progress: Callable[[int,
 
 
 def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
-    """Write manifest and cards, fitted to the splits of the folder."""
+    """Write manifest and card, fitted to the splits of the folder."""
     names = plan.record.metadata_files
     found = [place.read_bytes() for place in plan.repository.local_paths(names)]
     contents, shown = dict(zip(names, found, strict=True)), _shown(manifest)
-    is_part, fitted = set(plan.splits) < set(plan.record.splits), manifest
-    if manifest is not None and (is_part or shown):
+    is_part = set(plan.splits) < set(plan.record.splits)
+    is_fitted = is_part or bool(shown)
+    if manifest is not None and is_fitted:
         records = [record for record in manifest.shards if record.split in plan.splits]
         files = {path: digest for path, digest in manifest.files.items() if path not in shown}
-        fitted = replace(manifest, shards=tuple(records), files=files)
-        contents[MANIFEST_FILE] = fitted.to_json().encode()
-    fits: dict[str, Callable[[str], str]] = {}
-    if is_part or shown:
-        fits[CARD_FILE] = partial(_fitted_card, plan, folder, is_part)
-    if fitted is not None:
-        fits[CROISSANT_FILE] = lambda text: croissant_again(text, folder_facts(folder, fitted))
-    # In this order: the card is fitted to what the manifest lists, and Croissant describes both.
-    for path in (MANIFEST_FILE, CARD_FILE, CROISSANT_FILE):
-        if path in contents:
+        contents[MANIFEST_FILE] = replace(manifest, shards=tuple(records), files=files).to_json().encode()
+    # In this order: the card is fitted to what the manifest lists.
+    if MANIFEST_FILE in contents:
+        folder.write_bytes(MANIFEST_FILE, contents[MANIFEST_FILE])
+    if CARD_FILE in contents:
+        card = contents[CARD_FILE]
+        if is_fitted:
             # One that cannot be read stays as it is.
             with contextlib.suppress(ToolkitError, ValueError, TypeError, RecursionError):
-                if path in fits:
-                    contents[path] = fits[path](contents[path].decode()).encode()
-            folder.write_bytes(path, contents[path])
+                card = _fitted_card(plan, folder, is_part, card.decode()).encode()
+        folder.write_bytes(CARD_FILE, card)
 
 
 def _fitted_card(plan: DownloadPlan, folder: DataFolder, is_part: bool, card: str) -> str:

@@ -17,7 +17,7 @@ from posixpath import normpath
 from typing import Any
 
 from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, check_card, pictures_in, with_repo_name
-from tactile_toolkit.cards.facts import CROISSANT_FILE, configs, croissant_again, folder_facts, with_head
+from tactile_toolkit.cards.facts import configs, folder_facts, with_head
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.hub.calls import call_with_retry, page_of
@@ -97,9 +97,8 @@ def _other_files(
 
 
 def collect(root: Path, manifest: Manifest) -> list[str]:
-    """List the paths of a verified folder that are sent: files of the manifest, cards, pictures."""
+    """List the paths of a verified folder that are sent: files of the manifest, card, pictures."""
     place, found = DataFolder(str(root)), [CARD_FILE, MANIFEST_FILE]
-    found += [CROISSANT_FILE] if place.exists(CROISSANT_FILE) else []
     for folder in (PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a dot in front are of writers that have not finished; links may lead to anything.
@@ -269,7 +268,7 @@ def _files_to_send(
     options: UploadOptions,
     scratch: Path,
 ) -> tuple[Manifest, tuple[LocalFile, ...]]:
-    """Collect the files, with the cards as they are to be on the Hub, checked as such."""
+    """Collect the files, with the card as it is to be on the Hub, checked as such."""
     root, made = Path(place.address()), dict[str, str]()
     if options.viewer:
         from tactile_toolkit.exchange.copies import viewer_tables
@@ -290,9 +289,6 @@ def _files_to_send(
     rendered = {CARD_FILE: card}
     if made:
         rendered[MANIFEST_FILE] = manifest.to_json()
-    if CROISSANT_FILE in paths:
-        stored = place.read_bytes(CROISSANT_FILE).decode()
-        rendered[CROISSANT_FILE] = croissant_again(stored, facts, page_of(repo_id), others)
     for path, text in rendered.items():
         (scratch / path).write_bytes(text.encode())
     known = {record.file: record.sha256 for record in manifest.shards} | dict(manifest.files)

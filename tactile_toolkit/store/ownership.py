@@ -16,6 +16,7 @@ from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 PROMOTION_FILE = f"{NEXT_FOLDER}/.promotion.json"
 """Lists the files of the former data set that the next one does not have."""
 
+# Earlier checkouts wrote a croissant.json.
 _USUAL = ("reports/*.parquet", "previews/*.png", "README.md", "croissant.json", RECORD_FILE, MANIFEST_FILE)
 _SHARD = r"\w+-[0-9]{5,12}-of-[0-9]{5,12}"
 

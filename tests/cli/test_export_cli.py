@@ -275,7 +275,7 @@ def test_tables_are_a_data_set_folder(
     words = ("export", folder, "--format", "flat", "--out", out, "--workers", "1", "-q")
     assert call(*words) == 0
     before = folder_bytes(out)
-    assert {"README.md", "croissant.json", "manifest.json", "previews/tables.png"} <= set(before)
+    assert {"README.md", "manifest.json", "previews/tables.png"} <= set(before)
     for command, *further in (("verify",), ("card",), ("info", "--json")):
         assert call(command, out, *further) == 0, capsys.readouterr().err
     assert folder_bytes(out) == before, "card and checks agree with the export"

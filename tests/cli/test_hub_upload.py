@@ -156,8 +156,8 @@ def test_it_shows_what_it_sends_and_sends_nothing_twice(server, folder, capsys):
     assert "public repository to create: someone/stars" in printed.out
     for path in ("README.md", "data/train-00000-of-00001.parquet", "manifest.json", "previews/scenes.png"):
         assert re.search(rf"{path} .*[kM]?B +new", printed.out)
-    assert re.search(r"6 of 6 files to send, [\d.]+ kB of [\d.]+ kB, 0 to remove", printed.out)
-    assert "sent 6 files, removed 0; all 6 compared by checksum" in printed.out
+    assert re.search(r"5 of 5 files to send, [\d.]+ kB of [\d.]+ kB, 0 to remove", printed.out)
+    assert "sent 5 files, removed 0; all 5 compared by checksum" in printed.out
     assert "tag set: v1" in printed.out
     assert "left out, no part of the data set: notes.txt" in printed.err
     assert call("starstruck", "upload", folder, NAME, "--yes") == 0
@@ -178,14 +178,14 @@ def test_dry_run_sends_nothing_and_needs_no_login(server, folder, capsys, monkey
     assert call("starstruck", "upload", folder, NAME, "--dry-run", "--private", "--revision", "next") == 0
     printed = capsys.readouterr().out
     assert "private repository to create: someone/stars (next)" in printed
-    assert "6 of 6 files to send" in printed
+    assert "5 of 5 files to send" in printed
     assert printed.endswith("nothing was sent\n")
     assert {request.method for request in server.requests} == {"GET"}
     server.create(NAME, {"old.txt": b"x"})
     assert call("starstruck", "upload", folder, NAME, "--dry-run", "--delete", "--json") == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["dry_run"], told["to_remove"], told["sent"], told["commit"]) == (True, ["old.txt"], [], None)
-    assert len(told["to_send"]) == told["files"] == 6
+    assert len(told["to_send"]) == told["files"] == 5
     assert {request.method for request in server.requests} == {"GET"}
 
 

@@ -348,7 +348,6 @@ def test_a_card_of_ones_own_pictures_is_named_as_its_folder(own_pictures, tmp_pa
     card = (out / "README.md").read_text()
     assert "\n# my\\_\\*digits\\*\\\\u202e\n" in card
     assert "pretty_name: my_*digits*\\u202e\n" in card
-    assert json.loads((out / "croissant.json").read_text())["name"] == "my_*digits*\\u202e"
     assert "# MNIST 3D" not in card
     assert "all digits in `train`" in card
     (out / "README.md").unlink()

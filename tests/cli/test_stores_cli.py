@@ -20,8 +20,6 @@ pytestmark = [
 pytest.importorskip("s3fs")
 pytest.importorskip("moto")
 
-CARDS = ("README.md", "croissant.json")
-
 from tests.s3_server import KEY, SECRET  # noqa: E402
 
 SCENES = ("generate", "--scenes", "train=6,test=3", "--stars", "1", "--workers", "1", "--quiet")
@@ -71,9 +69,9 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         assert call("starstruck", "upload", place, "someone/scenes", "--yes") == 0
         assert "nothing was sent" in capfd.readouterr().out
         held = server.repository("someone/scenes").head.files
-        # Cards name the repository.
-        assert {path: held[path].content for path in made if path not in CARDS} == {
-            path: content for path, content in made.items() if path not in CARDS
+        # The card names the repository.
+        assert {path: held[path].content for path in made if path != "README.md"} == {
+            path: content for path, content in made.items() if path != "README.md"
         }
         on_hub = "hf://datasets/someone/scenes"
         for command in ("info", "verify", "validate"):

@@ -57,7 +57,6 @@ def test_folder_holds_what_is_promised(whole):
     }
     assert sorted(folder_hashes(whole)) == [
         "README.md",
-        "croissant.json",
         "data/test-00000-of-00001.parquet",
         *(f"data/train-{index:05d}-of-00003.parquet" for index in range(3)),
         "manifest.json",

@@ -72,9 +72,6 @@ def assert_holds(server: HubServer, folder: Path, name: str = NAME, revision: st
     assert held is not None
     expected = {f.relative_to(folder).as_posix(): f.read_bytes() for f in folder.rglob("*") if f.is_file()}
     expected["README.md"] = expected["README.md"].replace(b'"FOLDER"', f'"{name}"'.encode())
-    # What machines read speaks of the files of the repository there; its own tests say how.
-    assert b'"repository"' in held.files["croissant.json"].content
-    del expected["croissant.json"]
     assert {path: blob.content for path, blob in held.files.items() if path in expected} == expected
 
 
@@ -158,7 +155,7 @@ def test_stale_shards_do_not_get_into_the_card(server, folder, tmp_path, monkeyp
         f"train-{index:05}-of-00003.parquet" for index in range(3)
     ], "those of the manifest, not what lies next to them"
     assert upload(folder).sent == (), "the card on the Hub is what it is to be"
-    assert upload(folder, delete=True).sent == ("README.md", "croissant.json"), "the pattern will do now"
+    assert upload(folder, delete=True).sent == ("README.md",), "the pattern will do now"
 
 
 def test_a_lost_answer_makes_no_second_commit(server, folder):
@@ -426,7 +423,7 @@ def test_a_killed_upload_goes_on_with_what_is_missing(server, folder, tmp_path):
     assert set(server.repository(NAME).objects) == wanted - {late}
     assert server.repository(NAME).head.title == "initial commit"
     left = {file.name for file in scratch.rglob("*") if file.is_file()}
-    assert left <= {"README.md", "manifest.json", "croissant.json"}, "which go with the next upload"
+    assert left <= {"README.md", "manifest.json"}, "which go with the next upload"
     assert folder_bytes(folder) == before
     server.faults.clear()
     server.requests.clear()

@@ -75,7 +75,6 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
     assert manifest is not None
     assert sorted(collect(folder, manifest)) == [
         "README.md",
-        "croissant.json",
         "data/test-00000-of-00001.parquet",
         "data/train-00000-of-00001.parquet",
         "manifest.json",

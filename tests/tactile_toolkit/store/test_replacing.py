@@ -160,6 +160,7 @@ def test_all_that_the_former_set_wrote_beside_its_rows_goes(tmp_path):
     (tmp_path / "set" / "images" / "train" / "0").mkdir(parents=True)
     (tmp_path / "set" / "images" / "train" / "0" / "000.png").write_bytes(b"picture")
     (tmp_path / "set" / "index.csv").write_text("id")
+    (tmp_path / "set" / "croissant.json").write_text("{}")  # of an earlier checkout
     make(tmp_path / "set", other_plan(), overwrite=True)
     make(tmp_path / "fresh", other_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "fresh")
