@@ -88,11 +88,11 @@ def verify(
     if manifest is not None:
         shards = {each.file: each for each in manifest.shards}
         files = {path: HubFile(path, each.bytes, each.sha256) for path, each in shards.items()}
-        # Files for the Hub's page may be left out, as in a cache of the rows alone.
+        # Files for the Hub's page may be left out, as in a cache of the rows alone; others may still arrive.
         files |= {
             path: HubFile(path, 0, sha256)
             for path, sha256 in manifest.files.items()
-            if not path.startswith(f"{VIEWER_FOLDER}/") or folder.exists(path)
+            if (manifest.complete and not path.startswith(f"{VIEWER_FOLDER}/")) or folder.exists(path)
         }
         findings, reference = _incomplete(folder, manifest), MANIFEST_FILE
     elif record is not None:

@@ -258,7 +258,7 @@ def test_an_interrupted_download_is_called_one(server, tmp_path):
     )
     for command, code in (("card", 3), ("verify", 1)):
         said = call(server, tmp_path, "mnist3d", command, out)
-        assert said.code == code
+        assert said.code == code, said.err
         assert again in said.err
         assert "generate" not in said.err
     small = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1", "--quiet")
