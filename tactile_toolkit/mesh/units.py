@@ -31,7 +31,7 @@ def require_unit(unit: str | None) -> None:
 def refuse_unit(unit: str | None, name: str) -> None:
     """Refuse a unit for what is not a mesh file."""
     if unit is not None:
-        raise InputError(f"--unit is for mesh files, and {name!r} is none; data sets are in metres")
+        raise InputError(f"--unit is for mesh files, and {name!r} is not one; data sets are in metres")
 
 
 def require_likely_size(size_mm: float, unit: str | None, stated: str | None) -> None:
