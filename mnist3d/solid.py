@@ -57,7 +57,7 @@ def solidify(
         paper prints it.
     ink : {"auto", "dark", "light"}
         Which part is ink. ``"auto"`` takes the margin of a clean image for paper, evens out the light of
-        photographs and scans (:func:`mnist3d.photograph.even_out`), and where ``spec.threshold`` is given
+        photographs and scans (``mnist3d.photograph.even_out``), and where ``spec.threshold`` is given
         takes what is up to it for ink. With the others one threshold counts for all of the image.
     resample : bool
         Draw the image again with 500 pixels on its longer side, as the sources do. Images of less than 64

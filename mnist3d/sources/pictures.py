@@ -81,7 +81,7 @@ def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: i
     """Read a picture of a digit in its own size, ink 0 and paper 255.
 
     Colours become grey, transparency shows paper, and the orientation in EXIF is followed. Photographs and
-    scans are evened out (:func:`mnist3d.photograph.even_out`). The grey levels of clean images are stretched
+    scans are evened out (``mnist3d.photograph.even_out``). The grey levels of clean images are stretched
     so that paper is white and ink black; a picture of black on white comes back unchanged, and one without
     contrast (an empty page) is not stretched. With ``"auto"`` the margin of a clean image is paper, so the
     ink is whatever the margin is not, on either side of Otsu's threshold.
@@ -106,7 +106,7 @@ def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: i
     ItemError
         ``"unreadable"``; ``"not-finite"`` or ``"bad-pixels"`` for floating-point pictures; ``"unclear-ink"``
         when less than three quarters of the margin are on one side of the threshold; ``"all-ink"`` or
-        ``"cut-off"`` when there is too much ink; and the reasons of :func:`mnist3d.photograph.even_out`.
+        ``"cut-off"`` when there is too much ink; and the reasons of ``mnist3d.photograph.even_out``.
     """
     try:
         return _read(_decoded(path, page), ink, threshold, path)
