@@ -41,7 +41,7 @@ from tactile_sim.noise import SensorNoise
 from tactile_sim.optics import TaximOptics, scaled
 from tactile_sim.pairs import Pairs
 from tactile_sim.spec import TrainConfig
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import DataFolder
 
 SIZE = (64, 64)
 # In fewer pixels the published network shows hardly any relief; what it makes here is scaled down.

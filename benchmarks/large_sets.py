@@ -79,8 +79,7 @@ def fabricate_groups(folder: Path, groups: int) -> None:
     from mnist3d.make import DigitMaking, GenerateSpec
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.making import plan_build
-    from tactile_toolkit.store.parquet import encode_parquet
-    from tactile_toolkit.store.shards import ShardName
+    from tactile_toolkit.store import ShardName, encode_parquet
 
     small = SolidSpec(target_vertices=600)
     plan = plan_build(DigitMaking(GenerateSpec(SyntheticSource(), small, limit=1)), ("train",))
@@ -106,10 +105,8 @@ def fabricate(folder: Path, shards: int) -> None:
     from mnist3d.columns import REPORT_FILE
     from mnist3d.make import GenerateSpec, generate
     from mnist3d.sources.synthetic import SyntheticSource
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import write_manifest
+    from tactile_toolkit.store import DataFolder, ShardName, write_manifest
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex, write_small_columns
-    from tactile_toolkit.store.shards import ShardName
 
     made = generate(GenerateSpec(SyntheticSource(), limit=1), folder, ("train",))
     (record,) = made.shards
@@ -194,8 +191,8 @@ def fabricate_reports(folder: Path, rows: int, shards: int) -> None:
     import pyarrow as pa
 
     from mnist3d.columns import report_table
+    from tactile_toolkit.store import ShardName
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
-    from tactile_toolkit.store.shards import ShardName
 
     rng = np.random.default_rng(1)
     each = rows // shards
@@ -222,10 +219,8 @@ def merging(folder: Path) -> dict[str, float]:
 
     from mnist3d.card import summarise
     from mnist3d.columns import REPORT_FILE
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import Manifest
+    from tactile_toolkit.store import DataFolder, Manifest, ShardName, ShardRecord
     from tactile_toolkit.store.parquet import merge_reports
-    from tactile_toolkit.store.shards import ShardName, ShardRecord
 
     where, names = DataFolder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]
     each, digest = REPORT_ROWS // REPORTS, "0" * 64

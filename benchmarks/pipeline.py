@@ -41,7 +41,7 @@ from plain_digit import NAME, plain_row
 from mnist3d.columns import PARQUET_STYLE, digit_schema
 from mnist3d.make import GenerateSpec, generate, make_row
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.store.parquet import encode_parquet
+from tactile_toolkit.store import encode_parquet
 
 SOURCE = SyntheticSource()
 

@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 
-from tactile_toolkit.run.threads import limit_threads
+from tactile_toolkit.run import limit_threads
 
 limit_threads()
 

@@ -26,9 +26,7 @@ from numpy.typing import NDArray
 from mnist3d.columns import PARQUET_STYLE
 from tactile_sim import GenerateSpec, TouchPlan
 from tactile_sim.generation import TouchMaking
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
+from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet, read_manifest
 
 # Any 256 random numbers cut alike; these are not those of the Hub.
 GEAR = np.random.default_rng(0).integers(0, 1 << 64, 256, dtype=np.uint64)

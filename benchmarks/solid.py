@@ -15,7 +15,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TypeVar
 
-from tactile_toolkit.run.threads import prepare_batch_process
+from tactile_toolkit.run import prepare_batch_process
 
 prepare_batch_process()
 
@@ -29,10 +29,9 @@ from mnist3d.columns import PARQUET_STYLE, DigitRow, digit_schema
 from mnist3d.ink import count_bodies_and_holes
 from mnist3d.literal import literal_solid
 from mnist3d.solid import SolidSpec, binarise, solidify
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.printability import PrintProfile, PrintReport, inspect
+from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintProfile, PrintReport, inspect
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.store.parquet import encode_parquet
+from tactile_toolkit.store import encode_parquet
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from tests.mnist3d.surface_distances import symmetric_distances_mm

@@ -17,6 +17,7 @@ from typing import Annotated, Any, Literal, TypeVar, get_args, get_type_hints
 import typer
 from typer.core import TyperCommand
 
+from tactile_toolkit import __version__, store
 from tactile_toolkit.checked_fields import OptionText, Rule, check_value, metavar_of, rule_of, text
 from tactile_toolkit.errors import (
     InputError,
@@ -52,9 +53,7 @@ class OptionsOf:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
-        from tactile_toolkit import toolkit_version
-
-        sys.stdout.write(f"tactile-toolkit {toolkit_version()}\n")
+        sys.stdout.write(f"tactile-toolkit {__version__}\n")
         raise typer.Exit
 
 
@@ -142,11 +141,7 @@ class _Command(TyperCommand):
                 message = str(error) if is_of_folder else self._with_option(str(error))
                 code = error.exit_code
             elif error.filename is not None:
-                # A path that the system refuses, such as too long a name. As a traceback it would end with 1:
-                # a validation failed.
-                from tactile_toolkit.store.files import resource_shortage
-
-                reason = resource_shortage(error) or f"{error.strerror}; next: give another path"
+                reason = store.resource_shortage(error) or f"{error.strerror}; next: give another path"
                 message, code = f"{str(error.filename)!r}: {reason}", InputError.exit_code
             else:
                 raise
@@ -196,7 +191,7 @@ def _with_options(function: Callable[..., None], known: Mapping[str, Any]) -> Ca
     @wraps(function)
     def call(context: typer.Context, **values: Any) -> None:
         # Besides taking a second, pyarrow's import of pandas swallows a Ctrl-C that comes during it.
-        from tactile_toolkit.run.threads import skip_pandas
+        from tactile_toolkit.run import skip_pandas
 
         skip_pandas()
         arguments = {name: value for name, value in known.items() if name in taken}

@@ -15,6 +15,7 @@ from cli.output import Sink
 from cli.products import export
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
+from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.wording import counted
 
@@ -48,14 +49,12 @@ def wrench(
     """
     from env_assets.wrench.making import wrench_facts, write_wrench
     from env_assets.wrench.solid import wrench_mesh
-    from tactile_toolkit.mesh.files import file_ending
-    from tactile_toolkit.mesh.printability import inspect
 
     if stl is not None:
-        file_ending(stl)
+        mesh.file_ending(stl)
         stl.is_file()  # a name that the system refuses is named before anything is made
     spec = WrenchSpec.for_size(size, second_size, single=single, **lengths)
-    report = inspect(wrench_mesh(spec))
+    report = mesh.inspect(wrench_mesh(spec))
     if not dry_run:
         write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
     places = {"folder": str(out), "mesh_file": None if stl is None else str(stl), "written": not dry_run}

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import typer
 
@@ -14,16 +14,11 @@ from cli.application import EXIT_FAILED
 from cli.making import PrintMade, print_set
 from cli.options import ANY_SET, FOLDER, FOLDERS, WORKERS, Opening, argument, local_place, process_count
 from cli.output import Sink, bytes_text, flat_lines
-from tactile_toolkit.catalog.spec import LIMIT, SPLIT
+from tactile_toolkit import cards, catalog, mesh, places, read, run
 from tactile_toolkit.checked_fields import choice, integer, real, switch
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_copy
-from tactile_toolkit.mesh.units import UNIT
 from tactile_toolkit.wording import counted
-
-if TYPE_CHECKING:
-    from tactile_toolkit.places.place import Place
-
 
 # Values of a longer list that are named.
 _SHOWN = 6
@@ -63,16 +58,14 @@ def info(
         sink.line(f"  {line}")
 
 
-def _print_copy(sink: Sink, place: Place, kind: DatasetKind) -> None:
+def _print_copy(sink: Sink, place: places.Place, kind: DatasetKind) -> None:
     """Print what the splits of a data set without a manifest hold, and where they are from."""
-    from tactile_toolkit.catalog.choose import open_splits
-    from tactile_toolkit.store.folder import split_uri
-    from tactile_toolkit.store.origin import read_record
+    from tactile_toolkit.store import read_record, split_uri
 
     record = None if place.folder is None else read_record(place.folder)
     repository = record or place.repository
     entries, rows = [], []
-    for split, dataset in open_splits(place, None, kind.load, kind.nouns).items():
+    for split, dataset in catalog.open_splits(place, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in place.shards(split)]
         size = sum(store.size_bytes(name) for store, name in map(split_uri, paths))
         # Not by `bincount`, which fails on labels below 0 as other people's data have them.
@@ -98,8 +91,8 @@ class Objects:
     geometry: bool = switch(
         False, help="Check the objects too, as `validate` does; exit code 1 when one is invalid."
     )
-    split: str | None = SPLIT
-    limit: int | None = LIMIT
+    split: str | None = catalog.SPLIT
+    limit: int | None = catalog.LIMIT
 
 
 def verify(
@@ -117,16 +110,13 @@ def verify(
 
     Exit code 3 when something is damaged; each damaged file is named.
     """
-    from tactile_toolkit.cards.card import check_card
-    from tactile_toolkit.places.place import open_place
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.manifest import MANIFEST_FILE
-    from tactile_toolkit.store.origin import read_record
-    from tactile_toolkit.store.verify import require_finished, verify
+    from tactile_toolkit.store import MANIFEST_FILE, DataFolder, read_record, require_finished, verify
 
     place = DataFolder(folder)
-    manifest = open_place(folder).require(kind, "verify").manifest
-    result = verify(place, kind.schema_of(manifest), check_card=check_card, workers=process_count(workers))
+    manifest = places.open_place(folder).require(kind, "verify").manifest
+    result = verify(
+        place, kind.schema_of(manifest), check_card=cards.check_card, workers=process_count(workers)
+    )
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     counts_of = {"files": result.files, "rows": result.rows}
     # "witness" is what programs read, and older than the name that Python has for it.
@@ -159,9 +149,9 @@ def validate(
     checks: Geometry,
     paths: list[str] = FOLDERS,
     opening: Opening,
-    split: str | None = SPLIT,
-    limit: int | None = LIMIT,
-    unit: str | None = UNIT,
+    split: str | None = catalog.SPLIT,
+    limit: int | None = catalog.LIMIT,
+    unit: str | None = mesh.UNIT,
     workers: int = WORKERS,
     sink: Sink,
 ) -> None:
@@ -189,9 +179,7 @@ def check_objects(
     verified: dict[str, Any] | None = None,
 ) -> None:
     """Check objects as read back from disk, after the files of the folder where these were ``verified``."""
-    from tactile_toolkit.run.threads import prepare_batch_process
-
-    prepare_batch_process()
+    run.prepare_batch_process()
     chosen = None if split == "all" else split
     with sink.progress("checking", geometry.nouns) as update:
         opened = partial(opening.open, sink)
@@ -217,25 +205,22 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
 
     Example: card FOLDER
     """
-    from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, check_card
-    from tactile_toolkit.catalog.locate import specification_read
-    from tactile_toolkit.places.place import open_place
-    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store import DataFolder
 
-    opened = open_place(folder).require(kind, "card").require_complete()
+    opened = places.open_place(folder).require(kind, "card").require_complete()
     # Touches may be of the publisher, who writes no manifest.
     kind = opened.kind or kind
     manifest = opened.require_manifest(kind) if kind.needs_manifest else opened.manifest
     place = DataFolder(folder)
-    with specification_read(place.address()):
+    with catalog.specification_read(place.address()):
         kind.write_card(place, manifest)
-    findings = check_card(place)
+    findings = cards.check_card(place)
     if findings:
         raise IntegrityError(f"{findings[0].file} of {folder!r}: {findings[0].problem}")
-    names = [name for name in place.names(PREVIEW_FOLDER) if name.endswith(".png")]
-    pictures = [f"{PREVIEW_FOLDER}/{name}" for name in names]
-    sink.document({"folder": folder, "card": CARD_FILE, "previews": pictures})
-    made = ", ".join([CARD_FILE, *pictures])
+    names = [name for name in place.names(cards.PREVIEW_FOLDER) if name.endswith(".png")]
+    pictures = [f"{cards.PREVIEW_FOLDER}/{name}" for name in names]
+    sink.document({"folder": folder, "card": cards.CARD_FILE, "previews": pictures})
+    made = ", ".join([cards.CARD_FILE, *pictures])
     sink.line(f"{folder}: wrote {made}; all of it matches the data")
 
 
@@ -243,7 +228,7 @@ def show(
     *,
     name: str = ANY_SET,
     row: int = integer(0, help="Row of the split, counted from 0."),
-    split: str | None = SPLIT,
+    split: str | None = catalog.SPLIT,
     opening: Opening,
     sink: Sink,
 ) -> None:
@@ -251,11 +236,9 @@ def show(
 
     Example: show DIR --row 3 --split test
     """
-    from tactile_toolkit.read.parquet import ShardedTable
-
     place = opening.open(sink, name, shows_all=True)
     chosen = place.splits[0] if split is None else split
-    rows = ShardedTable(place.shards(chosen))
+    rows = read.ShardedTable(place.shards(chosen))
     if row >= len(rows):
         raise InputError(f"--row is {row}; expected less than the {counted(len(rows), 'rows')} of {chosen!r}")
     group, index = rows.locate(row)
@@ -319,9 +302,7 @@ def _sets_in(folder: Path) -> list[dict[str, Any]]:
     Their ``state`` is finished, unfinished, or what is wrong. Reads manifests only. Raises InputError where
     the folder does not exist.
     """
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.job import manifest_so_far
-    from tactile_toolkit.store.names import is_hidden
+    from tactile_toolkit.store import DataFolder, is_hidden, manifest_so_far
 
     if not folder.is_dir():
         raise InputError(
@@ -374,15 +355,12 @@ def cache(
 
 def print_sets(sink: Sink, kind: DatasetKind) -> None:
     """Print the published data sets: what they hold, their terms, what is here, and how large they are."""
-    from tactile_toolkit.places.layout import splits_by_name
-    from tactile_toolkit.places.published import hub_states
-
     documents, rows = [], []
-    for known, (on_hub, local) in zip(kind.published, hub_states(kind.published), strict=True):
+    for known, (on_hub, local) in zip(kind.published, places.hub_states(kind.published), strict=True):
         licence = known.licence or (on_hub.licence if on_hub else None)
         size = on_hub.size_bytes if on_hub else None
         local_bytes = local.size_bytes if local else 0
-        splits = list(splits_by_name(local.remote if local else (), known.repo_id))
+        splits = list(places.splits_by_name(local.remote if local else (), known.repo_id))
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
         facts = {"licence": licence, "hub_bytes": size, "local_bytes": local_bytes, "local_splits": splits}
         documents.append({**names, "citation": known.citation, **facts})

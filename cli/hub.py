@@ -6,22 +6,16 @@ import logging
 import sys
 from collections.abc import Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import typer
 
 from cli.options import FOLDER, WORKERS, argument, parse_address, process_count
 from cli.output import BYTES, Sink, bytes_text
-from tactile_toolkit.catalog.spec import CONFIG, REVISION
+from tactile_toolkit import catalog, exchange, places
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import counted
-
-if TYPE_CHECKING:
-    from tactile_toolkit.exchange.download import DownloadPlan
-    from tactile_toolkit.exchange.upload import PreparedUpload, UploadResult
 
 _LARGE_BYTES = 1_000_000_000
 # Files of a longer list that are named.
@@ -33,7 +27,7 @@ def upload(
     kind: DatasetKind,
     folder: str = FOLDER,
     repository: str = argument("USER/NAME", "Repository of the Hub."),
-    options: UploadOptions,
+    options: exchange.UploadOptions,
     dry_run: bool = switch(False, help="Print what would be sent; send nothing."),
     yes: bool = switch(False, name="--yes -y", help="Send without asking."),
     workers: int = WORKERS,
@@ -43,16 +37,15 @@ def upload(
 
     After an interruption, the same command continues; after success, it sends nothing.
     """
-    from tactile_toolkit.exchange.upload import check_folder, prepare_upload, run_upload
-    from tactile_toolkit.places.place import open_place
-
     _quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
-    place = open_place(folder).require(kind, "upload")
+    place = places.open_place(folder).require(kind, "upload")
     place.require_manifest(kind)
     kind = place.kind or kind
     sink.info(f"checking {folder}")
-    check = partial(check_folder, kind, workers=process_count(workers))
-    prepared = prepare_upload(folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info)
+    check = partial(exchange.check_folder, kind, workers=process_count(workers))
+    prepared = exchange.prepare_upload(
+        folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info
+    )
     _print_upload_plan(sink, prepared)
     result = None
     if not dry_run:
@@ -62,7 +55,7 @@ def upload(
             refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
             next_step = "add --yes, or look first with --dry-run"
             _require_consent(f"Send this to {prepared.page}?", refused, next_step)
-        result = run_upload(prepared)
+        result = exchange.run_upload(prepared)
     _print_upload(sink, kind, prepared, result)
 
 
@@ -71,8 +64,8 @@ def download(
     kind: DatasetKind,
     name: str = argument("NAME", "Short name of a published set, or USER/NAME on the Hub."),
     split: list[str] | None = text(metavar="SPLIT", several=True, help="Only this split; may be repeated."),
-    revision: str | None = REVISION,
-    config_name: str | None = CONFIG,
+    revision: str | None = catalog.REVISION,
+    config_name: str | None = catalog.CONFIG,
     out: str | None = text(
         name="--out -o",
         metavar="DIR",
@@ -87,10 +80,8 @@ def download(
 
     After an interruption, the same command continues. `list` names the published data sets.
     """
-    from tactile_toolkit.exchange.download import download as carry_out, plan_download
-
     _quiet_client(is_all=True)
-    plan = plan_download(
+    plan = exchange.plan_download(
         name,
         split or (),
         revision=revision,
@@ -107,7 +98,7 @@ def download(
             refused = f"{size} would be fetched, and stdin is not a terminal"
             _require_consent(f"fetch {size}?", refused, "add --yes, or name a --split")
         with sink.progress("fetching", BYTES) as update:
-            place = carry_out(plan, update)
+            place = exchange.run_download(plan, update)
     _print_download(sink, plan, place, kind)
 
 
@@ -135,7 +126,7 @@ def _listed(paths: Sequence[str]) -> str:
     return ", ".join(paths[:_FILES_SHOWN]) + more
 
 
-def _print_upload_plan(sink: Sink, prepared: PreparedUpload) -> None:
+def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     plan, held, where = prepared.plan, prepared.held, _where(prepared)
     for paths, words in (
         (prepared.left_out, "left out, no part of the data set: {}"),
@@ -168,15 +159,15 @@ def _print_upload_plan(sink: Sink, prepared: PreparedUpload) -> None:
 
 
 def _print_upload(
-    sink: Sink, kind: DatasetKind, prepared: PreparedUpload, result: UploadResult | None
+    sink: Sink, kind: DatasetKind, prepared: exchange.PreparedUpload, result: exchange.UploadResult | None
 ) -> None:
     plan, held, where = prepared.plan, prepared.held, _where(prepared)
     name, tag = prepared.options.branch, prepared.options.tag
     pull = result.pull if result else None
-    address = prepared.page if name == MAIN_BRANCH else f"{prepared.page}/tree/{name}"
+    address = prepared.page if name == exchange.MAIN_BRANCH else f"{prepared.page}/tree/{name}"
     if pull:  # its branch (refs/pr/N) has no page that can be merged from
         address = f"{prepared.page}/discussions/{pull.rpartition('/')[2]}"
-    revision = pull or (None if name == MAIN_BRANCH else name)
+    revision = pull or (None if name == exchange.MAIN_BRANCH else name)
     split = prepared.manifest.splits[0]
     first, call = kind.loading_lines(prepared.manifest, prepared.repo_id, split, revision)
     lines = [first, f"data = {call}"]
@@ -218,16 +209,14 @@ def _print_upload(
         sink.line("\n  ".join([address, *lines]))
 
 
-def _where(prepared: PreparedUpload) -> str:
+def _where(prepared: exchange.PreparedUpload) -> str:
     name = prepared.options.branch
-    return prepared.repo_id if name == MAIN_BRANCH else f"{prepared.repo_id} ({name})"
+    return prepared.repo_id if name == exchange.MAIN_BRANCH else f"{prepared.repo_id} ({name})"
 
 
-def _print_download_plan(sink: Sink, name: str, plan: DownloadPlan) -> None:
+def _print_download_plan(sink: Sink, name: str, plan: exchange.DownloadPlan) -> None:
     """Print what is fetched, how large it is, and under which terms it stands."""
-    from tactile_toolkit.places.published import published_set
-
-    known, files = published_set(name), plan.record.files.values()
+    known, files = places.published_set(name), plan.record.files.values()
     licence = (known.licence if known else None) or plan.repository.licence
     sink.info(
         f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
@@ -242,7 +231,7 @@ def _print_download_plan(sink: Sink, name: str, plan: DownloadPlan) -> None:
         sink.info(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")
 
 
-def _print_download(sink: Sink, plan: DownloadPlan, place: str, kind: DatasetKind) -> None:
+def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: DatasetKind) -> None:
     absent, files = {file.path for file in plan.missing}, plan.record.files.values()
     sink.document(
         {

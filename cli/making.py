@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from cli.options import ANY_SET, Making, Opening, Work, argument, out_folder, process_count
 from cli.output import Sink, bytes_text, duration_text
-from tactile_toolkit.catalog.spec import Chosen
+from tactile_toolkit import catalog, exchange, store
 from tactile_toolkit.checked_fields import integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
@@ -19,8 +19,6 @@ from tactile_toolkit.wording import counted, listed, printable
 
 if TYPE_CHECKING:
     from tactile_toolkit.making import Forecast, Making as RowMaking
-    from tactile_toolkit.store.build import Progress
-    from tactile_toolkit.store.manifest import Manifest
 
 
 _LEFT_OUT_SHOWN = 20
@@ -65,24 +63,21 @@ def make_with_progress(
     sink: Sink,
     what: str,
     kind: DatasetKind,
-    make: Callable[..., Manifest],
+    make: Callable[..., store.Manifest],
     work: Work,
     out: str,
     print_made: PrintMade,
     unit: str | None = None,
-) -> Manifest | None:
+) -> store.Manifest | None:
     """Run ``make`` and print what was made; progress counts ``unit`` where that is not the nouns of rows.
 
     It takes ``workers``, ``overwrite`` and ``on_progress``. Returns None where this was one part of many.
     """
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.job import MissingPartsError, manifest_so_far
-
     start_s = time.monotonic()
     rows = skipped = 0
     with sink.progress(what, unit or kind.nouns) as update:
 
-        def on_progress(progress: Progress) -> None:
+        def on_progress(progress: store.Progress) -> None:
             nonlocal rows, skipped
             if progress.record is not None:
                 rows += progress.record.rows
@@ -91,7 +86,7 @@ def make_with_progress(
 
         try:
             manifest = make(workers=work.chosen_runner(), overwrite=work.overwrite, on_progress=on_progress)
-        except MissingPartsError as error:
+        except store.MissingPartsError as error:
             sink.document({"complete": False, "array": error.array, "parts": error.parts})
             # On stdout, for a script to hand to `sbatch`; the sentence about it goes to stderr.
             sink.line(f"--array={error.array}")
@@ -107,7 +102,7 @@ def make_with_progress(
         sink.line("next: when all parts have ended, the same command with --finish instead of --part")
         return None
     # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
-    manifest = manifest_so_far(DataFolder(out)) or manifest
+    manifest = store.manifest_so_far(store.DataFolder(out)) or manifest
     print_made(sink, kind, manifest, out, elapsed_s)
     sink.line(f"{made}; the data set is in {out}")
     return manifest
@@ -133,7 +128,7 @@ def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, mak
 def print_set(
     sink: Sink,
     kind: DatasetKind,
-    manifest: Manifest,
+    manifest: store.Manifest,
     out: str,
     elapsed_s: float | None = None,
     header: Sequence[str] = (),
@@ -145,9 +140,6 @@ def print_set(
     ``rows`` are printed of a finished one in place of the counts of the manifest; ``further`` are JSON values
     for the document.
     """
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.origin import read_record
-
     table = manifest.split_table()
     planned = {split: count for split, count in manifest.shards_planned().items() if split in table}
     sink.document(
@@ -163,7 +155,7 @@ def print_set(
         }
     )
     if not manifest.complete:
-        record = read_record(DataFolder(out))
+        record = store.read_record(store.DataFolder(out))
         found = "the run is under way or was interrupted" if table else "no shard is finished yet"
         made_by = kind.command_of(manifest)
         next_step = f"the same `{made_by}` continues where it stopped, --finish names what is missing"
@@ -182,7 +174,7 @@ def print_set(
         sink.line(f"left out {counted(count, kind.nouns)}: {reason} (each is named in {out}/manifest.json)")
 
 
-def print_left_out(sink: Sink, manifest: Manifest) -> None:
+def print_left_out(sink: Sink, manifest: store.Manifest) -> None:
     """Print the first items that gave no row, and the first files of the source that hold none."""
     skipped = (f"{item.message} ({item.reason})" for record in manifest.shards for item in record.skipped)
     source = manifest.spec.get("source")
@@ -223,10 +215,8 @@ def merge(
 
     Example: merge DIR OTHER --out both
     """
-    from tactile_toolkit.exchange.copies import merge_sets
-
     places = [opening.open(sink, name) for name in names]
-    make = partial(merge_sets, kind, places, out)
+    make = partial(exchange.merge_sets, kind, places, out)
     make_with_progress(sink, "copying", kind, make, work, out, print_set)
 
 
@@ -243,7 +233,7 @@ def split(
         help="Fractions of the rows of each split, one for each part.",
     ),
     seed: int = integer(0, help="Random seed for --fractions."),
-    chosen: Chosen,
+    chosen: catalog.Chosen,
     work: Work,
     sink: Sink,
 ) -> None:
@@ -254,14 +244,12 @@ def split(
 
     Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
     """
-    from tactile_toolkit.exchange.copies import divide, write_part
-
     given = {each: value for each, value in chosen.given().items() if value is not None}
     if bool(given) == bool(fractions):
         raise InputError("expected either --fractions, or --ids and the like", next="add --fractions 0.8,0.2")
     options = {"fractions": fractions, "seed": seed} if fractions else given
     source = opening.open(sink, name)
-    for number, rows in enumerate(divide(kind, source, fractions, seed, given), 1):
+    for number, rows in enumerate(exchange.divide(kind, source, fractions, seed, given), 1):
         place = f"{out.rstrip('/')}/part-{number}"
-        make = partial(write_part, kind, source, rows, {**options, "part": number}, place)
+        make = partial(exchange.write_part, kind, source, rows, {**options, "part": number}, place)
         make_with_progress(sink, "copying", kind, make, work, place, print_set)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from cli.application import OptionsOf, command, new_app, run
 from cli.folders import Geometry
@@ -14,13 +14,9 @@ from cli.products import Pictures
 from cli.shared import add_shared
 from mnist3d.kind import KIND
 from mnist3d.spec import SOURCES, SPLITS, DigitPreviewSpec, SolidSpec, SourceOptions, SplitSpec
-from tactile_toolkit.catalog.spec import LIMIT, PER_CLASS
+from tactile_toolkit import catalog, store
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
-
-if TYPE_CHECKING:
-    from tactile_toolkit.store.manifest import Manifest
-
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
 
@@ -38,8 +34,8 @@ def generate(
     source: str = choice("synthetic", SOURCES, help="Where the images come from."),
     images: Annotated[dict[str, Any], OptionsOf(SourceOptions)],
     division: SplitSpec,
-    per_class: int | None = PER_CLASS,
-    limit: int | None = LIMIT,
+    per_class: int | None = catalog.PER_CLASS,
+    limit: int | None = catalog.LIMIT,
     solid: SolidSpec,
     making: Making,
     sink: Sink,
@@ -51,7 +47,7 @@ def generate(
     After an interruption, the same command continues; finished shards are kept.
     """
     from mnist3d.make import DigitMaking, GenerateSpec, chosen_source
-    from tactile_toolkit.run.threads import prepare_batch_process
+    from tactile_toolkit.run import prepare_batch_process
 
     spec = GenerateSpec(
         source=chosen_source(source, images, division.seed),
@@ -66,12 +62,13 @@ def generate(
     generate_set(sink, "making digits", DigitMaking.of(spec, splits), out, splits, making, _print_made)
 
 
-def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
+def _print_made(
+    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
+) -> None:
     from mnist3d.card import summarise
-    from tactile_toolkit.store.folder import DataFolder
 
     # The report that the figures come from is written at the end of a run.
-    summaries = summarise(DataFolder(out), manifest) if manifest.complete else []
+    summaries = summarise(store.DataFolder(out), manifest) if manifest.complete else []
     rows = [
         (
             summary.split,

@@ -6,15 +6,13 @@ from dataclasses import MISSING, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tactile_toolkit.catalog.spec import CONFIG, INCOMPLETE, REVISION
+from tactile_toolkit import catalog, places, run, store
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.system import usable_cores
 
 if TYPE_CHECKING:
     from cli.output import Sink
-    from tactile_toolkit.places.place import Place
-    from tactile_toolkit.run.processes import Runner
 
 
 JOB = "Job options"
@@ -26,14 +24,12 @@ def local_place(text: str | Path) -> Path:
 
     Paths of the type ``Path`` would come with ``//`` folded, so that such an address became a folder here.
     """
-    from tactile_toolkit.store.files import expanded
-
     if "://" in str(text):
         raise InputError(
             f"{str(text)!r} is a remote address; expected a local path",
             next="give a path of this machine",
         )
-    return expanded(text)
+    return store.expanded(text)
 
 
 def _runner_name(text: str) -> str:
@@ -45,11 +41,8 @@ def _runner_name(text: str) -> str:
 
 def parse_address(text: str | Path) -> str:
     """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
-    from tactile_toolkit.store.files import expanded
-    from tactile_toolkit.store.names import is_remote, normalize_uri as read
-
-    place = read(str(text))
-    return place if is_remote(place) else str(expanded(place))
+    place = store.normalize_uri(str(text))
+    return place if store.is_remote(place) else str(store.expanded(place))
 
 
 def argument(metavar: str, help: str, **option: Any) -> Any:
@@ -82,19 +75,19 @@ OVERWRITE = switch(False, panel=JOB, help="Replace another data set in the folde
 class Opening:
     """Options of all commands that open a data set by its name."""
 
-    revision: str | None = REVISION
-    config_name: str | None = CONFIG
-    allow_incomplete: bool = INCOMPLETE
+    revision: str | None = catalog.REVISION
+    config_name: str | None = catalog.CONFIG
+    allow_incomplete: bool = catalog.INCOMPLETE
 
-    def open(self, sink: Sink, name: str, *, shows_all: bool = False) -> Place:
+    def open(self, sink: Sink, name: str, *, shows_all: bool = False) -> places.Place:
         """Say what a name stands for; print that it is unfinished, where the command continues all the same.
 
         With ``shows_all`` an unfinished data set is opened as far as it is there.
         """
-        from tactile_toolkit.places.place import open_place
-
         allow = self.allow_incomplete or shows_all
-        place = open_place(name, revision=self.revision, config=self.config_name, allow_incomplete=allow)
+        place = places.open_place(
+            name, revision=self.revision, config=self.config_name, allow_incomplete=allow
+        )
         if allow and place.unfinished:
             sink.info(f"note: {place.name} is unfinished: {place.unfinished}")
         return place
@@ -124,25 +117,21 @@ class Work:
     check: bool = switch(False, panel=JOB, help="Read finished shards again, and make damaged ones again.")
     overwrite: bool = OVERWRITE
 
-    def chosen_runner(self) -> int | Runner:
+    def chosen_runner(self) -> int | run.Runner:
         """Return what makes the shards, as functions take it."""
-        from tactile_toolkit.run.processes import Check, Finish, part_of
-
         if self.finish and self.part is not None:
             raise InputError(
                 "--part and --finish were both given; expected --finish when all parts have ended"
             )
-        runner: int | Runner = process_count(self.workers)
+        runner: int | run.Runner = process_count(self.workers)
         name, _, address = self.runner.partition("=")
         if self.finish:
-            runner = Finish()
+            runner = run.Finish()
         elif name == "ray":
-            from tactile_toolkit.run.ray import RayRunner
-
-            runner = RayRunner(address or None, self.workers)
+            runner = run.RayRunner(address or None, self.workers)
         if self.part is not None:
-            runner = part_of(self.part, runner)
-        return Check(runner) if self.check else runner
+            runner = run.part_of(self.part, runner)
+        return run.Check(runner) if self.check else runner
 
 
 @dataclass(frozen=True, slots=True)

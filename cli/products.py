@@ -27,18 +27,15 @@ from cli.options import (
 )
 from cli.output import Sink, bytes_text, duration_text
 from realtouch.spec import TouchPreviewSpec
-from tactile_toolkit.catalog.spec import Chosen
+from tactile_toolkit import catalog, exchange, places, printing, store
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.printing.spec import MODELS, Physics, PlateSpec
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
-    from tactile_toolkit.gallery.items import Gallery
-    from tactile_toolkit.pictures.sheets import PicturePlan
-    from tactile_toolkit.places.place import Place
-    from tactile_toolkit.printing.objects import Failure, PrintObject
+    from tactile_toolkit.gallery import Gallery
+    from tactile_toolkit.pictures import PicturePlan
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +53,7 @@ class Pictures:
 
     def write(self, sink: Sink, plan: PicturePlan, usual: str = "previews") -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""
-        from tactile_toolkit.pictures.sheets import write_pictures
-        from tactile_toolkit.store.folder import DataFolder
+        from tactile_toolkit.pictures import write_pictures
 
         folder, pictures = self.out or Path(usual), plan.pictures
         if folder.suffix.lower() == ".png":
@@ -75,7 +71,7 @@ class Pictures:
                 sink.line(f"would write {folder / picture.name}: {picture.what}")
             return
         with sink.progress("drawing", "pictures") as update:
-            written = write_pictures(DataFolder(str(folder.absolute())), pictures, update)
+            written = write_pictures(store.DataFolder(str(folder.absolute())), pictures, update)
         sink.document({"folder": str(folder), "pictures": [asdict(made) for made in written], **left_out})
         for made in written:
             size = f"{made.width:,} x {made.height:,} pixels, {bytes_text(made.bytes)}"
@@ -113,7 +109,7 @@ class Job:
 
 def _make_page(sink: Sink, gallery: Gallery, out: Path, job: Job) -> None:
     """Make a gallery with progress and print what was made, or only what would be made."""
-    from tactile_toolkit.gallery.site import PAGE_FILE, build_site, site_folder
+    from tactile_toolkit.gallery import PAGE_FILE, build_site, site_folder
 
     nouns, workers = gallery.nouns[1], process_count(job.workers)
     if job.dry_run:
@@ -146,7 +142,7 @@ def gallery_of_meshes(
     kind: DatasetKind,
     name: str = ANY_SET,
     opening: Opening,
-    chosen: Chosen,
+    chosen: catalog.Chosen,
     out: Path = local_out_folder("gallery"),
     job: Job,
     sink: Sink,
@@ -165,7 +161,7 @@ def gallery_of_touches(
     kind: DatasetKind,
     name: str = TOUCH_SET,
     opening: Opening,
-    chosen: Chosen,
+    chosen: catalog.Chosen,
     touches: int = integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
     out: Path = local_out_folder("gallery"),
     job: Job,
@@ -196,7 +192,7 @@ class Form:
 
     file_format: str | None = choice(
         None,
-        ("stl", "3mf", "ply", "obj", "glb", *MODELS, "flat"),
+        ("stl", "3mf", "ply", "obj", "glb", *printing.MODELS, "flat"),
         optional=True,
         name="--format",
         shown="stl, plates 3mf",
@@ -216,9 +212,9 @@ def export(
     name: str = ANY_SET,
     opening: Opening,
     form: Form,
-    chosen: Chosen,
-    distances: Annotated[dict[str, Any], OptionsOf(PlateSpec)],
-    material: Annotated[dict[str, Any], OptionsOf(Physics)],
+    chosen: catalog.Chosen,
+    distances: Annotated[dict[str, Any], OptionsOf(printing.PlateSpec)],
+    material: Annotated[dict[str, Any], OptionsOf(printing.Physics)],
     out: Path = local_out_folder("prints"),
     job: Job,
     sink: Sink,
@@ -238,28 +234,25 @@ def export(
 
     Exit code 1 when an object or plate could not be written as a solid.
     """
-    from tactile_toolkit.catalog.choose import choose_rows, open_splits
-    from tactile_toolkit.printing.objects import choose
-
     some = chosen.given()
     # What cannot be used is reported before any work.
     if form.file_format == "flat":
         given = [*distances, *material, *(["scale"] if form.scale != 1 else [])]
         _refuse(given, "about files, not about tables of meshes as they are stored", "leave it out")
-    elif form.file_format not in MODELS:
+    elif form.file_format not in printing.MODELS:
         _refuse(material, "about bodies for simulators", "add --format mjcf, urdf or usd")
     if form.plate is None:
         _refuse(distances, "about build plates", "add --plate 256x256")
     elif form.file_format not in (None, "3mf", "mjcf"):
         _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
     place = opening.open(sink, name).require(kind, "export")
-    datasets = open_splits(place, some.pop("split"), kind.load, kind.nouns).items()
+    datasets = catalog.open_splits(place, some.pop("split"), kind.load, kind.nouns).items()
     if form.file_format == "flat":
-        _export_flat(sink, kind, place, choose_rows(datasets, **some), some, str(out), job)
+        _export_flat(sink, kind, place, catalog.choose_rows(datasets, **some), some, str(out), job)
         return
-    bodies = Physics(**material)
-    spec = None if form.plate is None else PlateSpec.parse(form.plate, **distances)
-    objects = choose(datasets, **some)
+    bodies = printing.Physics(**material)
+    spec = None if form.plate is None else printing.PlateSpec.parse(form.plate, **distances)
+    objects = printing.choose(datasets, **some)
     if spec is None:
         _export_files(sink, objects, form.file_format or "stl", form.scale, bodies, str(out), job)
     else:
@@ -275,13 +268,18 @@ def _refuse(given: Iterable[str], why: str, instead: str) -> None:
 
 
 def _export_files(
-    sink: Sink, objects: list[PrintObject], ending: str, scale: float, physics: Physics, out: str, job: Job
+    sink: Sink,
+    objects: list[printing.PrintObject],
+    ending: str,
+    scale: float,
+    physics: printing.Physics,
+    out: str,
+    job: Job,
 ) -> None:
-    from tactile_toolkit.printing.objects import export_files
 
     how: dict[str, Any] = {"scale": scale, "physics": physics, "overwrite": job.overwrite}
     with sink.progress("checking" if job.dry_run else "writing", "files") as update:
-        made = export_files(
+        made = printing.export_files(
             *(objects, out, ending),
             **how,
             dry_run=job.dry_run,
@@ -312,52 +310,54 @@ def _export_files(
 
 
 def _export_flat(
-    sink: Sink, kind: DatasetKind, place: Place, choices: Any, some: Mapping[str, Any], out: str, job: Job
+    sink: Sink,
+    kind: DatasetKind,
+    place: places.Place,
+    choices: Any,
+    some: Mapping[str, Any],
+    out: str,
+    job: Job,
 ) -> None:
-    from tactile_toolkit.exchange.copies import plan_tables
-    from tactile_toolkit.store.build import build
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.job import inspect_job
 
-    plan = plan_tables(kind, place, choices, some, out)
+    plan = exchange.plan_tables(kind, place, choices, some, out)
     if job.dry_run:
         if not job.overwrite:
-            inspect_job(DataFolder(out), plan)
+            store.inspect_job(store.DataFolder(out), plan)
         rows = sum(task.size for task in plan.tasks)
         sink.document({"folder": out, "rows": rows})
         sink.line(f"would write {counted(rows, kind.nouns)} to {out}; nothing was written")
         return
-    make = partial(build, DataFolder(out), plan, write_card=kind.write_card)
+    make = partial(store.build, store.DataFolder(out), plan, write_card=kind.write_card)
     work = Work(job.workers, overwrite=job.overwrite)
     make_with_progress(sink, "writing", kind, make, work, out, print_set)
 
 
 def _export_plates(
     sink: Sink,
-    objects: list[PrintObject],
-    spec: PlateSpec,
+    objects: list[printing.PrintObject],
+    spec: printing.PlateSpec,
     scale: float,
-    bodies: Physics | None,
+    bodies: printing.Physics | None,
     out: str,
     job: Job,
 ) -> None:
-    from tactile_toolkit.printing.packing import arrange, measure
-    from tactile_toolkit.printing.plates import TABLE_FILE, write_plates
 
     with sink.progress("measuring", "objects") as update:
-        measured = measure(objects, spec, scale, update)
+        measured = printing.measure(objects, spec, scale, update)
     with sink.progress("packing", "objects") as update:
-        layout = replace(arrange(measured, update), physics=bodies)
+        layout = replace(printing.arrange(measured, update), physics=bodies)
     done = (
         "writing",
         "wrote",
         "removed",
-        f"maps next to them, and {TABLE_FILE} lists which object lies where",
+        f"maps next to them, and {printing.TABLE_FILE} lists which object lies where",
     )
     planned = ("checking", "would write", "would remove", "nothing was written")
     doing, wrote, removed, ending = planned if job.dry_run else done
     with sink.progress(doing, "plates") as update:
-        made = write_plates(layout, out, overwrite=job.overwrite, dry_run=job.dry_run, on_progress=update)
+        made = printing.write_plates(
+            layout, out, overwrite=job.overwrite, dry_run=job.dry_run, on_progress=update
+        )
     document = asdict(made)
     sink.document({"out": out, "plates": document.pop("files"), **document})
     if made.removed:
@@ -375,7 +375,7 @@ def _export_plates(
     _report_failures(sink, made.failed)
 
 
-def _report_failures(sink: Sink, failures: Iterable[Failure]) -> None:
+def _report_failures(sink: Sink, failures: Iterable[printing.Failure]) -> None:
     """Name what could not be written; then the exit code is that of a failed validation."""
     for failure in failures:
         sink.warn(f"failed: {failure.name}: {failure.detail}")

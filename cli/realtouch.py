@@ -17,18 +17,16 @@ from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
 from realtouch.kind import KIND
 from realtouch.spec import ImportColumns
-from tactile_toolkit.catalog.spec import IDS, LABELS, LIMIT, ONE_SPLIT, PER_CLASS, SPLIT, id_range
+from tactile_toolkit import catalog, places, store
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.touch.contact import contact_height_option, size_option
+from tactile_toolkit.touch import contact_height_option, size_option
 from tactile_toolkit.wording import counted, listed
 
 if TYPE_CHECKING:
     from realtouch.summary import Summary
     from realtouch.verification import TouchVerification
-    from tactile_toolkit.places.place import Place
-    from tactile_toolkit.store.manifest import Manifest
 
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
 
@@ -37,7 +35,7 @@ app = new_app("realtouch", "Real touches: load, check, filter and convert the re
 def load(
     *,
     name: str = TOUCH_SET,
-    split: str | None = ONE_SPLIT,
+    split: str | None = catalog.ONE_SPLIT,
     opening: Opening,
     check: bool = switch(True, help="Check every round and the headers of its images."),
     sink: Sink,
@@ -62,7 +60,7 @@ def load(
 
 
 @command(app)
-def info(*, name: str = TOUCH_SET, split: str | None = SPLIT, opening: Opening, sink: Sink) -> None:
+def info(*, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: Opening, sink: Sink) -> None:
     """Show what each split of a data set holds and, if this toolkit made it, how.
 
     Example: realtouch info touches-64x64
@@ -70,14 +68,14 @@ def info(*, name: str = TOUCH_SET, split: str | None = SPLIT, opening: Opening, 
     from realtouch.convert.plan import Source
     from realtouch.dataset import dataset_of
     from realtouch.summary import summarise
-    from tactile_toolkit.store.manifest import MANIFEST_FILE
-    from tactile_toolkit.store.names import typed
 
     place = opening.open(sink, name, shows_all=True).require(KIND, "info")
     manifest = place.manifest
     operation = ""
     if manifest is not None:
-        operation = typed(manifest.spec.get("operation"), str, f"{name}/{MANIFEST_FILE}", "spec.operation")
+        operation = store.typed(
+            manifest.spec.get("operation"), str, f"{name}/{store.MANIFEST_FILE}", "spec.operation"
+        )
         if not manifest.complete or operation in ("frames", "export", "merge", "split"):
             print_set(sink, KIND, manifest, name)
             return
@@ -103,7 +101,7 @@ def info(*, name: str = TOUCH_SET, split: str | None = SPLIT, opening: Opening, 
 def verify(
     *,
     name: str = TOUCH_SET,
-    split: str | None = SPLIT,
+    split: str | None = catalog.SPLIT,
     opening: Opening,
     quick: bool = switch(False, help="Read only the headers of images; decode none."),
     workers: int = WORKERS,
@@ -115,12 +113,10 @@ def verify(
 
     Example: realtouch verify real-single-64x64 --split test
     """
-    from tactile_toolkit.store.verify import require_finished
-
     place = opening.open(sink, name)
     if place.folder is not None and place.unfinished:
         place.require(KIND, "verify")
-        require_finished(place.folder)
+        store.require_finished(place.folder)
     result = _verified(sink, place, split, workers, quick=quick)
     findings = list(map(asdict, result.findings))
     counts_of = {"rounds": result.rounds, "touches": result.touches}
@@ -161,7 +157,7 @@ def reproduce(*, name: str = TOUCH_SET, opening: Opening, sink: Sink) -> None:
 
 
 def _verified(
-    sink: Sink, place: Place, split: str | None, workers: int = 0, *, quick: bool
+    sink: Sink, place: places.Place, split: str | None, workers: int = 0, *, quick: bool
 ) -> TouchVerification:
     from realtouch.verification import verify as check
 
@@ -271,9 +267,9 @@ class Select:
         name="--recalibrate/--as-recorded",
         help="Take the deepest touch of each round as the height of the plate, if that is not known.",
     )
-    ids: tuple[Any, ...] | None = IDS
-    labels: tuple[str, ...] | None = LABELS
-    per_class: int | None = PER_CLASS
+    ids: tuple[Any, ...] | None = catalog.IDS
+    labels: tuple[str, ...] | None = catalog.LABELS
+    per_class: int | None = catalog.PER_CLASS
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,7 +292,9 @@ class Export:
     frame: str = _FRAME
 
 
-def _add(name: str, options_of: type, function: Callable[..., Manifest], nouns: str = KIND.nouns) -> None:
+def _add(
+    name: str, options_of: type, function: Callable[..., store.Manifest], nouns: str = KIND.nouns
+) -> None:
     """Add a command: print what will be fetched, convert with progress, print what was made.
 
     ``options_of`` declares its options, named as the parameters of its function; the docstring is the help.
@@ -308,8 +306,8 @@ def _add(name: str, options_of: type, function: Callable[..., Manifest], nouns: 
         opening: Opening,
         out: str = out_folder(),
         options: Any,
-        split: str | None = SPLIT,
-        limit: int | None = LIMIT,
+        split: str | None = catalog.SPLIT,
+        limit: int | None = catalog.LIMIT,
         work: Work,
         sink: Sink,
     ) -> None:
@@ -332,7 +330,7 @@ def _arguments(options: Any) -> dict[str, Any]:
     if isinstance(options, Select):
         height_mm = found.pop("min_height_mm")
         # Those of the objects, which are numbers.
-        ids = [id_range(each) if isinstance(each, str) else each for each in found.pop("ids") or ()]
+        ids = [catalog.id_range(each) if isinstance(each, str) else each for each in found.pop("ids") or ()]
         found["objects"], found["labels"] = ids, found["labels"] or ()
         if not options.contact and (height_mm is not None or not options.recalibrate_z):
             raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
@@ -340,7 +338,7 @@ def _arguments(options: Any) -> dict[str, Any]:
     return found
 
 
-def announce_fetching(sink: Sink, place: Place, split: str | None) -> None:
+def announce_fetching(sink: Sink, place: places.Place, split: str | None) -> None:
     """Print what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
     if place.repository is None:
         return
@@ -388,10 +386,9 @@ def import_touches(
 
 
 def _print_imported(
-    sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, _elapsed_s: float | None
+    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, _elapsed_s: float | None
 ) -> None:
     from realtouch.exchange.api import CONVERSION, NOT_IMPORTED
-    from tactile_toolkit.store.shards import add_up
 
     options = manifest.spec["options"]
     if CONVERSION in options:
@@ -399,7 +396,7 @@ def _print_imported(
     if not options["classes"]:
         sink.info("no classes are known (--label-column names their column): the label of all is -1")
     print_left_out(sink, manifest)
-    fields = add_up(list(manifest.statistics().values())).get(NOT_IMPORTED, {})
+    fields = store.add_up(list(manifest.statistics().values())).get(NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, and of how many touches: {counts}")

@@ -15,15 +15,12 @@ from cli.products import Pictures
 from cli.shared import add_shared
 from starstruck_gen.kind import KIND
 from starstruck_gen.options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit.catalog.spec import LIMIT
+from tactile_toolkit import catalog, mesh, places, store
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.units import refuse_unit
 
 if TYPE_CHECKING:
     from starstruck_gen.validate import Checked
-    from tactile_toolkit.places.place import Place
-    from tactile_toolkit.store.manifest import Manifest
 
 
 app = new_app(
@@ -43,7 +40,7 @@ def generate(
     ),
     scene: SceneOptions,
     seed: int = integer(0, help="Random seed."),
-    limit: int | None = LIMIT,
+    limit: int | None = catalog.LIMIT,
     making: Making,
     sink: Sink,
 ) -> None:
@@ -55,7 +52,7 @@ def generate(
     """
     from starstruck_gen.make import PUBLISHED_SIZES, GenerateSpec, SceneMaking
     from starstruck_gen.sampling import SPLITS, require_feasible
-    from tactile_toolkit.run.threads import limit_threads
+    from tactile_toolkit.run import limit_threads
 
     spec = GenerateSpec(scene.spec(), scenes or PUBLISHED_SIZES, seed, limit)
     splits = SPLITS if split == "all" else (split,)
@@ -70,7 +67,9 @@ def generate(
         generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
 
 
-def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
+def _print_made(
+    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
+) -> None:
     from starstruck_gen.card import summarise
 
     summaries = summarise(manifest)
@@ -94,13 +93,13 @@ def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, ela
 def _check(
     paths: Sequence[str],
     *options: Any,
-    opened: Callable[[str], Place],
+    opened: Callable[[str], places.Place],
     unit: str | None = None,
     on_progress: Callable[[int, int], None],
 ) -> list[Checked]:
     from starstruck_gen.validate import validate_folder
 
-    refuse_unit(unit, paths[0])
+    mesh.refuse_unit(unit, paths[0])
     return [validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
 
 

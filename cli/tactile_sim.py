@@ -18,16 +18,16 @@ from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
 from tactile_sim.kind import KIND
 from tactile_sim.spec import SENSOR_NOISE, PairsSpec, PictureOptions, TouchPlan, TrainConfig
-from tactile_toolkit.catalog.spec import Chosen
+from tactile_toolkit.catalog import Chosen
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.units import UNIT
+from tactile_toolkit.mesh import UNIT
 from tactile_toolkit.wording import counted
 
 if TYPE_CHECKING:
     from tactile_sim.generation import GenerateSpec
-    from tactile_toolkit.store.manifest import Manifest
+    from tactile_toolkit.store import Manifest
 
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
@@ -54,7 +54,7 @@ def generate(
     After an interruption, the same command continues; finished shards are kept.
     """
     from tactile_sim.generation import GenerateSpec, TouchMaking
-    from tactile_toolkit.run.threads import prepare_batch_process
+    from tactile_toolkit.run import prepare_batch_process
 
     # "cell" is the default, and who gives a table means it; any other place with a table is refused.
     if "given" in plan and plan.get("positions", "cell") == "cell":
@@ -128,9 +128,9 @@ def render(
     Example: tactile-sim render part.stl --at-mm object --out touch.png
     """
     from tactile_sim.generation import GenerateSpec, look
-    from tactile_toolkit.mesh.files import read_mesh
-    from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.touch.jpeg import encode_image
+    from tactile_toolkit.mesh import read_mesh
+    from tactile_toolkit.store import DataFolder
+    from tactile_toolkit.touch import encode_image
 
     image_format = _ENDINGS.get(out.suffix.lower())
     if image_format is None:
@@ -171,7 +171,7 @@ def pairs(
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
     from tactile_sim.pairs import PairsMaking
-    from tactile_toolkit.run.threads import prepare_batch_process
+    from tactile_toolkit.run import prepare_batch_process
 
     prepare_batch_process()
     pairs = PairsMaking.of(objects, real, split, spec)

@@ -53,8 +53,8 @@ SHARED = (
     "tactile_toolkit.mesh.torch.SolidTensors",
     "tactile_toolkit.read.dataset.Record",
     "tactile_toolkit.read.dataset.RecordDataset",
-    "tactile_toolkit.store.build.Progress",
-    "tactile_toolkit.store.build.RunOptions",
+    "tactile_toolkit.store.building.Progress",
+    "tactile_toolkit.store.building.RunOptions",
     "realtouch.media.MAX_BATCH_PIXELS",
 )
 """What users inherit from several packages, and what public names refer to."""
@@ -336,8 +336,8 @@ def _formats_page() -> str:
     from realtouch.schema import KNOWN_COLUMNS
     from starstruck_gen.columns import SceneRow, scene_schema
     from tactile_sim.columns import TouchRow, touch_schema
+    from tactile_toolkit.cards import FolderFacts
     from tactile_toolkit.cards.card import card_words, field_table, markdown_table
-    from tactile_toolkit.cards.facts import FolderFacts
     from tactile_toolkit.rows import meanings
 
     def table(schema: Any, row_type: type) -> str:

@@ -16,7 +16,7 @@ import starstruck_gen
 import tactile_sim
 from mnist3d.solid import solidify
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures.render import Body, View, draw_bodies
 
 HEIGHT_PX, MARGIN_PX = 480, 60

@@ -6,6 +6,8 @@ turns a mesh into a height map and ``env_assets.write_wrench`` makes the wrench.
 use, so that ``import env_assets`` costs nothing.
 """
 
-from tactile_toolkit import on_first_use
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = on_first_use(__name__, __file__)
+from tactile_toolkit import __version__ as __version__
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

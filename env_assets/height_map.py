@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import as_mesh
-from tactile_toolkit.mesh.raster import MOST_PIXELS, highest_values
+from tactile_toolkit.mesh import MOST_PIXELS, as_mesh, highest_values
 
 
 @dataclass(frozen=True, slots=True, eq=False)

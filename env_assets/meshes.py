@@ -15,15 +15,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import store
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.files import FORMATS, read_mesh
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.units import require_unit
-from tactile_toolkit.read.dataset import RecordDataset, picks_several, positions
-from tactile_toolkit.store.files import expanded, path_exists
-from tactile_toolkit.store.names import is_hidden
+from tactile_toolkit.mesh import FORMATS, MM_PER_M, Mesh, read_mesh, require_unit
+from tactile_toolkit.read import RecordDataset, picks_several, positions
 from tactile_toolkit.wording import natural_key
 
 _LOG = logging.getLogger(__name__)
@@ -195,8 +192,8 @@ def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) 
     InputError: the folder holds another split alone, or files lie next to classes.
     """
     require_unit(unit)
-    root = expanded(fspath(place))
-    if not path_exists(root):
+    root = store.expanded(fspath(place))
+    if not store.path_exists(root):
         return None
     if not root.is_dir():
         read = partial(_mesh_of_file, unit=unit)
@@ -211,7 +208,7 @@ def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) 
             f"{str(root / others[0])!r}",
         )
     loose = _files_in(root)
-    folders = (each.name for each in root.iterdir() if each.is_dir() and not is_hidden(each.name))
+    folders = (each.name for each in root.iterdir() if each.is_dir() and not store.is_hidden(each.name))
     sorted_files = [file for name in sorted(folders, key=natural_key) for file in _files_in(root / name)]
     if loose and sorted_files:
         raise InputError(
@@ -228,7 +225,7 @@ def _files_in(folder: Path) -> list[Path]:
     # so that ids are the same on every machine.
     found = (file for file in folder.iterdir() if file.suffix.lower() in FORMATS and not file.is_dir())
     return sorted(
-        (file for file in found if not is_hidden(file.name)), key=lambda file: natural_key(file.name)
+        (file for file in found if not store.is_hidden(file.name)), key=lambda file: natural_key(file.name)
     )
 
 

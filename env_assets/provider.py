@@ -21,19 +21,12 @@ from mnist3d.kind import KIND as DIGITS
 from mnist3d.loader import MeshDataset
 from starstruck_gen.kind import KIND as SCENES
 from starstruck_gen.loader import SceneMeshDataset
+from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.mesh import MM_PER_M, as_mesh
-from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
-from tactile_toolkit.mesh.units import refuse_unit
-from tactile_toolkit.places.place import kind_of_rows, open_place
-from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.store.files import expanded, named_failures, path_exists
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.locks import locked
-from tactile_toolkit.store.names import is_hidden
+from tactile_toolkit.mesh import SolidDataset as SolidDataset
+from tactile_toolkit.places import kind_of_rows, open_place
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
@@ -141,7 +134,7 @@ class AssetProvider:
         for name, number, least in (("seed", seed, 0), ("workers", workers, 1), ("per_class", per_class, 1)):
             if number is not None:
                 checked_integer(number, f"{name} of the AssetProvider", least)
-        self._root = expanded(fspath(root)).absolute()
+        self._root = store.expanded(fspath(root)).absolute()
         self._places = _checked_places(places or {})
         self._revision = revision
         self._commits: dict[str, str] = {}
@@ -266,7 +259,7 @@ class AssetProvider:
         InputError
             No mesh.
         """
-        return mesh_bounds_m(as_mesh(record).vertices_m, "the mesh")
+        return mesh_bounds_m(mesh.as_mesh(record).vertices_m, "the mesh")
 
     def placements(self, record: Any) -> tuple[Placement, ...]:
         """Return the objects of a Starstruck scene, stars first; metres and radians, cell frame.
@@ -298,25 +291,24 @@ class AssetProvider:
         # The toolkit's own names stand for the root even before anything is there: so it is made there, and a
         # folder of that name where the user happens to be is not taken for it.
         inside = self.root / name
-        return str(inside) if name in KINDS or (path_exists(inside) and inside.is_dir()) else name
+        return str(inside) if name in KINDS or (store.path_exists(inside) and inside.is_dir()) else name
 
     def _commit_of(self, place: str) -> str | None:
         """Return the commit of a repository, looked up on first use and kept; None for a folder or a file."""
-        if place.startswith("/") or path_exists(Path(place)):
+        if place.startswith("/") or store.path_exists(Path(place)):
             return None
-        from tactile_toolkit.hub.repository import hub_name, open_repository
 
-        named = hub_name(place)
+        named = hub.hub_name(place)
         if named is None or named.revision is not None:
             return None
         commit = self._commits.get(named.repo_id)
         if commit is None:
-            commit = open_repository(named.repo_id, self._revision).commit
+            commit = hub.open_repository(named.repo_id, self._revision).commit
             # The first answer stays, whichever thread it came from.
             commit = self._commits.setdefault(named.repo_id, commit)
         return commit
 
-    def _shards(self, name: str, split: str) -> tuple[Shard, ...]:
+    def _shards(self, name: str, split: str) -> tuple[read.Shard, ...]:
         place = self._place(name)
         try:
             return open_place(place, revision=self._commit_of(place)).shards(split)
@@ -330,10 +322,10 @@ class AssetProvider:
                 raise
         # The file stays for good: were it removed, two processes could each hold a file of that name.
         lock = self.root / f".{name}.lock"
-        with named_failures(str(lock)):
+        with store.named_failures(str(lock)):
             self.root.mkdir(parents=True, exist_ok=True)
             lock.touch()
-        with locked(lock, is_patient=True):
+        with store.locked(lock, is_patient=True):
             try:
                 # Another process may have made it while this one waited.
                 return open_place(place).shards(split)
@@ -381,13 +373,13 @@ def _checked_places(places: object) -> dict[str, str]:
 def absolute_path(place: str) -> str:
     """Return a local place in full, so that it follows the current folder as little as the root does."""
     try:
-        local = expanded(place)
+        local = store.expanded(place)
         return str(local.absolute()) if local.exists() else place
     except (InputError, OSError, ValueError):  # too long a name, an unknown user's home, a null byte
         return place
 
 
-def _open_meshes(shards: tuple[Shard, ...], name: str) -> MeshSet:
+def _open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
     """Open the shards of one split as the data set that they are.
 
     InputError where these are not meshes, or of another kind than their name promises. The published wrench
@@ -398,10 +390,10 @@ def _open_meshes(shards: tuple[Shard, ...], name: str) -> MeshSet:
     for module in ("pyarrow.parquet", "pyarrow.compute", "trimesh"):
         import_module(module)
     import_module("pyarrow").array([0]).to_numpy()
-    table = ShardedTable(shards)
-    require_mesh_columns(table.schema, name, DIGITS.made_by)
+    table = read.ShardedTable(shards)
+    mesh.require_mesh_columns(table.schema, name, DIGITS.made_by)
     kind, expected = kind_of_rows(table.schema), KINDS.get(name)
-    names = class_names(table.schema, () if kind is None else kind.class_names)
+    names = read.class_names(table.schema, () if kind is None else kind.class_names)
     if expected is not None and kind is not expected and (kind is not None or expected.published):
         raise InputError(
             f"{name!r} was expected to hold {expected.nouns}, found "
@@ -423,7 +415,7 @@ def meshes_at(place: str | PathLike[str], split: str, unit: str | None = None) -
     files = mesh_files(named, split, unit)
     if files is not None:
         return files
-    refuse_unit(unit, fspath(place))
+    mesh.refuse_unit(unit, fspath(place))
     return AssetProvider().meshes(named, split)
 
 
@@ -438,11 +430,11 @@ def inventory(root: Path) -> list[dict[str, Any]]:
     """
     if not root.is_dir():
         raise InputError(
-            f"{DataFolder(str(root)).missing_message('data sets')}",
+            f"{store.DataFolder(str(root)).missing_message('data sets')}",
             next="give the folder of an AssetProvider",
         )
     found = []
-    for place in sorted(each for each in root.iterdir() if each.is_dir() and not is_hidden(each.name)):
+    for place in sorted(each for each in root.iterdir() if each.is_dir() and not store.is_hidden(each.name)):
         try:
             splits = open_place(place).splits
         except InputError:  # some other folder: there are no Parquet files in it
@@ -462,7 +454,7 @@ def inventory(root: Path) -> list[dict[str, Any]]:
 
 def _measured(place: Path, split: str) -> dict[str, Any]:
     shards = open_place(place).shards(split)
-    schema = ShardedTable(shards).schema
+    schema = read.ShardedTable(shards).schema
     # Only touches have the column; they are not opened, as no mesh is to be measured.
     if "pos_in_cell" in schema.names:
         return {"kind": "touches", "rows": sum(map(len, shards))}
@@ -470,7 +462,7 @@ def _measured(place: Path, split: str) -> dict[str, Any]:
     found = {"kind": kind.name if kind else "meshes", "rows": len(view), "classes": view.label_names}
     if not len(view):
         return found
-    largest_mm = np.max(view.bounds_m[:, 1] - view.bounds_m[:, 0], axis=0) * MM_PER_M
-    volumes_mm3 = view.volumes_m3 * MM_PER_M**3
+    largest_mm = np.max(view.bounds_m[:, 1] - view.bounds_m[:, 0], axis=0) * mesh.MM_PER_M
+    volumes_mm3 = view.volumes_m3 * mesh.MM_PER_M**3
     volume_mm3 = (round(float(volumes_mm3.min()), 3), round(float(volumes_mm3.max()), 3))
     return {**found, "largest_mm": tuple(largest_mm.round(3).tolist()), "volume_mm3": volume_mm3}

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from env_assets.wrench.kind import KIND
-from tactile_toolkit.mesh.records import SolidDataset, SolidRecord, open_solids
-from tactile_toolkit.places.place import Name, Place, open_place
+from tactile_toolkit import mesh, pictures, places
 
 
-class WrenchRecord(SolidRecord):
+class WrenchRecord(mesh.SolidRecord):
     """One wrench.
 
     Frame of the mesh: origin on the axis of the handle, half way along the length, x along the handle towards
@@ -31,25 +30,21 @@ class WrenchRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the wrench from above in a notebook."""
-        from tactile_toolkit.pictures.render import relief
-        from tactile_toolkit.pictures.sheets import figure_html
-
-        return figure_html(relief(self.vertices_m, self.faces), repr(self))
+        return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), repr(self))
 
     def _tile_html(self) -> str:
-        from tactile_toolkit.pictures.render import relief_tile_html
 
-        return relief_tile_html(self.vertices_m, self.faces, f"{self.opening_mm:g} mm, id {self.id}")
+        return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.opening_mm:g} mm, id {self.id}")
 
 
-class WrenchDataset(SolidDataset[WrenchRecord]):
+class WrenchDataset(mesh.SolidDataset[WrenchRecord]):
     """A lazy sequence of :class:`WrenchRecord`."""
 
     record_class = WrenchRecord
     things = "wrenches"
 
 
-def load(name: Name | Place, split: str = "train") -> WrenchDataset:
+def load(name: places.Name | places.Place, split: str = "train") -> WrenchDataset:
     """Open a folder, a Parquet file or a repository of the Hub; raises as ``AssetProvider.meshes``."""
-    place = open_place(name)
-    return open_solids(place.shards(split, kind=KIND), place.name, WrenchDataset, KIND)
+    place = places.open_place(name)
+    return mesh.open_solids(place.shards(split, kind=KIND), place.name, WrenchDataset, KIND)

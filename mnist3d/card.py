@@ -12,27 +12,9 @@ import numpy as np
 from mnist3d.columns import REPORT_FILE, DigitRow
 from mnist3d.kind import KIND
 from mnist3d.sources.folder import FolderSource
-from tactile_toolkit.cards.card import (
-    Card,
-    between,
-    bibtex,
-    card_words,
-    markdown_table,
-    rows_to_draw,
-    tiles_png,
-    write_table_card,
-)
-from tactile_toolkit.cards.facts import FolderFacts
-from tactile_toolkit.catalog.choose import short_name
+from tactile_toolkit import cards, catalog, mesh, pictures, read, store
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.mesh.records import FACES, VERTICES
-from tactile_toolkit.pictures.render import relief
-from tactile_toolkit.pictures.sheets import Tile
-from tactile_toolkit.read.dataset import Row
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import open_parquet, read_report
 from tactile_toolkit.wording import printable
 
 
@@ -61,7 +43,7 @@ class SplitSummary:
         return asdict(self)
 
 
-def summarise(folder: DataFolder, manifest: Manifest) -> list[SplitSummary]:
+def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitSummary]:
     """Sum up each split of a data set from its manifest and its printability report.
 
     Raises IntegrityError when the report is missing or damaged.
@@ -70,7 +52,7 @@ def summarise(folder: DataFolder, manifest: Manifest) -> list[SplitSummary]:
 
     measures = ["size_z_mm", "volume_mm3", "thinnest_wall_mm"]
     columns = ["split", "label", "bodies", "warnings", *measures]
-    report, summaries = read_report(folder, REPORT_FILE, columns), []
+    report, summaries = store.read_report(folder, REPORT_FILE, columns), []
     for split, entry in manifest.split_table().items():
         rows = report.filter(pc.equal(report["split"], split))
         labels = rows["label"].to_numpy().astype(np.int64)
@@ -107,7 +89,7 @@ _PITCH_M = 0.0004
 _ROWS_SEEN = 200
 
 
-def write_card(folder: DataFolder, manifest: Manifest) -> None:
+def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of a data set folder and the picture that it shows.
 
     Raises IntegrityError when a shard or the printability report is missing or damaged.
@@ -119,21 +101,21 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     is_own = words["name"] == FolderSource.name
     if is_copy(manifest):
         title = "3D digits" if is_own else "MNIST 3D"
-        write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
+        cards.write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
         return
     summaries = summarise(folder, manifest)
     profile, solid = spec["print_profile"], spec["solid"]
-    columns = open_parquet(folder, REPORT_FILE).schema_arrow.names
+    columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
-    Card(
+    cards.Card(
         template=KIND.card_template,
-        title=printable(short_name(folder.address())) if is_own else "MNIST 3D",
+        title=printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D",
         columns=COLUMNS,
         picture=("digits.png", _sheet, "The first digit of each class that is there, seen from above"),
         licence=words["licence"],
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
         figures={
-            "per class": [between(min(s.per_class), max(s.per_class)) for s in summaries],
+            "per class": [cards.between(min(s.per_class), max(s.per_class)) for s in summaries],
             "left out": [s.skipped for s in summaries],
         },
         limits=_limits(manifest, summaries, words),
@@ -153,16 +135,19 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     ).write(folder, manifest, KIND)
 
 
-def _sheet(facts: FolderFacts) -> bytes | None:
+def _sheet(facts: cards.FolderFacts) -> bytes | None:
     """Draw the first digit of each class in the first rows, as PNG at 0.4 mm per pixel; None without rows."""
-    first: dict[int, Row] = {}
-    for row in islice(rows_to_draw(facts, ["label", VERTICES, FACES]), _ROWS_SEEN):
+    first: dict[int, read.Row] = {}
+    for row in islice(cards.rows_to_draw(facts, ["label", mesh.VERTICES, mesh.FACES]), _ROWS_SEEN):
         first.setdefault(int(row.required("label")), row)
         if len(first) == len(KIND.class_names):
             break
     rows = [first[label] for label in sorted(first)]
-    tiles = [Tile(relief(row.array(VERTICES), row.array(FACES), _PITCH_M)) for row in rows]
-    return tiles_png(tiles, 5)
+    tiles = [
+        pictures.Tile(pictures.relief(row.array(mesh.VERTICES), row.array(mesh.FACES), _PITCH_M))
+        for row in rows
+    ]
+    return cards.tiles_png(tiles, 5)
 
 
 def _split_rule(spec: Mapping[str, Any]) -> str:
@@ -193,10 +178,10 @@ def _print_table(summaries: list[SplitSummary]) -> str:
         )
         for s in summaries
     ]
-    return markdown_table(header, rows)
+    return cards.markdown_table(header, rows)
 
 
-def _limits(manifest: Manifest, summaries: list[SplitSummary], words: Mapping[str, str]) -> list[str]:
+def _limits(manifest: store.Manifest, summaries: list[SplitSummary], words: Mapping[str, str]) -> list[str]:
     rows = sum(s.rows for s in summaries)
     pieces = sum(count for s in summaries for bodies, count in s.bodies.items() if bodies > 1)
     warned = sum(count for s in summaries for count in s.warnings.values())
@@ -215,7 +200,7 @@ def _limits(manifest: Manifest, summaries: list[SplitSummary], words: Mapping[st
 
 def source_words(name: str) -> dict[str, str]:
     """Return the words about a source of digits; those of one that a user brought along claim nothing."""
-    known = card_words("digit_words.toml")
+    known = cards.card_words("digit_words.toml")
     return {"name": name, **known.get(name, known["other"])}
 
 
@@ -235,4 +220,4 @@ def _terms(words: Mapping[str, str]) -> dict[str, str]:
         f"handwriting of HWD+ (Beaulac and Rosenthal 2022){words['citation_end']}."
     )
     cited = ("tactile_mnist", *(["mnist"] if words["name"] == "mnist" else []), "hwd_plus")
-    return {"licence_text": words["licence_text"], "citation_text": citation, "bibtex": bibtex(*cited)}
+    return {"licence_text": words["licence_text"], "citation_text": citation, "bibtex": cards.bibtex(*cited)}

@@ -9,19 +9,16 @@ from functools import cache
 import pyarrow as pa
 
 from mnist3d.kind import KIND
-from tactile_toolkit.mesh.printability import REPORT_COLUMNS, PrintReport
-from tactile_toolkit.mesh.records import FACES, VERTICES, MeshRow, mesh_schema
+from tactile_toolkit import mesh, store
 from tactile_toolkit.rows import column, row
-from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.shards import ShardName
 
-PARQUET_STYLE = ParquetStyle(
+PARQUET_STYLE = store.ParquetStyle(
     rows_per_group=32,
     compression="zstd",
     compression_level=3,
     encodings=(
-        (f"{VERTICES}.list.element.list.element", "BYTE_STREAM_SPLIT"),
-        (f"{FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
+        (f"{mesh.VERTICES}.list.element.list.element", "BYTE_STREAM_SPLIT"),
+        (f"{mesh.FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
     ),
     chunks_by_content=True,
 )
@@ -38,7 +35,7 @@ REPORT_FILE = "reports/printability.parquet"
 
 
 @row
-class DigitRow(MeshRow):
+class DigitRow(mesh.MeshRow):
     """One digit."""
 
     id: int = column(pa.int64(), "", "number of the digit in its source, unique over all splits")
@@ -46,22 +43,22 @@ class DigitRow(MeshRow):
     writer: int = column(pa.int64(), "", "number of the writer in the source, -1 where unknown")
     volume_m3: float = column(pa.float64(), "m³", "enclosed volume")
     source: str = column(pa.string(), "", "digit source")
-    report: PrintReport = field()  # stored in the report, not in the shard
+    report: mesh.PrintReport = field()  # stored in the report, not in the shard
 
 
 @cache
 def digit_schema() -> pa.Schema:
     """Return the Arrow schema of a shard."""
-    return mesh_schema(DigitRow, KIND.class_names)
+    return mesh.mesh_schema(DigitRow, KIND.class_names)
 
 
-def report_table(shard: ShardName, rows: Sequence[DigitRow]) -> pa.Table:
+def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
     """Pack the reports about the digits of one shard into an Arrow table."""
     # The columns of the report are those of `PrintReport`: a further measure needs no edit here.
     arrow = {bool: pa.bool_(), str: pa.string(), int: pa.int64(), float: pa.float64()}
     # Rows are only of meshes that are solids: a reason why one is not has no column.
     left_out = ("problem", "detail", "warnings")
-    measured = [(name, arrow[kind]) for name, kind in REPORT_COLUMNS.items() if name not in left_out]
+    measured = [(name, arrow[kind]) for name, kind in mesh.REPORT_COLUMNS.items() if name not in left_out]
     places = [("id", pa.int64()), ("label", pa.int64()), ("split", pa.string()), ("shard", pa.string())]
     schema = pa.schema([*places, *measured, ("warnings", pa.list_(pa.string()))])
     values = [

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d.spec import SolidSpec
+from tactile_toolkit import mesh
 from tactile_toolkit.errors import ItemError
 
 Mask: TypeAlias = NDArray[np.bool_]
@@ -241,10 +242,9 @@ def _without_small(mask: Mask, min_px: float, *, first_stays: bool = False) -> M
 def _pieces(mask: Mask) -> tuple[Places, Places]:
     """Return the runs of marked pixels, (row, begin, end) each, and the first run of the piece of each."""
     from mnist3d import kernels
-    from tactile_toolkit.mesh.nearness import connected
 
     runs, touching = kernels.runs(mask)
-    return runs, connected(touching[:, 0], touching[:, 1], len(runs))
+    return runs, mesh.connected(touching[:, 0], touching[:, 1], len(runs))
 
 
 def _without_attached_specks(mask: Mask, min_px: float) -> Mask:

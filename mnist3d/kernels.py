@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_toolkit.mesh.nearness import compiled
+from tactile_toolkit.mesh import compiled
 
 
 @compiled

@@ -15,7 +15,7 @@ from mnist3d.ink import count_bodies_and_holes, refuse
 from mnist3d.lattice import erosion_radius_px, stack
 from mnist3d.spec import SolidSpec
 from mnist3d.surface import Surface, bodies_and_holes, decimate, isosurface, scale, smooth
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 
 
 def literal_solid(ink: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool = True) -> Mesh:

@@ -9,12 +9,10 @@ from numpy.typing import NDArray
 
 from mnist3d.kind import KIND
 from mnist3d.sources import NO_WRITER
-from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.mesh.records import RecordStream, SolidDataset, SolidRecord, open_solids
-from tactile_toolkit.places.place import Name, Place, open_place
+from tactile_toolkit import mesh, pictures, places
 
 
-class MeshRecord(SolidRecord):
+class MeshRecord(mesh.SolidRecord):
     """One 3D digit: ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh`` and what follows.
 
     Frame of the mesh: origin at the image centre, x right and y up as the digit is read, z out of the plate,
@@ -40,24 +38,20 @@ class MeshRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the digit from above in a notebook."""
-        from tactile_toolkit.pictures.render import relief
-        from tactile_toolkit.pictures.sheets import figure_html
-
-        size_mm = np.ptp(self.vertices_m, axis=0) * MM_PER_M
+        size_mm = np.ptp(self.vertices_m, axis=0) * mesh.MM_PER_M
         caption = (
             f"digit {self.label}, id {self.id}, writer {self.writer}: "
             f"{size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, "
-            f"{self.volume_m3 * MM_PER_M**3:.0f} mm³, {len(self.faces):,} triangles"
+            f"{self.volume_m3 * mesh.MM_PER_M**3:.0f} mm³, {len(self.faces):,} triangles"
         )
-        return figure_html(relief(self.vertices_m, self.faces), caption)
+        return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), caption)
 
     def _tile_html(self) -> str:
-        from tactile_toolkit.pictures.render import relief_tile_html
 
-        return relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
+        return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
 
 
-class MeshDataset(SolidDataset[MeshRecord]):
+class MeshDataset(mesh.SolidDataset[MeshRecord]):
     """A lazy sequence of :class:`MeshRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
     record_class = MeshRecord
@@ -71,7 +65,7 @@ class MeshDataset(SolidDataset[MeshRecord]):
         )
 
 
-class MeshStream(RecordStream[MeshRecord]):
+class MeshStream(mesh.RecordStream[MeshRecord]):
     """Digits one after another, read as they are asked for.
 
     See :class:`~tactile_toolkit.mesh.records.RecordStream`.
@@ -80,7 +74,7 @@ class MeshStream(RecordStream[MeshRecord]):
 
 @overload
 def load(
-    name: Name | Place,
+    name: places.Name | places.Place,
     split: str | None = None,
     *,
     streaming: Literal[False] = False,
@@ -89,7 +83,7 @@ def load(
 ) -> MeshDataset: ...
 @overload
 def load(
-    name: Name | Place,
+    name: places.Name | places.Place,
     split: str | None = None,
     *,
     streaming: Literal[True],
@@ -98,7 +92,7 @@ def load(
 ) -> MeshStream: ...
 @overload
 def load(
-    name: Name | Place,
+    name: places.Name | places.Place,
     split: str | None = None,
     *,
     streaming: bool = False,
@@ -106,7 +100,7 @@ def load(
     config: str | None = None,
 ) -> MeshDataset | MeshStream: ...
 def load(
-    name: Name | Place,
+    name: places.Name | places.Place,
     split: str | None = None,
     *,
     streaming: bool = False,
@@ -144,6 +138,6 @@ def load(
     HubError
         The repository cannot be reached or does not exist.
     """
-    place = open_place(name, revision=revision, config=config)
+    place = places.open_place(name, revision=revision, config=config)
     shards = place.shards(split, kind=KIND, streaming=streaming)
-    return open_solids(shards, place.name, MeshDataset, KIND, MeshStream if streaming else None)
+    return mesh.open_solids(shards, place.name, MeshDataset, KIND, MeshStream if streaming else None)

@@ -14,13 +14,10 @@ from mnist3d.sources import DigitSource
 from mnist3d.sources.folder import FolderSource
 from mnist3d.spec import SPLITS, SolidSpec, SplitSpec
 from mnist3d.splits import plan_splits
-from tactile_toolkit import making
+from tactile_toolkit import making, store
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.printability import PrintProfile, inspect
-from tactile_toolkit.store.build import RunOptions
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.shards import ShardName, Skipped
+from tactile_toolkit.mesh import PrintProfile, inspect
 
 
 @dataclass(frozen=True)
@@ -106,15 +103,15 @@ class DigitMaking(making.Making):
         """Return the Arrow schema of a shard."""
         return digit_schema()
 
-    def make(self, split: str, items: Any) -> Iterator[DigitRow | Skipped]:
+    def make(self, split: str, items: Any) -> Iterator[DigitRow | store.Skipped]:
         """Yield the row of each digit, or why it gives no solid."""
         for digit_id in items.tolist():
             try:
                 yield make_row(digit_id, self.spec)
             except ItemError as error:
-                yield Skipped(digit_id, error.reason, error.message)
+                yield store.Skipped(digit_id, error.reason, error.message)
 
-    def report(self, shard: ShardName, rows: Sequence[Any]) -> Any:
+    def report(self, shard: store.ShardName, rows: Sequence[Any]) -> Any:
         """Return what was found about each mesh."""
         return report_table(shard, rows)
 
@@ -150,8 +147,8 @@ def generate(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
-    **run: Unpack[RunOptions],
-) -> Manifest:
+    **run: Unpack[store.RunOptions],
+) -> store.Manifest:
     """Make a data set of printable 3D digits.
 
     A folder that holds a finished or interrupted run of the same specification is completed: finished shards
@@ -168,7 +165,7 @@ def generate(
         Splits to make; others that the folder holds already stay. By default all; for a folder of images only
         ``train``, unless ``spec.split`` divides them.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
 
     Returns
     -------

@@ -19,35 +19,11 @@ from mnist3d.make import source_again
 from mnist3d.solid import binarise, solidify
 from mnist3d.spec import DigitPreviewSpec, SolidSpec
 from mnist3d.surface import Surface, scale
+from tactile_toolkit import catalog, pictures, store
 from tactile_toolkit.arithmetic import inverse_affine
-from tactile_toolkit.catalog.locate import specification_read
-from tactile_toolkit.catalog.spec import PreviewSpec
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.files import FORMATS, read_mesh
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.mesh.units import refuse_unit
-from tactile_toolkit.pictures.previews import MeshPreviews, draw_by_class
-from tactile_toolkit.pictures.render import (
-    OBLIQUE,
-    Body,
-    box_downsample,
-    draw_bodies,
-    relief_of,
-)
-from tactile_toolkit.pictures.sheets import (
-    PicturePlan,
-    Pixels,
-    PlannedPicture,
-    Tile,
-    file_stem,
-    plan_kinds,
-    sheet,
-    with_scale_bar,
-)
-from tactile_toolkit.places.place import Name, Place
-from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.names import is_remote
+from tactile_toolkit.mesh import FORMATS, MM_PER_M, Mesh, check_manifold, read_mesh, refuse_unit
+from tactile_toolkit.places import Name, Place
 from tactile_toolkit.wording import class_name, counted
 
 if TYPE_CHECKING:
@@ -67,7 +43,7 @@ _TILE_PX = 132
 _VIEW_PX = 520
 
 
-def plan_previews(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
+def plan_previews(name: Name | Place, spec: catalog.PreviewSpec) -> pictures.PicturePlan:
     """Decide which pictures of a data set, a mesh file or an image of a digit to draw; draws none.
 
     Kinds are sheet and steps. InputError as
@@ -79,7 +55,7 @@ def plan_previews(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
         refuse_unit(unit, name.name if isinstance(name, Place) else fspath(name))
         return _plan_set(name, spec)
     name = fspath(name)
-    path = expanded(name)
+    path = store.expanded(name)
     ending = path.suffix.lower()
     unit = spec.unit if isinstance(spec, DigitPreviewSpec) else None
     if ending in FORMATS:
@@ -93,13 +69,13 @@ def is_picture_or_mesh(name: str) -> bool:
     """Return whether a name is that of a single picture or mesh on this machine, and of no data set."""
     from mnist3d.sources.pictures import ENDINGS
 
-    if is_remote(name):
+    if store.is_remote(name):
         return False
-    path = expanded(name)
+    path = store.expanded(name)
     return path.suffix.lower() in (*FORMATS, *ENDINGS) and path.is_file()
 
 
-def _draw_pages(path: Path) -> list[Callable[[], Pixels]]:
+def _draw_pages(path: Path) -> list[Callable[[], pictures.Pixels]]:
     """Read the pages of a picture; each is a digit."""
     from mnist3d.sources.canvas import fit
     from mnist3d.sources.pictures import pages_of, read_picture
@@ -113,7 +89,9 @@ def _draw_pages(path: Path) -> list[Callable[[], Pixels]]:
     ]
 
 
-def _plan_file(kind: str, name: str, spec: PreviewSpec, *draws: Callable[[], Pixels]) -> PicturePlan:
+def _plan_file(
+    kind: str, name: str, spec: catalog.PreviewSpec, *draws: Callable[[], pictures.Pixels]
+) -> pictures.PicturePlan:
     """Plan the pictures that a single file allows; InputError where anything else was asked for."""
     asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
     given = {
@@ -125,32 +103,32 @@ def _plan_file(kind: str, name: str, spec: PreviewSpec, *draws: Callable[[], Pix
     asked += [option for option, value in given.items() if value]
     if asked:
         raise InputError(f"{asked[0]} needs a data set, and {name!r} is a single file", next="leave it out")
-    stems = [f"{file_stem(name)}-{number}" for number in range(1, len(draws) + 1)]
-    planned = zip(stems if len(draws) > 1 else [file_stem(name)], draws, strict=True)
-    return PicturePlan(
-        tuple(PlannedPicture(f"{stem}-{kind}.png", Path(name).name, draw) for stem, draw in planned)
+    stems = [f"{pictures.file_stem(name)}-{number}" for number in range(1, len(draws) + 1)]
+    planned = zip(stems if len(draws) > 1 else [pictures.file_stem(name)], draws, strict=True)
+    return pictures.PicturePlan(
+        tuple(pictures.PlannedPicture(f"{stem}-{kind}.png", Path(name).name, draw) for stem, draw in planned)
     )
 
 
-def _plan_set(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
-    opened: MeshPreviews[MeshDataset] = MeshPreviews(KIND, name, spec)
+def _plan_set(name: Name | Place, spec: catalog.PreviewSpec) -> pictures.PicturePlan:
+    opened: pictures.MeshPreviews[MeshDataset] = pictures.MeshPreviews(KIND, name, spec)
     refuse_unit(spec.unit if isinstance(spec, DigitPreviewSpec) else None, opened.name)
     names = opened.chosen[0][1].label_names
 
-    def sheet_of(rows: MeshDataset, title: str) -> Pixels:
+    def sheet_of(rows: MeshDataset, title: str) -> pictures.Pixels:
         return draw_sheet(list(rows), spec.per_class, title, names)
 
-    def plan_steps() -> list[PlannedPicture]:
+    def plan_steps() -> list[pictures.PlannedPicture]:
         if "source" not in opened.made_by:
             raise InputError(f"{opened.name!r} does not name the source of its images")
         given = spec if isinstance(spec, DigitPreviewSpec) else DigitPreviewSpec()
         files = {"images": given.images, "writer_info": given.writer_info}
-        with specification_read(opened.name):
+        with catalog.specification_read(opened.name):
             places = {option: None if path is None else str(path) for option, path in files.items()}
             source = source_again(opened.made_by["source"], **places)
             solid = SolidSpec.from_dict(opened.made_by["solid"])
 
-        def draw(number: int, title: str) -> Pixels:
+        def draw(number: int, title: str) -> pictures.Pixels:
             return draw_steps(source.image(number).pixels, solid, title)
 
         # Digits whose ids were asked for, or else the first.
@@ -159,7 +137,7 @@ def _plan_set(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
         for split, record in found if spec.ids else found[:1]:
             title = f"Digit {class_name(names, record.label)}, id {record.id} ({opened.stem}, {split})"
             planned.append(
-                PlannedPicture(
+                pictures.PlannedPicture(
                     f"{opened.stem}-{split}-{record.id}-steps.png",
                     f"digit {record.id}, step by step",
                     partial(draw, record.id, title),
@@ -167,26 +145,32 @@ def _plan_set(name: Name | Place, spec: PreviewSpec) -> PicturePlan:
             )
         return planned
 
-    return plan_kinds(spec.kinds, {"sheet": lambda: opened.plan_sheets(sheet_of), "steps": plan_steps})
+    return pictures.plan_kinds(
+        spec.kinds, {"sheet": lambda: opened.plan_sheets(sheet_of), "steps": plan_steps}
+    )
 
 
-def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> Pixels:
+def draw_sheet(
+    records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]
+) -> pictures.Pixels:
     """Draw digits from above at one scale; ``names`` are those of the classes."""
     meshes = [Mesh(record.vertices_m, record.faces) for record in records]
     px_per_mm = _TILE_PX / (MM_PER_M * max(float(np.ptp(mesh.vertices_m[:, :2], 0).max()) for mesh in meshes))
     tiles = [
-        (class_name(names, record.label), Tile(relief_of(mesh, px_per_mm), f"{record.id}"))
+        (class_name(names, record.label), pictures.Tile(pictures.relief_of(mesh, px_per_mm), f"{record.id}"))
         for mesh, record in zip(meshes, records, strict=True)
     ]
     words = f"{counted(len(records), 'digits')} from above, at one scale; the id of each below it"
-    return draw_by_class(tiles, per_row, title, words, px_per_mm)
+    return pictures.draw_by_class(tiles, per_row, title, words, px_per_mm)
 
 
-def draw_mesh(mesh: Mesh, title: str) -> Pixels:
+def draw_mesh(mesh: Mesh, title: str) -> pictures.Pixels:
     """Draw a mesh from above, with a scale bar and its measures."""
     px_per_mm = _VIEW_PX / max(MM_PER_M * float(np.ptp(mesh.vertices_m[:, :2], axis=0).max()), 1e-6)
-    drawn = sheet([Tile(relief_of(mesh, px_per_mm))], 1, title, object_facts(mesh), bar_room=True)
-    return with_scale_bar(drawn, px_per_mm)
+    drawn = pictures.sheet(
+        [pictures.Tile(pictures.relief_of(mesh, px_per_mm))], 1, title, object_facts(mesh), bar_room=True
+    )
+    return pictures.with_scale_bar(drawn, px_per_mm)
 
 
 def object_facts(mesh: Mesh) -> tuple[str, ...]:
@@ -201,7 +185,7 @@ def object_facts(mesh: Mesh) -> tuple[str, ...]:
     return (f"{size}; volume {found.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
 
 
-def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
+def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> pictures.Pixels:
     """Draw how an image, (H, W), 0 ink and 255 paper, becomes the solid that a data set stores.
 
     ItemError, which names the picture by its title, where the image is not a usable digit.
@@ -219,19 +203,23 @@ def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
     upper = scale(replace(surface, rim=surface.rim[:0]), (ink.shape[0], ink.shape[1]), spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
     views = [
-        draw_bodies((Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)
+        pictures.draw_bodies((pictures.Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)
         for mesh in (upper, solid)
     ]
     pitch_px, triangles = lattice.pitch_px, len(solid.faces)
     decimated = ", decimated" if triangles != 2 * len(upper.faces) else ""
     tiles = (
-        Tile(_square(np.asarray(pixels)[window].astype(np.uint8)), "1  image"),
-        Tile(_square(np.where(ink[window], 0, 255).astype(np.uint8)), "2  ink, binarised and cleaned"),
-        Tile(_square(layer_map(layers)), f"3  eroded: {len(layers)} layers of a lattice"),
-        Tile(_stack_view(layers, pitch_px, spec, px_per_mm), "4  stack of the upper half, drawn apart"),
-        Tile(views[0], f"5  marching cubes, upper half: {len(upper.faces):,} triangles"),
-        Tile(
-            with_scale_bar(views[1], px_per_mm),
+        pictures.Tile(_square(np.asarray(pixels)[window].astype(np.uint8)), "1  image"),
+        pictures.Tile(
+            _square(np.where(ink[window], 0, 255).astype(np.uint8)), "2  ink, binarised and cleaned"
+        ),
+        pictures.Tile(_square(layer_map(layers)), f"3  eroded: {len(layers)} layers of a lattice"),
+        pictures.Tile(
+            _stack_view(layers, pitch_px, spec, px_per_mm), "4  stack of the upper half, drawn apart"
+        ),
+        pictures.Tile(views[0], f"5  marching cubes, upper half: {len(upper.faces):,} triangles"),
+        pictures.Tile(
+            pictures.with_scale_bar(views[1], px_per_mm),
             f"6  smoothed, mirrored, scaled{decimated}: {triangles:,} triangles",
         ),
     )
@@ -239,7 +227,7 @@ def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> Pixels:
         f"the nodes of the lattice are {pitch_px:.2f} px of {spec.pixel_pitch_mm:g} mm apart, closer where "
         "something is narrow; the surface passes between them",
     )
-    return sheet(tiles, 3, title, words)
+    return pictures.sheet(tiles, 3, title, words)
 
 
 def _layers_px(
@@ -290,14 +278,14 @@ def _stack_view(
             data = _back_to_layer(layer.shape, side, px, _SPREAD * z, drop_px)
             seen = mask.transform((side, side), Image.Transform.AFFINE, data, Image.Resampling.BILINEAR)
             picture.paste(colour, mask=seen)
-    return box_downsample(np.asarray(picture), _SAMPLING)
+    return pictures.box_downsample(np.asarray(picture), _SAMPLING)
 
 
 def _back_to_layer(
     shape: tuple[int, ...], side_px: int, px: float, height: float, drop_px: int
 ) -> tuple[float, ...]:
     """Return the map from pixels of the view to those of a layer, as Pillow takes it."""
-    right, up, _ = OBLIQUE.axes
+    right, up, _ = pictures.OBLIQUE.axes
     # Rows of a layer grow along -y, those of the picture along -up.
     to_view = px * np.array([[right[0], -right[1]], [-up[0], up[1]]])
     middle = np.array([side_px / 2, side_px / 2 - px * up[2] * height + drop_px])

@@ -31,7 +31,7 @@ from mnist3d.photograph import even_out, is_clean
 from mnist3d.spec import SolidSpec
 from mnist3d.surface import BUDGET_SLACK, Surface, bodies_and_holes, decimate, marching_cubes, scale, smooth
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 
 
 def solidify(

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
-from tactile_toolkit.catalog.spec import PreviewSpec
+from tactile_toolkit import catalog, mesh
 from tactile_toolkit.checked_fields import (
     check_fields,
     choice,
@@ -19,7 +19,6 @@ from tactile_toolkit.checked_fields import (
     text,
 )
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.units import UNIT
 
 PROFILES = ("round", "linear", "flat")
 EROSIONS = ("outline", "disc")
@@ -260,7 +259,7 @@ class SourceOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class DigitPreviewSpec(PreviewSpec):
+class DigitPreviewSpec(catalog.PreviewSpec):
     """Which pictures of digits to draw; the steps need the files that the images came from."""
 
     kinds: tuple[str, ...] = choice(
@@ -277,4 +276,4 @@ class DigitPreviewSpec(PreviewSpec):
     writer_info: Path | None = text(
         metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."
     )
-    unit: str | None = UNIT
+    unit: str | None = mesh.UNIT

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from mnist3d.ink import Mask, Places, refuse
 from mnist3d.lattice import Lattice, Mirrored
 from mnist3d.spec import SolidSpec
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import self_crossing
+from tactile_toolkit.mesh import MM_PER_M, Mesh, self_crossing
 
 Vertices: TypeAlias = NDArray[np.float32]
 Faces: TypeAlias = NDArray[np.int32]
@@ -224,7 +223,7 @@ def bodies_and_holes(vertices: int, faces: NDArray[Any], rim: int = 0) -> tuple[
 
     With a ``rim``, the number of vertices in the mid-plane, the surface is the upper half of one.
     """
-    from tactile_toolkit.mesh.nearness import connected
+    from tactile_toolkit.mesh import connected
 
     corners = faces.astype(np.int64)
     least = connected(corners[:, :2].ravel(), corners[:, 1:].ravel(), vertices)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tactile_toolkit.mesh.torch import (
+from tactile_toolkit.mesh import (
     REPRESENTATIONS as REPRESENTATIONS,
     TARGETS as TARGETS,
     MeshBatch as MeshBatch,
@@ -10,10 +10,7 @@ from tactile_toolkit.mesh.torch import (
     SolidTensors,
     collate_meshes as collate_meshes,
 )
-from tactile_toolkit.read.torch import TrainingBatches as TrainingBatches
-
-FORMS = REPRESENTATIONS
-"""Former name."""
+from tactile_toolkit.read import TrainingBatches as TrainingBatches
 
 
 class DigitTensors(SolidTensors):

@@ -11,21 +11,11 @@ from pathlib import Path
 from typing import Any
 
 from mnist3d.kind import KIND
-from tactile_toolkit.catalog.choose import check_rows, shards_to_check
+from tactile_toolkit import catalog, mesh, places, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh.files import read_mesh
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.printability import UNREADABLE, PrintProfile, PrintReport, inspect, unreadable
-from tactile_toolkit.mesh.records import FACES, VERTICES
-from tactile_toolkit.mesh.units import refuse_unit
-from tactile_toolkit.places.other_files import is_parquet_file
-from tactile_toolkit.places.place import Place, open_place
-from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import is_remote, normalize_uri
 
 _ROWS_SHOWN = 20
-_COLUMNS = ("id", "label", VERTICES, FACES)
+_COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +23,7 @@ class CheckedItem:
     """One mesh, by file name or by split and id of a row, and what was found about it."""
 
     name: str
-    report: PrintReport
+    report: mesh.PrintReport
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -76,7 +66,7 @@ class Checked:
     @property
     def unreadable(self) -> list[str]:
         """Why no mesh could be read from files, or rows."""
-        return [item.report.detail or "" for item in self.items if item.report.problem == UNREADABLE]
+        return [item.report.detail or "" for item in self.items if item.report.problem == mesh.UNREADABLE]
 
     def warnings(self) -> dict[str, int]:
         """Count the meshes that carry each print warning."""
@@ -103,12 +93,12 @@ class Checked:
         return header, [item.table_row() for item in shown], title
 
 
-def _inspect_row(row: Row, profile: PrintProfile) -> PrintReport:
+def _inspect_row(row: read.Row, profile: mesh.PrintProfile) -> mesh.PrintReport:
     try:
         row.integer("label")
-        return inspect(Mesh(row.array(VERTICES), row.array(FACES)), profile)
+        return mesh.inspect(mesh.Mesh(row.array(mesh.VERTICES), row.array(mesh.FACES)), profile)
     except IntegrityError as error:
-        return unreadable(str(error))
+        return mesh.unreadable(str(error))
 
 
 def validate_paths(
@@ -117,9 +107,9 @@ def validate_paths(
     limit: int | None = None,
     workers: int = 1,
     *,
-    profile: PrintProfile | None = None,
+    profile: mesh.PrintProfile | None = None,
     unit: str | None = None,
-    opened: Callable[[str], Place] = open_place,
+    opened: Callable[[str], places.Place] = places.open_place,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[Checked]:
     """Check data set folders and mesh files.
@@ -148,18 +138,18 @@ def validate_paths(
     IntegrityError
         A shard is damaged, or the run that makes a data set is not finished.
     """
-    profile = profile or PrintProfile()
+    profile = profile or mesh.PrintProfile()
     # All names are looked at first: a typing error should not show after an hour of checking.
     files = [path for path in paths if _is_single_file(path)]
     for name in paths:
         if name not in files:
-            refuse_unit(unit, name)
-    found: list[str | Place] = [name if name in files else opened(name) for name in paths]
+            mesh.refuse_unit(unit, name)
+    found: list[str | places.Place] = [name if name in files else opened(name) for name in paths]
     results = []
     for path in found:
-        if isinstance(path, Place):
-            shards = shards_to_check(path, split, KIND)
-            rows = check_rows(
+        if isinstance(path, places.Place):
+            shards = catalog.shards_to_check(path, split, KIND)
+            rows = catalog.check_rows(
                 shards, partial(_inspect_row, profile=profile), _COLUMNS, limit, workers, on_progress
             )
             items = []
@@ -167,22 +157,22 @@ def validate_paths(
                 report = row.found
                 if report is None:
                     where = f"split {row.split!r}, row {row.row} of {row.file}"
-                    report = unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
+                    report = mesh.unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
                 number = f"row {row.row}" if row.id is None else row.id
                 items.append(CheckedItem(f"{row.split} {number}", report))
         else:
             try:
-                report = inspect(read_mesh(path, unit=unit), profile)
+                report = mesh.inspect(mesh.read_mesh(path, unit=unit), profile)
             except InputError as error:
-                report = unreadable(str(error))
+                report = mesh.unreadable(str(error))
             items = [CheckedItem(Path(path).name, report)]
-        results.append(Checked(path.name if isinstance(path, Place) else path, tuple(items)))
+        results.append(Checked(path.name if isinstance(path, places.Place) else path, tuple(items)))
     return results
 
 
 def _is_single_file(path: str) -> bool:
     """Return whether a path is a file of this machine that is not Parquet: it is read as a mesh."""
-    if is_remote(path):
+    if store.is_remote(path):
         return False
-    place = Path(normalize_uri(path))
-    return place.is_file() and not is_parquet_file(DataFolder(str(place.parent)), place.name)
+    place = Path(store.normalize_uri(path))
+    return place.is_file() and not places.is_parquet_file(store.DataFolder(str(place.parent)), place.name)

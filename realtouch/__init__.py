@@ -5,6 +5,8 @@ of single touches with its filters. ``clips_to_images``, ``resize``, ``select`` 
 Names are imported on first use, so that ``import realtouch`` costs nothing.
 """
 
-from tactile_toolkit import on_first_use
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = on_first_use(__name__, __file__)
+from tactile_toolkit import __version__ as __version__
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -1,42 +1,42 @@
-"""The public names: type checkers read this list, and the package imports each on first use."""
+"""The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from realtouch.convert.api import (
+from .convert.api import (
     frames as frames,
     resize as resize,
     select as select,
     clips_to_images as clips_to_images,
 )
-from realtouch.dataset import (
+from .dataset import (
     TouchDataset as TouchDataset,
     TouchSeqDataset as TouchSeqDataset,
     TouchSingleDataset as TouchSingleDataset,
     TouchStream as TouchStream,
 )
-from realtouch.exchange.api import export as export
-from realtouch.exchange.api import import_images as import_images
-from realtouch.spec import ImportColumns as ImportColumns
-from realtouch.verification import verify as verify
-from realtouch.media import TouchClip as TouchClip
-from realtouch.opening import SHORT_NAMES as SHORT_NAMES
-from realtouch.opening import load as load
-from realtouch.poses import Poses as Poses, PoseSequences as PoseSequences
-from realtouch.preprocess import (
+from .exchange.api import export as export
+from .exchange.api import import_images as import_images
+from .spec import ImportColumns as ImportColumns
+from .verification import verify as verify
+from .media import TouchClip as TouchClip
+from .opening import SHORT_NAMES as SHORT_NAMES
+from .opening import load as load
+from .poses import Poses as Poses, PoseSequences as PoseSequences
+from .preprocess import (
     Contacts as Contacts,
     background as background,
     best_frame as best_frame,
     contacts_by_image as contacts_by_image,
 )
-from realtouch.contact import difference as difference
-from realtouch.contact import contact_score as contact_score
-from realtouch.contact import ContactScore as ContactScore
-from realtouch.contact import ContactRule as ContactRule
-from realtouch.rounds import (
+from .contact import difference as difference
+from .contact import contact_score as contact_score
+from .contact import ContactScore as ContactScore
+from .contact import ContactRule as ContactRule
+from .rounds import (
     TouchRound as TouchRound,
     TouchSeqRound as TouchSeqRound,
     TouchSingleRound as TouchSingleRound,
 )
-from realtouch.summary import Summary as Summary, summarise as summarise
-from realtouch.rounds import Touch as Touch
-from realtouch.dataset import Touches as Touches
+from .summary import Summary as Summary, summarise as summarise
+from .rounds import Touch as Touch
+from .dataset import Touches as Touches
 
 __version__: str

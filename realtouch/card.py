@@ -17,16 +17,10 @@ from realtouch.kind import KIND
 from realtouch.media import contact_sheet, evenly_spaced
 from realtouch.rounds import Touch, TouchSeqRound, TouchSingleRound
 from realtouch.schema import media_kind, origin_of
-from tactile_toolkit.cards.card import Card, Column, between, bibtex, card_words, rows_to_draw
-from tactile_toolkit.cards.facts import FolderFacts, folder_facts
+from tactile_toolkit import cards, read, store
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.pictures.sheets import png_bytes
-from tactile_toolkit.read.columns import column_names, column_types
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.contact import missed_text
-from tactile_toolkit.touch.jpeg import Pixels, decode_image
-from tactile_toolkit.touch.schema import Kind
+from tactile_toolkit.pictures import png_bytes
+from tactile_toolkit.touch import Kind, Pixels, decode_image, missed_text
 
 WORDS = "touch_words.toml"
 """File of ``data_cards`` with the words of all cards of touches."""
@@ -46,7 +40,7 @@ class _Content:
     """What a card says of the rows at hand: the words of their kind, columns, and what was counted."""
 
     words: dict[str, Any]
-    columns: dict[str, Column]
+    columns: dict[str, cards.Column]
     nouns: str
     pictures: Iterable[Pixels | None]
     values: dict[str, str]
@@ -54,18 +48,18 @@ class _Content:
     figures: dict[str, list[str]]
 
 
-def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
+def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None) -> None:
     """Write ``README.md`` of a folder of touches and the picture that it shows.
 
     A copy of a published set has no manifest, and its card says so. InputError: it holds no touches.
     IntegrityError: a file is missing or damaged.
     """
-    words = card_words(WORDS)
-    facts = folder_facts(folder, manifest)
+    words = cards.card_words(WORDS)
+    facts = cards.folder_facts(folder, manifest)
     operation = None if manifest is None else manifest.spec.get("operation")
     origin = origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
-    rule = ContactHeight.of(column_types(facts.schema))
+    rule = ContactHeight.of(read.column_types(facts.schema))
     # Of plain pictures, and of rows in foreign formats, there are no rounds that could be loaded.
     is_plain = operation in ("frames", "export")
     if is_plain:
@@ -82,7 +76,7 @@ def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
     in_cell = " ".join(filter(None, [cell, *heights]))
     is_clips = template == "seq"
     unknown = {} if manifest is not None else {"made": words["made"]["unknown"]}
-    Card(
+    cards.Card(
         template=KIND.card_template.format(template),
         title=f"{of_origin['title']} {content.words['title']}",
         columns=content.columns,
@@ -115,13 +109,13 @@ def write_card(folder: DataFolder, manifest: Manifest | None = None) -> None:
             "printability": of_origin["printability"],
             "licence_text": licence_text,
             "citation_text": of_origin["citation_text"],
-            "bibtex": bibtex(*of_origin["cited"]) if of_origin["cited"] else "",
+            "bibtex": cards.bibtex(*of_origin["cited"]) if of_origin["cited"] else "",
         },
     ).write(folder, manifest, KIND, facts)
 
 
 def _plain_content(
-    folder: DataFolder, facts: FolderFacts, manifest: Manifest | None, words: dict[str, Any]
+    folder: store.DataFolder, facts: cards.FolderFacts, manifest: store.Manifest | None, words: dict[str, Any]
 ) -> _Content:
     """Return what a card says of pictures in files, or of rows in a foreign format."""
     layout = "frames" if manifest is None else manifest.spec["options"].get("layout", "frames")
@@ -134,20 +128,24 @@ def _plain_content(
     return _Content(of_layout, words["columns"]["plain"], nouns, pictures, texts, missed_text(None, 0), {})
 
 
-def _plain_pictures(folder: DataFolder, facts: FolderFacts) -> Iterator[Pixels | None]:
+def _plain_pictures(folder: store.DataFolder, facts: cards.FolderFacts) -> Iterator[Pixels | None]:
     """Decode the first pictures of an index of files or of a column of images; of tars there are none."""
-    names = column_names(facts.schema)
+    names = read.column_names(facts.schema)
     if "image.bytes" in names:
-        for row in islice(rows_to_draw(facts, ["image.bytes"]), _TILES):
+        for row in islice(cards.rows_to_draw(facts, ["image.bytes"]), _TILES):
             yield _or_none(decode_image, row.group.arrow("image.bytes")[row.index].as_py())
     elif {"file", "frame", "label"} <= {*names}:
-        for row in islice(rows_to_draw(facts, ["file"]), _TILES):
+        for row in islice(cards.rows_to_draw(facts, ["file"]), _TILES):
             if row.value("file").endswith((".jpg", ".png")):
                 yield _or_none(lambda name: decode_image(folder.read_bytes(name)), row.value("file"))
 
 
 def _stored_content(
-    facts: FolderFacts, kind: Kind, rule: ContactHeight, manifest: Manifest | None, words: dict[str, Any]
+    facts: cards.FolderFacts,
+    kind: Kind,
+    rule: ContactHeight,
+    manifest: store.Manifest | None,
+    words: dict[str, Any],
 ) -> _Content:
     """Return what a card says of rounds; reads small columns and a few rounds."""
     datasets = [dataset_of(split.shards) if split.rows else None for split in facts.splits]
@@ -173,7 +171,7 @@ def _stored_content(
         {
             "touches": [_text("{:,}", count) for count in touches],
             "per round": [
-                "-" if ends is None else between(*ends)
+                "-" if ends is None else cards.between(*ends)
                 for ends in of_each(lambda dataset: (min(dataset.touch_counts), max(dataset.touch_counts)))
             ],
             "objects": [
@@ -190,7 +188,7 @@ def _text(form: str, figure: float | None) -> str:
     return "-" if figure is None else form.format(figure)
 
 
-def _stored_pictures(facts: FolderFacts, kind: Kind) -> list[Pixels | None]:
+def _stored_pictures(facts: cards.FolderFacts, kind: Kind) -> list[Pixels | None]:
     """Decode pictures of the first round of which one can be read; of clips, the end of contact."""
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
@@ -205,7 +203,7 @@ def _sheet(pictures: Iterable[Pixels | None]) -> bytes | None:
     return png_bytes(contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
 
 
-def _first_rounds(facts: FolderFacts, kind: Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
+def _first_rounds(facts: cards.FolderFacts, kind: Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
     """Yield the first rounds, decoding the blocks they lie in and keeping none in the cache."""
     record = TouchSingleRound if kind == "single" else TouchSeqRound
     shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
@@ -231,7 +229,7 @@ def _missed(touches: list[int | None], shares: list[float | None], rule: Contact
     return missed_text(total - round(in_contact), total, is_estimated=rule.plate == "estimated")
 
 
-def _made(manifest: Manifest) -> list[tuple[str, str]]:
+def _made(manifest: store.Manifest) -> list[tuple[str, str]]:
     operation, source = manifest.spec["operation"], manifest.spec["source"]
     files = ", ".join(f"{split}: {len(names)}" for split, names in source.items())
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in names):,}" for split, names in source.items())

@@ -21,11 +21,17 @@ from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN
 from realtouch.video import MAX_CLIP_FRAMES
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import NestedColumn, RowGroup, whole_number, whole_numbers
-from tactile_toolkit.read.dataset import Row, checked_index
-from tactile_toolkit.read.source import RowSource, all_blocks
-from tactile_toolkit.touch.contact import PRESS_DEPTH_M
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind
+from tactile_toolkit.read import (
+    NestedColumn,
+    Row,
+    RowGroup,
+    RowSource,
+    all_blocks,
+    checked_index,
+    whole_number,
+    whole_numbers,
+)
+from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 
 # The first of these that is there says how many touches a round has; poses only where they were read alone.
 _COUNTED = (

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch.contact import RENDERED_CONTACT_M, height_text
-from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch import RENDERED_CONTACT_M, Pixels, height_text
 
 ContactMethod = Literal["contact_start", "contact_end", "peak", "best"]
 CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)

@@ -26,17 +26,10 @@ from realtouch.rounds import (
     touch_id,
 )
 from realtouch.schema import POSE_COLUMN, flat_row, is_per_touch, media_kind
+from tactile_toolkit import read
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.dataset import RecordDataset, checked_index, flattened, positions
-from tactile_toolkit.read.order import StoredParts
-from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.read.source import RowSource, all_blocks
-from tactile_toolkit.read.stream import Stream, loader_worker
-from tactile_toolkit.touch.contact import PRESS_DEPTH_M
-from tactile_toolkit.touch.jpeg import Pixels
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, Kind
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, PRESS_DEPTH_M, Kind, Pixels
 from tactile_toolkit.wording import counted, is_integer, plain_number
 
 _INDEX = "touch_index"
@@ -45,7 +38,7 @@ _POSITION = ("x_m", "y_m")
 R = TypeVar("R", bound=TouchRound)
 
 
-class TouchDataset(RecordDataset[R]):
+class TouchDataset(read.RecordDataset[R]):
     """A lazy sequence of rounds; see :class:`tactile_toolkit.read.dataset.RecordDataset`.
 
     Parameters
@@ -62,7 +55,7 @@ class TouchDataset(RecordDataset[R]):
 
     def __init__(
         self,
-        table: ShardedTable,
+        table: read.ShardedTable,
         rows: range | NDArray[np.int64] | None = None,
         label_names: Sequence[str] = (),
         skipped: Sequence[tuple[int | None, Damage]] = (),
@@ -146,8 +139,8 @@ class TouchDataset(RecordDataset[R]):
     ) -> NDArray[np.float64]:
         """Join what is known of the touches of each stored row, of a few columns."""
 
-        def of_source(source: RowSource) -> list[NDArray[np.float64]]:
-            rule = ContactHeight.of(column_types(source.schema))
+        def of_source(source: read.RowSource) -> list[NDArray[np.float64]]:
+            rule = ContactHeight.of(read.column_types(source.schema))
             return [known(row, rule) for row in stored_rows([source], columns)]
 
         values = self._table.per_shard(key, of_source)
@@ -160,7 +153,7 @@ class TouchDataset(RecordDataset[R]):
 
     def contact_rules(self) -> list[ContactHeight]:
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
-        rules = [(ContactHeight.of(column_types(each.schema)), len(each)) for each in self._table.shards]
+        rules = [(ContactHeight.of(read.column_types(each.schema)), len(each)) for each in self._table.shards]
         of_rows = [rule for rule, count in rules for _ in range(count)]
         return [of_rows[row] for row in self._row_numbers.tolist()]
 
@@ -172,7 +165,7 @@ class TouchDataset(RecordDataset[R]):
         media = MEDIA_COLUMN[self.kind]
         for source in self._table.shards:
             columns, start = [name for name in source.schema.names if name != media], number
-            for block in all_blocks([source], columns):
+            for block in read.all_blocks([source], columns):
                 rows = RowsWithoutMedia(block, source, number - start)
                 for row in range(len(block.table)):
                     if number + row in wanted:
@@ -203,7 +196,7 @@ class TouchSeqDataset(TouchDataset[TouchSeqRound]):
     kind = "seq"
 
 
-class Touches(RecordDataset[Touch], Generic[R]):
+class Touches(read.RecordDataset[Touch], Generic[R]):
     """All touches of some rounds, or a selection of them; a view that copies nothing.
 
     ``touches[i]`` gives a :class:`Touch`; a slice, ints or a boolean mask give a view. Filters give views too
@@ -246,7 +239,7 @@ class Touches(RecordDataset[Touch], Generic[R]):
         IndexError
             The data set has no touch of that index.
         """
-        return self._located(int(self._rows[checked_index(index, len(self), "index", self.things)]))
+        return self._located(int(self._rows[read.checked_index(index, len(self), "index", self.things)]))
 
     def _located(self, flat: int) -> tuple[int, int]:
         if self._per_round:
@@ -413,7 +406,7 @@ class Touches(RecordDataset[Touch], Generic[R]):
         InputError
             Something else than integers is given.
         """
-        numbers = list(map(plain_number, flattened(wanted)))
+        numbers = list(map(plain_number, read.flattened(wanted)))
         if not is_integer(*numbers):
             raise InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
@@ -485,7 +478,7 @@ class Touches(RecordDataset[Touch], Generic[R]):
         IntegrityError
             An image is damaged or of another size; names file, row and touch.
         """
-        wanted = [self.locate(each) for each in positions(index, len(self)).tolist()]
+        wanted = [self.locate(each) for each in read.positions(index, len(self)).tolist()]
         first, number = wanted[0] if wanted else (0, 0)
         has_any = wanted or (len(self.dataset) and self.dataset[0].touch_count)
         size = self._images_of(first).size(number) if has_any else (0, 0)
@@ -529,18 +522,18 @@ class Touches(RecordDataset[Touch], Generic[R]):
             for index in by_round.get(place, ()):
                 yield index, Touch(record, touches[index])
 
-    def _stored_parts(self) -> StoredParts:
+    def _stored_parts(self) -> read.StoredParts:
         rounds = self.dataset._stored_parts()
         if rounds.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
-            return StoredParts(np.unique(self._starts[rounds.starts]))
+            return read.StoredParts(np.unique(self._starts[rounds.starts]))
         turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
         if rounds.order is not None:
             turn[rounds.order] = np.arange(len(turn))
         turns = turn[self.round_positions]
         order = np.lexsort((self.touch_indices, turns))
-        return StoredParts(np.unique(np.searchsorted(turns[order], rounds.starts)), order)
+        return read.StoredParts(np.unique(np.searchsorted(turns[order], rounds.starts)), order)
 
-    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[RowSource, int]]:
+    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[read.RowSource, int]]:
         return self.dataset._row_groups(np.unique(self.round_positions[chosen]))
 
     def _description(self) -> list[str]:
@@ -594,7 +587,7 @@ def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
 
 
 def dataset_of(
-    shards: Sequence[RowSource],
+    shards: Sequence[read.RowSource],
     rows: NDArray[np.int64] | None = None,
     skipped: Sequence[tuple[int | None, Damage]] = (),
 ) -> TouchSeqDataset | TouchSingleDataset:
@@ -603,10 +596,10 @@ def dataset_of(
     names = CLASS_NAMES if stated is None else stated
     is_seq = media_kind(shards[0].schema, shards[0].path) == "seq"
     dataset = TouchSeqDataset if is_seq else TouchSingleDataset
-    return dataset(ShardedTable(tuple(shards)), rows, names, skipped)
+    return dataset(read.ShardedTable(tuple(shards)), rows, names, skipped)
 
 
-class TouchStream(Stream[Shard]):
+class TouchStream(read.Stream[read.Shard]):
     """Rounds one after another; see :class:`tactile_toolkit.read.stream.Stream`.
 
     Parameters
@@ -632,7 +625,7 @@ class TouchStream(Stream[Shard]):
 
     def __init__(
         self,
-        shards: tuple[Shard, ...],
+        shards: tuple[read.Shard, ...],
         kind: Kind,
         *,
         skip_damage: bool = False,
@@ -679,7 +672,7 @@ class TouchStream(Stream[Shard]):
             return
         for row, damage in checked_rows(self._row_groups(), self._expected_touches, self._stated_names):
             self.skipped += damage
-            if damage and loader_worker() is not None:
+            if damage and read.loader_worker() is not None:
                 warnings.warn(f"left out: {'; '.join(map(str, damage))}", stacklevel=2)
             lost = {each.touch for each in damage}
             if row is not None and None not in lost:

@@ -14,12 +14,9 @@ from realtouch.kind import KIND
 from realtouch.media import TouchClip, evenly_spaced
 from realtouch.rounds import Touch, TouchRound, TouchSeqRound
 from realtouch.schema import origin_of
-from tactile_toolkit.catalog.spec import ALL_ROWS, Chosen
+from tactile_toolkit import catalog, gallery, mesh, places
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, gallery_of_rows, thumbnail
-from tactile_toolkit.mesh.mesh import MM_PER_M
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.touch.jpeg import Pixels, encode_image, resized
+from tactile_toolkit.touch import Pixels, encode_image, resized
 from tactile_toolkit.wording import class_name
 
 FRAMES_PER_FILM = 24
@@ -38,20 +35,25 @@ _Known = tuple[int, NDArray[np.float64] | None, float]
 
 _SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
 _FACETS = (
-    Facet("label", "Class"),
-    Facet("split", "Split"),
-    Facet("contact", "Touches with contact", _SHARES),
-    Facet("gel", "Gel"),
-    Facet("object", "Object"),
+    gallery.Facet("label", "Class"),
+    gallery.Facet("split", "Split"),
+    gallery.Facet("contact", "Touches with contact", _SHARES),
+    gallery.Facet("gel", "Gel"),
+    gallery.Facet("object", "Object"),
 )
 _MEASURES = (
-    Measure("touches", "Touches"),
-    Measure("in_contact", "With contact"),
-    Measure("highest_mm", "Highest contact", "mm", 1),
+    gallery.Measure("touches", "Touches"),
+    gallery.Measure("in_contact", "With contact"),
+    gallery.Measure("highest_mm", "Highest contact", "mm", 1),
 )
 
 
-def plan_gallery(name: Name | Place, chosen: Chosen = ALL_ROWS, *, touches: int = DEFAULT_TOUCHES) -> Gallery:
+def plan_gallery(
+    name: places.Name | places.Place,
+    chosen: catalog.Chosen = catalog.ALL_ROWS,
+    *,
+    touches: int = DEFAULT_TOUCHES,
+) -> gallery.Gallery:
     """State what a gallery of rounds shows; reads labels and poses, no image and no clip.
 
     At most ``touches`` of each round, evenly spaced.
@@ -73,10 +75,10 @@ def plan_gallery(name: Name | Place, chosen: Chosen = ALL_ROWS, *, touches: int 
         least_m = [rule.min_height_m for rule in rows.contact_rules()]
         return [(touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
-    place = open_place(name).require(KIND, "gallery")
+    place = places.open_place(name).require(KIND, "gallery")
     schema = place.shards(chosen.given()["split"] or place.splits[0])[0].schema
     title = f"{origin_of(schema, place.manifest)} touches".capitalize()
-    return gallery_of_rows(KIND, place, chosen, title, _FACETS, _MEASURES, _item, 1, known)
+    return gallery.gallery_of_rows(KIND, place, chosen, title, _FACETS, _MEASURES, _item, 1, known)
 
 
 def _item(
@@ -84,7 +86,7 @@ def _item(
     split: str,
     names: tuple[str, ...],
     known: _Known,
-) -> Item:
+) -> gallery.Item:
     """Show a round."""
     most, heights_m, least_m = known
     touches = [Touch(record, number) for number in evenly_spaced(record.touch_count, most)]
@@ -117,7 +119,7 @@ def _item(
     notes = [("Touches shown", f"{len(touches)} of {record.touch_count}")]
     if info.get("notes"):
         notes.append(("Notes", str(info["notes"])))
-    return Item(
+    return gallery.Item(
         id=record.id,
         title=f"class {label}, object {touched}" if touched else f"class {label}",
         facets={
@@ -132,7 +134,7 @@ def _item(
             "in_contact": None if met is None else int(met.sum()),
             "highest_mm": None if heights_m is None else _millimetres(float(np.fmax.reduce(heights_m))),
         },
-        thumbnail=thumbnail(cover.image),
+        thumbnail=gallery.thumbnail(cover.image),
         content={"notes": notes, "touches": {"tile": list(tile_px), "columns": columns, "list": listed}},
         media=media,
     )
@@ -140,7 +142,7 @@ def _item(
 
 def _millimetres(height_m: float) -> float | None:
     """Return a height for the page; None where it is not known, as of a touch with a damaged pose."""
-    return None if math.isnan(height_m) else height_m * MM_PER_M
+    return None if math.isnan(height_m) else height_m * mesh.MM_PER_M
 
 
 def _share(met: NDArray[np.bool_] | None) -> str:

@@ -16,25 +16,22 @@ from numpy.typing import NDArray
 from realtouch.columns import Damage, DamagedRoundError, TouchRow, rows_of
 from realtouch.media import SensorImages, TouchClip
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, media_kind, require_types
-from tactile_toolkit.catalog.locate import manifest_beside
+from tactile_toolkit import catalog, read, run
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.read.columns import column_types
-from tactile_toolkit.read.parquet import ChosenGroups, Shard
-from tactile_toolkit.read.source import RowSource, all_blocks, row_groups
-from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.touch.jpeg import decode_image, image_size
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, Kind
+from tactile_toolkit.touch import MEDIA_COLUMN, Kind, decode_image, image_size
 
 _NAMES_SHOWN = 12
 
 
-def agreeing_files(shards: Iterable[Shard], where: str, left_out: list[Damage] | None = None) -> list[Shard]:
+def agreeing_files(
+    shards: Iterable[read.Shard], where: str, left_out: list[Damage] | None = None
+) -> list[read.Shard]:
     """Return the files of a data set that can be read and hold what the first of them holds.
 
     Of the others it is noted in ``left_out`` what is wrong; without such a list it is raised: InputError for
     a file that is not one of touches, IntegrityError for one that is damaged or holds something else.
     """
-    files: list[Shard] = []
+    files: list[read.Shard] = []
     for shard in shards:
         try:
             kind = media_kind(shard.schema, shard.path if files else where)
@@ -49,7 +46,7 @@ def agreeing_files(shards: Iterable[Shard], where: str, left_out: list[Damage] |
     return files
 
 
-def _require_agreement(shard: Shard, kind: Kind, files: Sequence[Shard]) -> None:
+def _require_agreement(shard: read.Shard, kind: Kind, files: Sequence[read.Shard]) -> None:
     """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
     first = media_kind(files[0].schema, files[0].path)
     if kind != first:
@@ -68,39 +65,39 @@ def _require_agreement(shard: Shard, kind: Kind, files: Sequence[Shard]) -> None
         )
 
 
-def stated_class_names(shards: Iterable[RowSource]) -> tuple[str, ...] | None:
+def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | None:
     """Return the names of the classes as the first file that states any does; None where none does."""
     return next((shard.class_names for shard in shards if shard.class_names is not None), None)
 
 
-def modal_touch_count(shards: Sequence[Shard]) -> int | None:
+def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     """Return the T that every round of a data set must have: that of more than half of its readable rounds.
 
     None where rounds may differ: no T is that of more than half, or the set has a manifest. Then rounds are
     as they were made, whose checksums are known: of imported or chosen touches, or of a set of such.
     """
-    if shards and manifest_beside(shards[0]) is not None:
+    if shards and catalog.manifest_beside(shards[0]) is not None:
         return None
     counts: Counter[int] = Counter()
-    for shard, index in row_groups(shards):
+    for shard, index in read.row_groups(shards):
         with suppress(IntegrityError):
-            counts.update(stored_touch_counts(ChosenGroups(shard, [index])).tolist())
+            counts.update(stored_touch_counts(read.ChosenGroups(shard, [index])).tolist())
     modal, rounds = counts.most_common(1)[0] if counts else (0, 0)
     return modal if 2 * rounds > counts.total() else None
 
 
-def stored_touch_counts(source: RowSource) -> NDArray[np.int64]:
+def stored_touch_counts(source: read.RowSource) -> NDArray[np.int64]:
     """Return T of every row, shape (rows,), int64; reads nothing where the schema fixes it."""
-    types = column_types(source.schema)
+    types = read.column_types(source.schema)
     name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in types)
     if pa.types.is_fixed_size_list(types[name]):
         return np.full(len(source), types[name].list_size, np.int64)
-    counts = [block.nested(name).lengths(0) for block in all_blocks([source], [name])]
+    counts = [block.nested(name).lengths(0) for block in read.all_blocks([source], [name])]
     return np.concatenate(counts or [np.zeros(0, np.int64)])
 
 
 def checked_rows(
-    groups: Iterable[tuple[Shard, int]],
+    groups: Iterable[tuple[read.Shard, int]],
     expected_touches: int | None,
     class_names: Sequence[str] | None,
     *,
@@ -117,10 +114,10 @@ def checked_rows(
             return None, [found]
         return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
 
-    return in_threads(checked, _readable_rows(groups), workers)
+    return run.in_threads(checked, _readable_rows(groups), workers)
 
 
-def _readable_rows(groups: Iterable[tuple[Shard, int]]) -> Iterator[TouchRow | Damage]:
+def _readable_rows(groups: Iterable[tuple[read.Shard, int]]) -> Iterator[TouchRow | Damage]:
     """Yield all rows, and in the place of those that cannot be read, what is wrong with them."""
     for shard, index in groups:
         try:
@@ -234,8 +231,8 @@ def _describe(size: tuple[int, ...]) -> str:
 
 
 def find_damage(
-    shards: Sequence[Shard], expected_touches: int | None
-) -> tuple[list[RowSource], NDArray[np.int64], list[tuple[int | None, Damage]]]:
+    shards: Sequence[read.Shard], expected_touches: int | None
+) -> tuple[list[read.RowSource], NDArray[np.int64], list[tuple[int | None, Damage]]]:
     """Check every round of some files, of which each must have ``expected_touches``, where that is said.
 
     Returns the row groups of each file that can be read; which of their rows are not lost; and all damage,
@@ -244,7 +241,7 @@ def find_damage(
     touches stays.
     """
     found: list[tuple[int, Damage]] = []
-    sources: list[RowSource] = []
+    sources: list[read.RowSource] = []
     gone = np.zeros(sum(map(len, shards)), bool)  # rows of row groups that cannot be read
     lost = gone.copy()
     names = stated_class_names(shards)
@@ -252,7 +249,7 @@ def find_damage(
     for shard in shards:
         starts = shard.group_starts
         groups = list(range(len(starts) - 1))
-        for row, damage in checked_rows(row_groups([shard]), expected_touches, names):
+        for row, damage in checked_rows(read.row_groups([shard]), expected_touches, names):
             if row is None:
                 group = starts.index(int(damage[0].row or 0))
                 groups.remove(group)
@@ -260,7 +257,7 @@ def find_damage(
             for one in damage:
                 found.append((start + int(one.row or 0), one))
                 lost[found[-1][0]] |= one.touch is None
-        sources.append(shard if len(groups) == len(starts) - 1 else ChosenGroups(shard, groups))
+        sources.append(shard if len(groups) == len(starts) - 1 else read.ChosenGroups(shard, groups))
         start += len(shard)
     numbers = np.cumsum(~gone) - 1
     numbered = [(None if gone[row] else int(numbers[row]), one) for row, one in found]
@@ -274,7 +271,7 @@ def unreadable_file(path: str, error: ToolkitError) -> Damage:
     return Damage(path, None, None, *(named.groups() if named else ("", words)))
 
 
-def unreadable_rows(shard: Shard, index: int, error: IntegrityError) -> Damage:
+def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Damage:
     """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
     first, stop = shard.group_starts[index], shard.group_starts[index + 1]
     rows = f"rows {first} to {stop - 1} cannot be read" if stop - first > 1 else "cannot be read"

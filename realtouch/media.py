@@ -22,11 +22,10 @@ from realtouch.contact import ContactMethod, best_of, contact_window, require_me
 from realtouch.poses import Poses
 from realtouch.video import Avi
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
-from tactile_toolkit.pictures.sheets import TILE_STYLE, Tile, figure_html, sheet
-from tactile_toolkit.read.columns import BytesColumn
-from tactile_toolkit.read.dataset import checked_index, picks_several, positions
-from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.touch.jpeg import Pixels, decode_image, image_size, resized
+from tactile_toolkit.pictures import TILE_STYLE, Tile, figure_html, sheet
+from tactile_toolkit.read import BytesColumn, checked_index, picks_several, positions
+from tactile_toolkit.run import in_threads
+from tactile_toolkit.touch import Pixels, decode_image, image_size, resized
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder

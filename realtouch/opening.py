@@ -10,8 +10,8 @@ from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, 
 from realtouch.integrity import agreeing_files, find_damage, modal_touch_count
 from realtouch.kind import KIND
 from realtouch.schema import media_kind
+from tactile_toolkit import places
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places.place import Name, Place, open_place
 
 SHORT_NAMES = {
     name: entry.repo_id.partition("/")[2] for entry in KIND.published for name in (entry.name, *entry.aliases)
@@ -21,7 +21,7 @@ SHORT_NAMES = {
 
 @overload
 def load(
-    name: Name | Place | Sequence[Name],
+    name: places.Name | places.Place | Sequence[places.Name],
     split: str | None = None,
     streaming: Literal[False] = False,
     revision: str | None = None,
@@ -31,7 +31,7 @@ def load(
 ) -> TouchSeqDataset | TouchSingleDataset: ...
 @overload
 def load(
-    name: Name | Place | Sequence[Name],
+    name: places.Name | places.Place | Sequence[places.Name],
     split: str | None = None,
     *,
     streaming: Literal[True],
@@ -41,7 +41,7 @@ def load(
 ) -> TouchStream: ...
 @overload
 def load(
-    name: Name | Place | Sequence[Name],
+    name: places.Name | places.Place | Sequence[places.Name],
     split: str | None = None,
     streaming: bool = False,
     revision: str | None = None,
@@ -50,7 +50,7 @@ def load(
     on_error: Literal["raise", "skip"] = "raise",
 ) -> TouchSeqDataset | TouchSingleDataset | TouchStream: ...
 def load(
-    name: Name | Place | Sequence[Name],
+    name: places.Name | places.Place | Sequence[places.Name],
     split: str | None = None,
     streaming: bool = False,
     revision: str | None = None,
@@ -95,7 +95,7 @@ def load(
     """
     if on_error not in ("raise", "skip"):
         raise InputError(f"on_error is {on_error!r}; expected 'raise' or 'skip'")
-    place = open_place(name, revision=revision, config=config)
+    place = places.open_place(name, revision=revision, config=config)
     found = place.shards(split, kind=KIND, streaming=streaming)
     left_out: list[Damage] = []
     skips = on_error == "skip"

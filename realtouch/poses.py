@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.read.dataset import picks_several
+from tactile_toolkit import read
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -52,7 +52,7 @@ class Poses(Sequence["Pose"]):
     def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> Poses: ...
     def __getitem__(self, index: Any) -> Pose | Poses:
         """Return one rigid transform (int), or some poses (slice, ints, mask)."""
-        if not picks_several(index):
+        if not read.picks_several(index):
             index = operator.index(index)
             return rigid_transform(self.position_m[index], self.quaternion[index])
         return Poses(self.position_m[index], self.quaternion[index])

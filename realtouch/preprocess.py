@@ -23,7 +23,7 @@ from realtouch.dataset import Touches, with_no_contact
 from realtouch.media import SensorImages, TouchClip, in_parallel
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch import Pixels
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20

@@ -15,22 +15,10 @@ from realtouch.media import evenly_spaced, fitted, in_parallel
 from realtouch.opening import load
 from realtouch.rounds import Touch, TouchRound
 from realtouch.spec import TouchPreviewSpec
+from tactile_toolkit import pictures, places
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.pictures.sheets import (
-    ACCENTS,
-    PAPER,
-    PicturePlan,
-    PlannedPicture,
-    Tile,
-    file_stem,
-    plan_kinds,
-    sheet,
-    with_scale_bar,
-)
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.touch.contact import height_text
-from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch import Pixels, height_text
 from tactile_toolkit.wording import counted
 
 SENSING_AREA_M = (0.01888, 0.01416)
@@ -182,7 +170,7 @@ def _taken(
     return np.stack(sampled, axis=2) if values.ndim == 3 else sampled[0]
 
 
-CONTACT = ACCENTS[0]
+CONTACT = pictures.ACCENTS[0]
 """Colour of the frame around touches in which the gel stopped on an object."""
 
 
@@ -191,13 +179,13 @@ _TILE_PX = 160
 _PX_PER_MM = 7.0
 
 
-def plan_previews(name: Name | Place, spec: TouchPreviewSpec) -> PicturePlan:
+def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> pictures.PicturePlan:
     """Decide which pictures to draw of whatever :func:`realtouch.load` opens; draws none.
 
     Kinds are grid, overlay and strip. InputError: no such data set, split, round, touch or kind, nothing in
     it, or a strip of a set without clips. IntegrityError and HubError as :func:`realtouch.load`.
     """
-    place = open_place(name).require(KIND, "preview").require_complete(spec.split)
+    place = places.open_place(name).require(KIND, "preview").require_complete(spec.split)
     split = place.split(spec.split)
     dataset = load(place, split)
     if not len(dataset):
@@ -206,17 +194,17 @@ def plan_previews(name: Name | Place, spec: TouchPreviewSpec) -> PicturePlan:
     if not 0 <= number < len(dataset):
         raise InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
     record = dataset[number]
-    stem = "-".join(filter(None, (file_stem(place.name), split)))
+    stem = "-".join(filter(None, (pictures.file_stem(place.name), split)))
 
-    def planned(kind: str, what: str, draw: Callable[[], Pixels]) -> list[PlannedPicture]:
-        return [PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
+    def planned(kind: str, what: str, draw: Callable[[], Pixels]) -> list[pictures.PlannedPicture]:
+        return [pictures.PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
 
     on_map = f"all touches of {record!r} at their positions"
     plans = {
         "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
         "overlay": lambda: planned("overlay", on_map, lambda: draw_overlay(record)),
     }
-    return plan_kinds(spec.kinds, plans)
+    return pictures.plan_kinds(spec.kinds, plans)
 
 
 def draw_grid(record: TouchRound, most: int) -> Pixels:
@@ -230,25 +218,25 @@ def draw_grid(record: TouchRound, most: int) -> Pixels:
         caption, frame = f"{touch}", None
         if heights_m is not None:
             caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
-            frame = CONTACT if heights_m[touch] >= rule.min_height_m else PAPER
-        tiles.append(Tile(fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
+            frame = CONTACT if heights_m[touch] >= rule.min_height_m else pictures.PAPER
+        tiles.append(pictures.Tile(fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
         words += [f"framed: {height_text(rule.min_height_m)}; its height next to the number"]
-    return sheet(tiles, _COLUMNS, _title(record), ("; ".join(words),))
+    return pictures.sheet(tiles, _COLUMNS, _title(record), ("; ".join(words),))
 
 
 def draw_overlay(record: TouchRound) -> Pixels:
     """Draw all touches of a round at their positions on a map of the cell."""
     touches = placed_touches(record, range(record.touch_count))
     cell = cell_map(touches, _PX_PER_MM)
-    pixels = with_scale_bar(overlay(touches, cell), _PX_PER_MM)
+    pixels = pictures.with_scale_bar(overlay(touches, cell), _PX_PER_MM)
     x_mm, y_mm = (side / _PX_PER_MM for side in cell.size_px)
     words = (
         f"{_touches_in_words(record)} at their positions",
         f"{x_mm:.0f} x {y_mm:.0f} mm around the middle of the cell, x right, y up",
     )
-    return sheet([Tile(pixels, frame=(205, 210, 215))], 1, _title(record), words)
+    return pictures.sheet([pictures.Tile(pixels, frame=(205, 210, 215))], 1, _title(record), words)
 
 
 def _touches_in_words(record: TouchRound) -> str:

@@ -28,11 +28,9 @@ from realtouch.media import (
 from realtouch.poses import Poses, PoseSequences
 from realtouch.schema import flat_row, take_touches
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.read.columns import RowGroup, Rows, column_names
-from tactile_toolkit.read.dataset import Record, positions
-from tactile_toolkit.read.source import RowSource
+from tactile_toolkit.read import Record, RowGroup, Rows, RowSource, column_names, positions
 from tactile_toolkit.system import usable_cores
-from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch import Pixels
 
 if TYPE_CHECKING:
     from realtouch.pose import Pose

@@ -10,18 +10,9 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from realtouch.contact import PLATE_COLUMN
+from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import (
-    Expected,
-    column_names,
-    column_types,
-    list_depth,
-    wrong_type,
-)
-from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.schema import MEDIA_COLUMN, MEDIA_TYPE, Kind
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind
 
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
 """The columns ``.position`` and ``.quaternion`` below it hold the pose of the gel, of each frame or touch."""
@@ -36,7 +27,7 @@ _TIME = (pa.types.is_duration, *_FLOAT)
 _BYTES = (pa.types.is_binary,)
 
 
-KNOWN_COLUMNS: dict[str, Expected] = {
+KNOWN_COLUMNS: dict[str, read.Expected] = {
     "id": (0, _TEXT, "a string"),
     "label": (0, _WHOLE, "an integer"),
     "object_id": (0, _WHOLE, "an integer"),
@@ -62,12 +53,12 @@ PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in KNOWN_COLUMNS.items() 
 
 def is_per_touch(name: str, data_type: pa.DataType) -> bool:
     """Return whether a column may hold an entry per touch: known ones, and lists of vectors in ``info``."""
-    return name in PER_TOUCH_COLUMNS or (name.startswith("info.") and list_depth(data_type)[0] >= 2)
+    return name in PER_TOUCH_COLUMNS or (name.startswith("info.") and read.list_depth(data_type)[0] >= 2)
 
 
 def media_kind(schema: pa.Schema | None, where: str) -> Kind:
     """Return whether a set holds clips (``seq``) or images (``single``); InputError if neither or both."""
-    names = column_names(schema) if schema is not None else ()
+    names = read.column_names(schema) if schema is not None else ()
     kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]
     if len(kinds) != 1:
         raise InputError(
@@ -82,10 +73,10 @@ def _is_rendered(schema: pa.Schema) -> bool:
     """Return whether images were rendered: the object then has a pose for each touch, not one a round."""
     pose = column_type(schema, "info.object_pose.position")
     has_images = column_type(schema, MEDIA_COLUMN["single"]) is not None
-    return has_images and pose is not None and list_depth(pose)[0] == 2
+    return has_images and pose is not None and read.list_depth(pose)[0] == 2
 
 
-def origin_of(schema: Any, manifest: Manifest | None) -> Origin:
+def origin_of(schema: Any, manifest: store.Manifest | None) -> Origin:
     """Return where touches are from: rendered ones by their columns, others by the manifest."""
     options = None if manifest is None else manifest.spec.get("options")
     stated = options.get("touches") if isinstance(options, dict) else None
@@ -94,21 +85,21 @@ def origin_of(schema: Any, manifest: Manifest | None) -> Origin:
     return "synthetic" if stated == "synthetic" or _is_rendered(schema) else "real"
 
 
-def require_types(shard: Shard) -> None:
+def require_types(shard: read.Shard) -> None:
     """Check the type of every known column that is there, and that the class names can be read.
 
     Raises IntegrityError, which names file and column, for a type that values cannot be read from.
     """
     # Asked for only to have it fail here, by name, and not at the first label.
     _ = shard.class_names
-    problem = wrong_type(shard.types, KNOWN_COLUMNS)
+    problem = read.wrong_type(shard.types, KNOWN_COLUMNS)
     if problem:
         raise IntegrityError(f"{shard.path!r}, {problem}", next="download or convert the data set again")
 
 
 def column_type(schema: pa.Schema, name: str) -> Any:
     """Return the Arrow type of a column by dotted name, flat or inside structs; None when it is not there."""
-    return column_types(schema).get(name)
+    return read.column_types(schema).get(name)
 
 
 def flat_schema(schema: pa.Schema) -> pa.Schema:
@@ -121,10 +112,10 @@ def _plain_type(data_type: pa.DataType) -> pa.DataType:
     """Return a type whose lists carry no names of their own; pickling would change those, and the bytes."""
     if pa.types.is_fixed_size_list(data_type):
         return pa.list_(_plain_type(data_type.value_type), data_type.list_size)
-    return pa.list_(_plain_type(data_type.value_type)) if list_depth(data_type)[0] else data_type
+    return pa.list_(_plain_type(data_type.value_type)) if read.list_depth(data_type)[0] else data_type
 
 
-def flat_row(row: Row) -> pa.Table:
+def flat_row(row: read.Row) -> pa.Table:
     """Return a stored row as a table with structs ``a{b, c}`` as flat columns ``a.b``, ``a.c``."""
     return _without_structs(row.group.table.slice(row.index, 1))
 
@@ -139,7 +130,7 @@ def _without_structs(table: pa.Table) -> pa.Table:
 def number_lists(rows: Sequence[NDArray[Any]], data_type: pa.DataType) -> pa.Array:
     """Pack one array (T_i, width) or (T_i,) per row into an Arrow list column of the given type."""
     flat = np.concatenate([row.reshape(-1) for row in rows])
-    depth, leaf = list_depth(data_type)
+    depth, leaf = read.list_depth(data_type)
     inner = pa.array(flat.astype(leaf.to_pandas_dtype(), copy=False), leaf)
     if depth == 2:
         inner = pa.FixedSizeListArray.from_arrays(inner, data_type.value_type.list_size)

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
-from tactile_toolkit.catalog.spec import ONE_SPLIT
+from tactile_toolkit import catalog
 from tactile_toolkit.checked_fields import check_fields, choice, integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.units import PER_METRE, length_per_metre
@@ -156,6 +156,6 @@ class TouchPreviewSpec:
         name="--kind",
         help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell.",
     )
-    split: str | None = ONE_SPLIT
+    split: str | None = catalog.ONE_SPLIT
     round_number: int = integer(0, name="--round", help="Round to draw, counted from 0.")
     touches: int = integer(32, 1, help="Number of touches in a grid.")

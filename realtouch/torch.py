@@ -17,8 +17,8 @@ from realtouch.media import room_for
 from realtouch.rounds import Touch, TouchSingleRound
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
-from tactile_toolkit.read.torch import TrainingBatches
-from tactile_toolkit.touch.jpeg import Pixels, decode_image
+from tactile_toolkit.read import TrainingBatches
+from tactile_toolkit.touch import Pixels, decode_image
 
 if TYPE_CHECKING:
     import torch

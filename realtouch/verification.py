@@ -18,20 +18,9 @@ from realtouch.integrity import (
 )
 from realtouch.kind import KIND
 from realtouch.tars import files_of_tar
-from tactile_toolkit.cards.card import check_card
+from tactile_toolkit import cards, places, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.columns import column_names
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.read.source import row_groups
-from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
-from tactile_toolkit.store.names import typed
-from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.parquet import is_unchanged, open_parquet
-from tactile_toolkit.store.shards import Finding
-from tactile_toolkit.store.verify import verify as verify_files
-from tactile_toolkit.touch.jpeg import decode_image, image_size
+from tactile_toolkit.touch import decode_image, image_size
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +50,7 @@ class TouchVerification:
 
 
 def verify(
-    name: Name | Place | Sequence[Name],
+    name: places.Name | places.Place | Sequence[places.Name],
     split: str | None = None,
     *,
     quick: bool = False,
@@ -88,22 +77,22 @@ def verify(
     InputError
         Nothing of that name, or no data set of touches.
     """
-    place = open_place(name).require(KIND, "verify")
+    place = places.open_place(name).require(KIND, "verify")
     folder, manifest = place.folder, place.manifest
     # Files of a folder of ours are held against its manifest and card, others against what the Hub said.
-    has_checksums = folder is not None and (manifest is not None or read_record(folder) is not None)
+    has_checksums = folder is not None and (manifest is not None or store.read_record(folder) is not None)
     findings: list[Damage] = []
     if folder is not None and has_checksums:
-        listed = verify_files(folder, check_card=check_card, workers=workers).findings
+        listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
         findings += [Damage(each.file, None, None, "", each.problem) for each in listed]
     if folder is not None and manifest is not None:
         operation = manifest.spec.get("operation")
         if operation in ("frames", "export"):
             return _verify_index(folder, manifest, findings, on_progress, decode=not quick)
         try:
-            typed(operation, str, MANIFEST_FILE, "spec.operation")
+            store.typed(operation, str, store.MANIFEST_FILE, "spec.operation")
         except IntegrityError as error:
-            findings.append(Damage(MANIFEST_FILE, None, None, "", str(error)))
+            findings.append(Damage(store.MANIFEST_FILE, None, None, "", str(error)))
     place.require_complete(split)
     parts = (split,) if split is not None else place.splits
     splits = []
@@ -116,7 +105,7 @@ def verify(
     for files in splits:
         expected, names = modal_touch_count(files), stated_class_names(files)
         for row, problems in checked_rows(
-            row_groups(files), expected, names, decode=not quick, workers=workers
+            read.row_groups(files), expected, names, decode=not quick, workers=workers
         ):
             findings += problems
             if row is not None:
@@ -129,20 +118,25 @@ def verify(
     unprotected = [
         shard.path
         for shard in shards
-        if not (has_checksums or shard.path in fetched) and not has_page_checksums(*split_uri(shard.path))
+        if not (has_checksums or shard.path in fetched)
+        and not has_page_checksums(*store.split_uri(shard.path))
     ]
     return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
 
 
-def check_folder(folder: DataFolder, workers: int = 1) -> list[Finding]:
+def check_folder(folder: store.DataFolder, workers: int = 1) -> list[store.Finding]:
     """List what is wrong with a folder before it goes to others; decodes no picture."""
     found = verify(folder.address(), quick=True, workers=workers).findings
-    return [Finding(damage.file, f"({damage})") for damage in found] if found else list(check_card(folder))
+    return (
+        [store.Finding(damage.file, f"({damage})") for damage in found]
+        if found
+        else list(cards.check_card(folder))
+    )
 
 
 def _verify_index(
-    folder: DataFolder,
-    manifest: Manifest,
+    folder: store.DataFolder,
+    manifest: store.Manifest,
     findings: list[Damage],
     on_progress: Callable[[int, int], None],
     *,
@@ -156,7 +150,7 @@ def _verify_index(
     for record in manifest.shards:
         done += record.rows
         with suppress(IntegrityError):  # an index that cannot be read is named already
-            shard = Shard(folder.address(record.shard.data_path))
+            shard = read.Shard(folder.address(record.shard.data_path))
             table = shard.read(columns=[name for name in ("round_id", "frames") if name in shard.types])
             rounds.update(table["round_id"].to_pylist())
             # Of a LeRobotDataset of single images a row is a round, and a frame is a touch.
@@ -172,9 +166,11 @@ def _verify_index(
     return TouchVerification(len(rounds), touches, tuple(findings))
 
 
-def _damage_in_file(folder: DataFolder, path: str, sha256: str | None, *, decode: bool) -> Iterator[Damage]:
+def _damage_in_file(
+    folder: store.DataFolder, path: str, sha256: str | None, *, decode: bool
+) -> Iterator[Damage]:
     """Compare a file with its checksum, if one is given, and look at its images; yield what is wrong."""
-    if sha256 is not None and not is_unchanged(folder, path, sha256):
+    if sha256 is not None and not store.is_unchanged(folder, path, sha256):
         problem = f"its sha256 differs from the index, which has {sha256}"
         yield Damage(path, None, None, "", problem if folder.exists(path) else "is missing")
         return
@@ -189,7 +185,7 @@ def _damage_in_file(folder: DataFolder, path: str, sha256: str | None, *, decode
         yield Damage(path, None, None, "", f"not an intact tar: {error}")
 
 
-def _images_in(folder: DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
+def _images_in(folder: store.DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
     """Yield the images in a tar, in a column of a Parquet file that has one, or the one that a file is."""
     if path.endswith(".tar"):
         with folder.open(path) as stream:
@@ -198,7 +194,7 @@ def _images_in(folder: DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
                     stream.seek(member.offset_data)
                     yield member.name, stream.read(member.size)
     elif path.endswith(".parquet"):
-        shard = Shard(folder.address(path))
+        shard = read.Shard(folder.address(path))
         for column in [name.removesuffix(".bytes") for name in shard.types if name.endswith(".bytes")]:
             for row in stored_rows([shard], [column]):
                 yield column, row.group.table[column][row.index].as_py()["bytes"]
@@ -206,9 +202,9 @@ def _images_in(folder: DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
         yield "", folder.read_bytes(path)
 
 
-def _lacking_columns(shards: Sequence[Shard]) -> list[Damage]:
+def _lacking_columns(shards: Sequence[read.Shard]) -> list[Damage]:
     """List the columns that some files of a split have and others do not: they can be read of no row."""
-    names = {shard.path: column_names(shard.schema) for shard in shards}
+    names = {shard.path: read.column_names(shard.schema) for shard in shards}
     known = dict.fromkeys(name for columns in names.values() for name in columns)
     problem = "the column is not there; expected it as in other files of the split"
     return [
@@ -231,12 +227,12 @@ def _repeated_id(row: TouchRow, seen: dict[str, str]) -> list[Damage]:
     return [Damage(row.path, row.number, None, "id", f"{name!r} is not unique, it also stands in {first}")]
 
 
-def has_page_checksums(folder: DataFolder, path: str) -> bool:
+def has_page_checksums(folder: store.DataFolder, path: str) -> bool:
     """Return whether the pages of a Parquet file carry checksums, by the first page of each column.
 
     Raises IntegrityError when the file is damaged.
     """
-    footer = open_parquet(folder, path).metadata
+    footer = store.open_parquet(folder, path).metadata
     columns = [
         footer.row_group(group).column(index)
         for group in range(footer.num_row_groups)

@@ -1,24 +1,24 @@
-"""The public names: type checkers read this list, and the package imports each on first use."""
+"""The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from starstruck_gen.loader import (
+from .loader import (
     SceneMeshDataset as SceneMeshDataset,
     SceneRecord as SceneRecord,
     load as load,
 )
-from starstruck_gen.loader import SceneDataset as SceneDataset
-from starstruck_gen.make import GenerateSpec as GenerateSpec, generate as generate
-from starstruck_gen.placement import (
+from .loader import SceneDataset as SceneDataset
+from .make import GenerateSpec as GenerateSpec, generate as generate
+from .placement import (
     Placement as Placement,
     SceneMeshes as SceneMeshes,
     build_meshes as build_meshes,
 )
-from starstruck_gen.sampling import (
+from .sampling import (
     SamplingExhausted as SamplingExhausted,
     sample_scene as sample_scene,
     sample_scenes as sample_scenes,
 )
-from starstruck_gen.scene import Scene as Scene
-from starstruck_gen.shapes import (
+from .scene import Scene as Scene
+from .shapes import (
     OUTLINES as OUTLINES,
     Crescent as Crescent,
     Cross as Cross,
@@ -28,8 +28,8 @@ from starstruck_gen.shapes import (
     Shape as Shape,
     Star as Star,
 )
-from starstruck_gen.placement import register_shape as register_shape
-from starstruck_gen.spec import SceneSpec as SceneSpec
-from starstruck_gen.sampling import SPLITS as SPLITS, scene_rng as scene_rng, scene_seed as scene_seed
+from .placement import register_shape as register_shape
+from .spec import SceneSpec as SceneSpec
+from .sampling import SPLITS as SPLITS, scene_rng as scene_rng, scene_seed as scene_seed
 
 __version__: str

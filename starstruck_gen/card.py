@@ -16,20 +16,9 @@ from starstruck_gen.make import Acceptance
 from starstruck_gen.placement import Placement
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.cards.card import (
-    Card,
-    between,
-    markdown_table,
-    rows_to_draw,
-    tiles_png,
-    write_table_card,
-)
-from tactile_toolkit.cards.facts import FolderFacts
+from tactile_toolkit import cards, pictures, store
 from tactile_toolkit.kind import is_copy
-from tactile_toolkit.pictures.sheets import Tile
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.wording import counted, markdown_text
 
 
@@ -58,7 +47,7 @@ class SplitSummary:
         }
 
 
-def summarise(manifest: Manifest) -> list[SplitSummary]:
+def summarise(manifest: store.Manifest) -> list[SplitSummary]:
     """Sum up each split of a data set; splits of an unfinished run as far as they got."""
     statistics = manifest.statistics()
     return [
@@ -79,7 +68,7 @@ _RULES = {
 COLUMNS = meanings(SceneRow)
 
 
-def write_card(folder: DataFolder, manifest: Manifest) -> None:
+def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of a data set folder and the picture that it shows; scenes have no report.
 
     Raises IntegrityError when a shard is missing or damaged.
@@ -89,11 +78,11 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
         text = "MIT, as the toolkit." if is_ours else "The terms of the data set that these rows come from."
         licence = "mit" if is_ours else "other"
         terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}
-        write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, licence, **terms)
+        cards.write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, licence, **terms)
         return
     spec = SceneSpec.from_dict(manifest.spec["scene"])
     summaries = summarise(manifest)
-    Card(
+    cards.Card(
         template=KIND.card_template,
         title="Starstruck",
         columns=COLUMNS,
@@ -123,7 +112,7 @@ def _placement_values(spec: SceneSpec) -> dict[str, str]:
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
         "classes": ", ".join(map(markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
-        "distractors": counted(most, "objects") if least == most else f"{between(least, most)} objects",
+        "distractors": counted(most, "objects") if least == most else f"{cards.between(least, most)} objects",
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",
         "rotation": f" by 0 to {turned:g} degrees about z" if turned else " by 0 degrees",
         "heights": " or ".join(f"{1e3 * height:g}" for height in spec.heights_m) + " mm",
@@ -133,16 +122,16 @@ def _placement_values(spec: SceneSpec) -> dict[str, str]:
     }
 
 
-def _sheet(cell_m: tuple[float, float], facts: FolderFacts) -> bytes | None:
+def _sheet(cell_m: tuple[float, float], facts: cards.FolderFacts) -> bytes | None:
     """Draw the first scenes as PNG, the longer side of each 140 pixels; None without rows."""
     px_per_mm = _TILE_PX / (1e3 * max(cell_m))
     tiles = []
-    for row in islice(rows_to_draw(facts, ["placements"]), _SCENES_SHOWN):
+    for row in islice(cards.rows_to_draw(facts, ["placements"]), _SCENES_SHOWN):
         # As Python objects: numpy's way of lists of structs imports pandas, which takes a second.
         (stored,) = row.group.table.slice(row.index, 1).to_pylist()
         placements = [Placement(**entry) for entry in stored["placements"]]
-        tiles.append(Tile(np.asarray(draw_scene(placements, cell_m, px_per_mm))))
-    return tiles_png(tiles, 6)
+        tiles.append(pictures.Tile(np.asarray(draw_scene(placements, cell_m, px_per_mm))))
+    return cards.tiles_png(tiles, 6)
 
 
 def _acceptance_table(summaries: list[SplitSummary]) -> str:
@@ -156,10 +145,10 @@ def _acceptance_table(summaries: list[SplitSummary]) -> str:
         )
         for s in summaries
     ]
-    return markdown_table(header, rows)
+    return cards.markdown_table(header, rows)
 
 
-def _limits(manifest: Manifest, spec: SceneSpec) -> list[str]:
+def _limits(manifest: store.Manifest, spec: SceneSpec) -> list[str]:
     lines = [
         "Objects lie flat and are of one height each; nothing is stacked.",
         "Scenes are drawn from the seed: they are not the published scenes, only made by the same rule.",

@@ -10,11 +10,10 @@ import pyarrow as pa
 from starstruck_gen.kind import KIND
 from starstruck_gen.placement import Placement
 from starstruck_gen.sampling import SPLITS, scene_id
-from tactile_toolkit.mesh.records import FACES, VERTICES, MeshRow, mesh_schema
+from tactile_toolkit import mesh, store
 from tactile_toolkit.rows import column, row
-from tactile_toolkit.store.parquet import ParquetStyle
 
-PARQUET_STYLE = ParquetStyle(
+PARQUET_STYLE = store.ParquetStyle(
     rows_per_group=1_000,
     compression="zstd",
     # Level 9: scenes are few bytes, and repeat the triangles of their shapes.
@@ -22,8 +21,8 @@ PARQUET_STYLE = ParquetStyle(
     encodings=(
         # A corner stands twice, on the plate and above it: zstd finds the pair in plain bytes, where any
         # encoding that takes numbers apart hides it.
-        (f"{VERTICES}.list.element.list.element", "PLAIN"),
-        (f"{FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
+        (f"{mesh.VERTICES}.list.element.list.element", "PLAIN"),
+        (f"{mesh.FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
     ),
 )
 """1,000 scenes are about 5 MB unpacked: enough for the codec to meet the triangles of each shape again."""
@@ -39,7 +38,7 @@ _SEED = "seed of the scene: with the specification and the star count it makes t
 
 
 @row
-class SceneRow(MeshRow):
+class SceneRow(mesh.MeshRow):
     """One scene."""
 
     id: int = column(pa.int64(), "", _IDS)
@@ -55,4 +54,4 @@ class SceneRow(MeshRow):
 @cache
 def scene_schema(class_names: tuple[str, ...] = KIND.class_names) -> pa.Schema:
     """Return the Arrow schema of a shard."""
-    return mesh_schema(SceneRow, class_names)
+    return mesh.mesh_schema(SceneRow, class_names)

@@ -9,55 +9,45 @@ from starstruck_gen.loader import SceneRecord
 from starstruck_gen.placement import prism
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.catalog.spec import ALL_ROWS, Chosen
-from tactile_toolkit.gallery.items import (
-    THUMBNAIL_PX,
-    Facet,
-    Gallery,
-    Item,
-    Measure,
-    gallery_of_rows,
-    packed_mesh,
-    relief_thumbnail,
-    require_mesh,
-    size_text,
-    thumbnail,
-)
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.places.place import Name, Place
+from tactile_toolkit import catalog, gallery, places
+from tactile_toolkit.mesh import MM_PER_M, Mesh
 
 _ROWS_PER_TASK = 32
 _OPAQUE_FROM = 150  # levels darker than the plate, as the fill of every object is
 _PUBLISHED_CELL_M = SceneSpec.cell_m
 
 _FACETS = (
-    Facet("stars", "Stars"),
-    Facet("distractors", "Distractors"),
-    Facet("split", "Split"),
-    Facet("shapes", "Shapes"),
+    gallery.Facet("stars", "Stars"),
+    gallery.Facet("distractors", "Distractors"),
+    gallery.Facet("split", "Split"),
+    gallery.Facet("shapes", "Shapes"),
 )
 _MEASURES = (
-    Measure("volume_mm3", "Volume", "mm³"),
-    Measure("objects", "Objects"),
-    Measure("attempts", "Positions drawn"),
-    Measure("restarts", "Restarts"),
-    Measure("vertices", "Vertices"),
-    Measure("faces", "Triangles"),
+    gallery.Measure("volume_mm3", "Volume", "mm³"),
+    gallery.Measure("objects", "Objects"),
+    gallery.Measure("attempts", "Positions drawn"),
+    gallery.Measure("restarts", "Restarts"),
+    gallery.Measure("vertices", "Vertices"),
+    gallery.Measure("faces", "Triangles"),
 )
 
 
-def plan_gallery(name: Name | Place, chosen: Chosen = ALL_ROWS) -> Gallery:
+def plan_gallery(
+    name: places.Name | places.Place, chosen: catalog.Chosen = catalog.ALL_ROWS
+) -> gallery.Gallery:
     """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
-    return gallery_of_rows(KIND, name, chosen, "Starstruck scenes", _FACETS, _MEASURES, _item, _ROWS_PER_TASK)
+    return gallery.gallery_of_rows(
+        KIND, name, chosen, "Starstruck scenes", _FACETS, _MEASURES, _item, _ROWS_PER_TASK
+    )
 
 
-def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None) -> Item:
-    require_mesh(record, split)
+def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None) -> gallery.Item:
+    gallery.require_mesh(record, split)
     known = record.has_placements
     stars = record.star_count
     mesh = Mesh(record.vertices_m, record.faces)
     seed = [("Seed", str(record.seed))] if known else []
-    return Item(
+    return gallery.Item(
         id=str(record.id),
         title=f"{stars} star" if stars == 1 else f"{stars} stars",
         facets={
@@ -76,8 +66,8 @@ def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None
         },
         thumbnail=_thumbnail(record),
         content={
-            "notes": [("Size over all", size_text(mesh.vertices_m)), *seed],
-            "mesh": packed_mesh(mesh.vertices_m, mesh.faces, _parts(record), flat=True),
+            "notes": [("Size over all", gallery.size_text(mesh.vertices_m)), *seed],
+            "mesh": gallery.packed_mesh(mesh.vertices_m, mesh.faces, _parts(record), flat=True),
         },
     )
 
@@ -99,9 +89,11 @@ def _parts(record: SceneRecord) -> list[tuple[int, str]]:
 def _thumbnail(record: SceneRecord) -> bytes:
     """Show the scene from above, in the published cell or a larger one where it reaches beyond that."""
     if not record.has_placements:
-        return relief_thumbnail(record.vertices_m, record.faces)
+        return gallery.relief_thumbnail(record.vertices_m, record.faces)
     # Twice the farthest corner, and a little room.
     reach_m = 2.05 * np.abs(record.vertices_m[:, :2]).max(axis=0)
     width_m, depth_m = (max(cell, float(side)) for cell, side in zip(_PUBLISHED_CELL_M, reach_m, strict=True))
-    px_per_mm = THUMBNAIL_PX / (max(width_m, depth_m) * MM_PER_M)
-    return thumbnail(np.asarray(draw_scene(record.placements, (width_m, depth_m), px_per_mm)), _OPAQUE_FROM)
+    px_per_mm = gallery.THUMBNAIL_PX / (max(width_m, depth_m) * MM_PER_M)
+    return gallery.thumbnail(
+        np.asarray(draw_scene(record.placements, (width_m, depth_m), px_per_mm)), _OPAQUE_FROM
+    )

@@ -17,18 +17,14 @@ from starstruck_gen.placement import Placement, SceneMeshes, build_meshes
 from starstruck_gen.sampling import MOST_SCENES, sample_scenes, scene_id, scene_seed
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit import mesh, pictures, places, read
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.records import FACES, VERTICES, RecordStream, SolidRecord, open_solids
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.columns import RaggedColumn, RowGroup, Rows, column_names
-from tactile_toolkit.read.dataset import RecordDataset, Row
-from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.wording import counted
 
 
-class SceneRecord(SolidRecord):
+class SceneRecord(mesh.SolidRecord):
     """One scene; fields are loaded on first use.
 
     Frame of the mesh: origin at the cell's centre, x right, y away from the robot, z up, objects standing on
@@ -72,7 +68,7 @@ class SceneRecord(SolidRecord):
         attempts = tuple(int(count) for count in self._stated("attempts").required("attempts"))
         return Scene(self.star_count, self.placements, attempts, self._stated("restarts").integer("restarts"))
 
-    def _stated(self, name: str) -> Row:
+    def _stated(self, name: str) -> read.Row:
         """Return the row; InputError where the data set has no such column."""
         if not self._row.has(name):
             raise InputError(
@@ -85,22 +81,17 @@ class SceneRecord(SolidRecord):
 
     def _repr_html_(self) -> str:
         """Show the scene from above in a notebook."""
-        from tactile_toolkit.pictures.render import relief
-        from tactile_toolkit.pictures.sheets import figure_html
-
         if not self.has_placements:
-            return figure_html(relief(self.vertices_m, self.faces), repr(self))
+            return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), repr(self))
         caption = f"scene {self.id}: {self.star_count} stars, {self.distractor_count} distractors"
-        return figure_html(self._drawn(2.0), caption)
+        return pictures.figure_html(self._drawn(2.0), caption)
 
     def _tile_html(self) -> str:
-        from tactile_toolkit.pictures.render import relief_tile_html
-        from tactile_toolkit.pictures.sheets import TILE_STYLE, figure_html
 
         caption = f"{counted(self.star_count, 'stars')}, id {self.id}"
         if not self.has_placements:
-            return relief_tile_html(self.vertices_m, self.faces, caption)
-        return figure_html(self._drawn(0.8), caption, TILE_STYLE)
+            return pictures.relief_tile_html(self.vertices_m, self.faces, caption)
+        return pictures.figure_html(self._drawn(0.8), caption, pictures.TILE_STYLE)
 
     def _drawn(self, px_per_mm: float) -> NDArray[np.uint8]:
         from starstruck_gen.scene import draw_scene
@@ -109,7 +100,7 @@ class SceneRecord(SolidRecord):
         return np.asarray(draw_scene(self.placements, (0.12, 0.12), px_per_mm))
 
 
-class SceneMeshDataset(RecordDataset[SceneRecord]):
+class SceneMeshDataset(read.RecordDataset[SceneRecord]):
     """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
     record_class = SceneRecord
@@ -123,7 +114,7 @@ class SceneMeshDataset(RecordDataset[SceneRecord]):
 
 @overload
 def load(
-    name: Name | Place,
+    name: places.Name | places.Place,
     split: str | None = None,
     *,
     streaming: Literal[False] = False,
@@ -132,30 +123,30 @@ def load(
 ) -> SceneMeshDataset: ...
 @overload
 def load(
-    name: Name | Place,
+    name: places.Name | places.Place,
     split: str | None = None,
     *,
     streaming: Literal[True],
     revision: str | None = None,
     config: str | None = None,
-) -> RecordStream[SceneRecord]: ...
+) -> mesh.RecordStream[SceneRecord]: ...
 @overload
 def load(
-    name: Name | Place,
+    name: places.Name | places.Place,
     split: str | None = None,
     *,
     streaming: bool = False,
     revision: str | None = None,
     config: str | None = None,
-) -> SceneMeshDataset | RecordStream[SceneRecord]: ...
+) -> SceneMeshDataset | mesh.RecordStream[SceneRecord]: ...
 def load(
-    name: Name | Place,
+    name: places.Name | places.Place,
     split: str | None = None,
     *,
     streaming: bool = False,
     revision: str | None = None,
     config: str | None = None,
-) -> SceneMeshDataset | RecordStream[SceneRecord]:
+) -> SceneMeshDataset | mesh.RecordStream[SceneRecord]:
     """Open a data set of scenes.
 
     Parameters
@@ -187,9 +178,11 @@ def load(
     HubError
         The repository cannot be reached or does not exist.
     """
-    place = open_place(name, revision=revision, config=config)
+    place = places.open_place(name, revision=revision, config=config)
     shards = place.shards(split, kind=KIND, streaming=streaming)
-    return open_solids(shards, place.name, SceneMeshDataset, KIND, RecordStream if streaming else None)
+    return mesh.open_solids(
+        shards, place.name, SceneMeshDataset, KIND, mesh.RecordStream if streaming else None
+    )
 
 
 DEFAULT_SIZE = 300_000
@@ -236,16 +229,16 @@ class MadeScenes:
         """Return that nothing is unpacked."""
         return 0
 
-    def locate(self, row: int) -> tuple[Rows, int]:
+    def locate(self, row: int) -> tuple[read.Rows, int]:
         """Return a row alone; nothing of it is made yet."""
         return MadeScene(self, row), 0
 
-    def blocks(self, _index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+    def blocks(self, _index: int, columns: Sequence[str] | None = None) -> Iterator[read.RowGroup]:
         """Make all rows, which are one row group, some at once."""
         start = 0
         for count in self.part_sizes:
             table = self.made(start, count)
-            yield RowGroup(table if columns is None else table.select(columns), first_row=start)
+            yield read.RowGroup(table if columns is None else table.select(columns), first_row=start)
             start += count
 
     def made(self, start: int, count: int) -> Any:
@@ -271,7 +264,7 @@ class MadeScenes:
         raise KeyError(name)
 
 
-class MadeScene(Rows):
+class MadeScene(read.Rows):
     """One row, of which scene and mesh are made on first use."""
 
     def __init__(self, source: MadeScenes, row: int) -> None:
@@ -286,7 +279,7 @@ class MadeScene(Rows):
     @cached_property
     def names(self) -> tuple[str, ...]:
         """Columns by dotted name."""
-        return column_names(self._source.schema)
+        return read.column_names(self._source.schema)
 
     # Not cached properties, whose locks would cost a twentieth of a scene and its mesh.
     @property
@@ -300,12 +293,12 @@ class MadeScene(Rows):
             column.values.setflags(write=False)
         return meshes
 
-    def ragged(self, name: str) -> RaggedColumn:
+    def ragged(self, name: str) -> read.RaggedColumn:
         """Return the vertices or the faces."""
-        if name not in (VERTICES, FACES):
+        if name not in (mesh.VERTICES, mesh.FACES):
             return super().ragged(name)
         meshes = self.once("meshes", self._built)
-        return meshes.vertices_m if name == VERTICES else meshes.faces
+        return meshes.vertices_m if name == mesh.VERTICES else meshes.faces
 
     def flat(self, name: str) -> NDArray[Any]:
         """Return a plain column of one value."""
@@ -354,7 +347,9 @@ class SceneDataset(SceneMeshDataset):
         size = checked_integer(size, "size", 0, MOST_SCENES)
         seed = checked_integer(seed, "seed")
         scene_seed(seed, split, 0)  # refuses an unknown split
-        super().__init__(ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names)
+        super().__init__(
+            read.ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names
+        )
 
     def column(self, name: str) -> NDArray[Any]:
         """Return one plain column, shape (len,); all but id, label, star count and seed make the scenes.

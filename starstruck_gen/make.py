@@ -23,11 +23,9 @@ from starstruck_gen.sampling import (
 )
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit import making
+from tactile_toolkit import making, store
 from tactile_toolkit.checked_fields import check_fields, integer, split_counts
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.build import RunOptions
-from tactile_toolkit.store.manifest import Manifest, without_collecting
 
 
 def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
@@ -186,7 +184,7 @@ class SceneMaking(making.Making):
 
     def make(self, split: str, items: Any) -> list[SceneRow]:
         """Make the rows; SamplingExhausted when a scene cannot be made."""
-        with without_collecting():
+        with store.without_collecting():
             return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
 
     def statistics(self, rows: Sequence[SceneRow]) -> Mapping[str, Any]:
@@ -200,8 +198,8 @@ def generate(
     splits: Sequence[str] = SPLITS,
     *,
     on_failure: LayoutFailed = lambda _failed, _allowed: None,
-    **run: Unpack[RunOptions],
-) -> Manifest:
+    **run: Unpack[store.RunOptions],
+) -> store.Manifest:
     """Make a data set of scenes.
 
     A folder that holds a run of the same specification is completed. The same specification gives
@@ -218,7 +216,7 @@ def generate(
     on_failure : callable
         Called after each layout that failed while it is tried whether the fullest scene has room.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
 
     Raises
     ------

@@ -6,7 +6,7 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from tactile_toolkit.catalog.spec import PreviewSpec
+from tactile_toolkit import catalog
 from tactile_toolkit.checked_fields import choice, integer, read_split_counts, real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import is_count, listed
@@ -119,7 +119,7 @@ class SceneOptions:
 
 
 @dataclass(frozen=True, slots=True)
-class ScenePreviewSpec(PreviewSpec):
+class ScenePreviewSpec(catalog.PreviewSpec):
     """Which pictures of scenes to draw."""
 
     per_class: int = integer(8, 1, help="Objects of each class on a sheet.")

@@ -24,11 +24,9 @@ from starstruck_gen.shapes import (
     outline,
     read_only,
 )
+from tactile_toolkit import mesh, read
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.read.columns import RaggedColumn
 
 K = TypeVar("K", bound=type[Proportions])
 
@@ -95,7 +93,7 @@ def proved_prism(key: str, rings: Outline) -> Prism:
     )
     for array in (made.corners, made.cap, made.faces):
         array.setflags(write=False)
-    verdict = check_manifold(Mesh(made.vertices(0.5) * PUBLISHED_RADIUS_M, made.faces))
+    verdict = mesh.check_manifold(mesh.Mesh(made.vertices(0.5) * PUBLISHED_RADIUS_M, made.faces))
     wrong = verdict.problem or ("in pieces" if verdict.bodies != 1 else None)
     # A figure of eight can pass for a solid: only its cap shows triangles that are turned over.
     if wrong is None and (doubled_areas <= 0).any():
@@ -155,7 +153,7 @@ def prism_solid(key: str, radius_m: float) -> Any:
     made = prism(key)
     vertices_m = made.vertices(0.0) * radius_m
     vertices_m[1::2, 2] = 1e-3
-    return Mesh(vertices_m, made.faces).to_manifold()
+    return mesh.Mesh(vertices_m, made.faces).to_manifold()
 
 
 def require_fine_steps(
@@ -311,7 +309,7 @@ def outlines_clear(one: Placement, others: Sequence[Placement], clearance_m: flo
 
     An object inside another's hole is clear of it, one inside its solid is not.
     """
-    least_mm = (clearance_m + STORAGE_MARGIN_M) * MM_PER_M
+    least_mm = (clearance_m + STORAGE_MARGIN_M) * mesh.MM_PER_M
     near = (other for other in others if not circles_clear(one, [other], clearance_m))
     pairs = ((_standing(one), _standing(other)) for other in near)
     # The gap alone would not reveal an object inside another one, whose surfaces can be far apart; and of two
@@ -326,7 +324,7 @@ COLLISION_TESTS = {"circles": circles_clear, "exact": outlines_clear}
 def _standing(placement: Placement) -> Any:
     """Return the solid of an object where it stands, millimetres, 1 mm high."""
     c, s = cosine_sine(placement.angle_rad)
-    x_mm, y_mm = placement.x_m * MM_PER_M, placement.y_m * MM_PER_M
+    x_mm, y_mm = placement.x_m * mesh.MM_PER_M, placement.y_m * mesh.MM_PER_M
     matrix = np.array([[c, -s, 0.0, x_mm], [s, c, 0.0, y_mm], [0.0, 0.0, 1.0, 0.0]])
     return prism_solid(placement.shape, placement.radius_m).transform(matrix)
 
@@ -343,15 +341,15 @@ class SceneMeshes:
         Row i: triangles of scene i, shape (F_i, 3), int32, numbered within the scene.
     """
 
-    vertices_m: RaggedColumn
-    faces: RaggedColumn
+    vertices_m: read.RaggedColumn
+    faces: read.RaggedColumn
 
     def __len__(self) -> int:
         return len(self.vertices_m)
 
-    def __getitem__(self, index: int) -> Mesh:
+    def __getitem__(self, index: int) -> mesh.Mesh:
         """Return the mesh of one scene: views, no copies."""
-        return Mesh(self.vertices_m[index], self.faces[index])
+        return mesh.Mesh(self.vertices_m[index], self.faces[index])
 
 
 def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
@@ -380,8 +378,8 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     faces = np.concatenate([made.faces for made in parts])
     vertices = standing_vertices(poses.reshape(-1, 5), corners, corner_counts)
     return SceneMeshes(
-        RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
-        RaggedColumn(faces, _offsets([len(made.faces) for made in outlines])),
+        read.RaggedColumn(vertices, _offsets([2 * len(made.corners) for made in outlines])),
+        read.RaggedColumn(faces, _offsets([len(made.faces) for made in outlines])),
     )
 
 

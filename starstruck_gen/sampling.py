@@ -18,9 +18,9 @@ import numpy as np
 from starstruck_gen.placement import COLLISION_TESTS, Placement
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
+from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import MM_PER_M
 
 SPLITS = ("train", "test")
 """Splits of Starstruck (Tactile MNIST paper, section Starstruck)."""
@@ -269,7 +269,7 @@ def rejection_sampling(
         len(shapes),
         spec.attempts,
         len(reached) - 1,
-        (2 * MM_PER_M * half_x_m, 2 * MM_PER_M * half_y_m),
+        (2 * mesh.MM_PER_M * half_x_m, 2 * mesh.MM_PER_M * half_y_m),
         infeasible=is_infeasible(reached, len(shapes)),
     )
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from starstruck_gen.placement import Placement
 from starstruck_gen.shapes import outline
+from tactile_toolkit import store
 from tactile_toolkit.arithmetic import cosine_sine, moved
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.store.names import Count
+from tactile_toolkit.mesh import Mesh
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -35,10 +35,10 @@ class _StoredPlacement(msgspec.Struct):
 
 
 class _StoredScene(msgspec.Struct):
-    star_count: Count
+    star_count: store.Count
     placements: list[_StoredPlacement]
-    attempts: list[Count]
-    restarts: Count
+    attempts: list[store.Count]
+    restarts: store.Count
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,14 +13,9 @@ from starstruck_gen.kind import KIND
 from starstruck_gen.loader import SceneRecord
 from starstruck_gen.placement import build_meshes
 from starstruck_gen.shapes import KINDS, Proportions
-from tactile_toolkit.catalog.choose import check_rows, shards_to_check
+from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.records import FACES, VERTICES
-from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.columns import class_names, column_names
-from tactile_toolkit.read.dataset import Row
+from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold
 from tactile_toolkit.wording import counted
 
 _COLUMNS = (
@@ -85,7 +80,7 @@ class Checked:
 
 
 def validate_folder(
-    name: Name | Place,
+    name: places.Name | places.Place,
     split: str | None = None,
     limit: int | None = None,
     workers: int = 1,
@@ -98,10 +93,10 @@ def validate_folder(
     scenes done and in all. Raises InputError where there is no data set of scenes, and IntegrityError where a
     shard is damaged or the run that makes the data set is not finished.
     """
-    place = open_place(name)
-    shards = shards_to_check(place, split, KIND)
-    names = {shard.path: class_names(shard.schema, KIND.class_names) for _, shard in shards}
-    rows = check_rows(
+    place = places.open_place(name)
+    shards = catalog.shards_to_check(place, split, KIND)
+    names = {shard.path: read.class_names(shard.schema, KIND.class_names) for _, shard in shards}
+    rows = catalog.check_rows(
         shards,
         partial(_prove, names=names, shapes=[kind() for kind in KINDS.values()]),
         _COLUMNS,
@@ -117,12 +112,12 @@ def validate_folder(
             bodies, stars = bodies + standing, stars + declared
         else:
             failures.append(Failure(row.split, _NO_ID if row.id is None else row.id, problem))
-    declares = any("placements" in column_names(shard.schema) for _, shard in shards)
+    declares = any("placements" in read.column_names(shard.schema) for _, shard in shards)
     return Checked(place.name, len(rows), bodies, stars, tuple(failures), declares)
 
 
 def _prove(
-    row: Row, names: Mapping[str, Sequence[str]], shapes: Sequence[Proportions]
+    row: read.Row, names: Mapping[str, Sequence[str]], shapes: Sequence[Proportions]
 ) -> tuple[str | None, int, int]:
     """Return what is wrong with a scene, the number of bodies, and that of declared stars.
 

@@ -5,9 +5,11 @@ Importing the module registers them with gymnasium: ``gymnasium.make``, ``gymnas
 ``"tactile_envs:TactileMNIST-Depth-train-v0"``.
 """
 
-from tactile_envs.config import register
-from tactile_toolkit import on_first_use
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = on_first_use(__name__, __file__)
+from tactile_envs.config import register
+from tactile_toolkit import __version__ as __version__
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)
 
 register()

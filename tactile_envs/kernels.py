@@ -17,7 +17,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from tactile_toolkit.mesh.nearness import compiled
+from tactile_toolkit.mesh import compiled
 
 LANES = 8
 

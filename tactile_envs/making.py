@@ -9,9 +9,8 @@ from typing import Any
 from env_assets.meshes import MeshView, require_fitting_meshes
 from env_assets.provider import KINDS, AssetProvider, meshes_at
 from tactile_envs.config import IDS, Registered, configured
+from tactile_toolkit import mesh, store
 from tactile_toolkit.errors import InputError, MissingExtraError
-from tactile_toolkit.mesh.units import refuse_unit
-from tactile_toolkit.store.files import expanded, path_exists
 
 try:
     from tactile_envs.environment import TactileEnv, TactileVectorEnv
@@ -76,7 +75,7 @@ def make_vector(
 def _records(registered: Registered, assets: str | PathLike[str] | None, unit: str | None) -> Any:
     name, split = registered.assets, registered.split
     if assets is None or assets == PUBLISHED:
-        refuse_unit(unit, name)
+        mesh.refuse_unit(unit, name)
     if assets is None:
         if name not in KINDS:
             raise InputError(
@@ -88,9 +87,9 @@ def _records(registered: Registered, assets: str | PathLike[str] | None, unit: s
         if not published:
             raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
         return AssetProvider().meshes(published[0].repo_id, split)
-    place = expanded(fspath(assets))
-    is_folder_of_sets = name in KINDS and path_exists(place) and (place / name).is_dir()
+    place = store.expanded(fspath(assets))
+    is_folder_of_sets = name in KINDS and store.path_exists(place) and (place / name).is_dir()
     if not is_folder_of_sets:
         return meshes_at(assets, split, unit)
-    refuse_unit(unit, fspath(assets))
+    mesh.refuse_unit(unit, fspath(assets))
     return AssetProvider(place).meshes(name, split)

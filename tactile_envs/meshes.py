@@ -21,9 +21,8 @@ from numpy.typing import NDArray
 
 from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import BusyError
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.store.files import resource_shortage
-from tactile_toolkit.store.locks import locked
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.store import locked, resource_shortage
 
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""

@@ -12,14 +12,10 @@ from numpy.typing import NDArray
 from tactile_sim.columns import TouchRow
 from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
-from tactile_toolkit.cards.card import Card, rows_to_draw
-from tactile_toolkit.cards.facts import FolderFacts
-from tactile_toolkit.pictures.sheets import Tile, in_rows, png_bytes, sheet
+from tactile_toolkit import cards, store
+from tactile_toolkit.pictures import Tile, in_rows, png_bytes, sheet
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.contact import height_text, missed_text
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.touch import decode_image, height_text, missed_text
 
 # Width of pictures in sheets, about.
 _TILE_PX = 96
@@ -53,7 +49,7 @@ _OPTICS = {
 _LIKE = {"published": "published data sets", "environment": "published environments at this size"}
 
 
-def write_card(folder: DataFolder, manifest: Manifest) -> None:
+def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of a data set folder and the picture that it shows.
 
     Raises IntegrityError when a shard is missing or damaged.
@@ -71,7 +67,7 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
     statistics = manifest.statistics()  # counted by the shards: nothing that was written is read back
     counts = [statistics[split] for split in manifest.splits]
     touches, met = (sum(each[name] for each in counts) for name in ("touches", "on_object"))
-    Card(
+    cards.Card(
         template=KIND.card_template,
         title="Synthetic touches",
         columns=meanings(TouchRow),
@@ -126,15 +122,15 @@ def _limits(spec: Mapping[str, Any], touches: int, met: int) -> list[str]:
     ]
 
 
-def _touches_sheet(facts: FolderFacts) -> bytes | None:
+def _touches_sheet(facts: cards.FolderFacts) -> bytes | None:
     """Draw the first touches of the first rounds, a round a row, as PNG."""
-    rounds = islice(rows_to_draw(facts, ["sensor_image"]), _ROUNDS_SHOWN)
+    rounds = islice(cards.rows_to_draw(facts, ["sensor_image"]), _ROUNDS_SHOWN)
     shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)
     rows = [("", [decode_image(each["bytes"]) for each in images]) for images in shown]
     return sheet_png(rows) if rows else None
 
 
-def _pairs_sheet(facts: FolderFacts) -> bytes | None:
+def _pairs_sheet(facts: cards.FolderFacts) -> bytes | None:
     """Draw the first rows of both splits, one above the other, as PNG."""
     rows = []
     for split in facts.splits:
@@ -145,12 +141,12 @@ def _pairs_sheet(facts: FolderFacts) -> bytes | None:
     return sheet_png(rows)
 
 
-def _write_pairs_card(folder: DataFolder, manifest: Manifest) -> None:
+def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of a training set and the picture that it shows."""
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
     counts = manifest.statistics()
-    Card(
+    cards.Card(
         template="touch_pairs.md",
         title="Depth and touch, not paired",
         columns=meanings(PairRow),

@@ -8,14 +8,14 @@ from typing import Any
 
 import pyarrow as pa
 
-from tactile_toolkit.read.columns import vectors_type
+from tactile_toolkit import read
 from tactile_toolkit.rows import column, plain_schema, row
-from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
+from tactile_toolkit.touch import MEDIA_TYPE, with_features
 
 _CELL = "m, cell frame"
-_XY = vectors_type(pa.float64(), 2)
-_XYZ = vectors_type(pa.float64(), 3)
-_XYZW = vectors_type(pa.float64(), 4)
+_XY = read.vectors_type(pa.float64(), 2)
+_XYZ = read.vectors_type(pa.float64(), 3)
+_XYZW = read.vectors_type(pa.float64(), 4)
 
 
 @row

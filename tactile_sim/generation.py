@@ -29,23 +29,12 @@ from tactile_sim.pressing import (
     render_touch,
 )
 from tactile_sim.spec import WINDOWS, PictureOptions, TouchPlan
-from tactile_toolkit import making
-from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.catalog.locate import refuse_source
-from tactile_toolkit.catalog.spec import IdChoice
+from tactile_toolkit import catalog, making, store
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import MeshLike
-from tactile_toolkit.mesh.records import SolidDataset
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.store.build import RunOptions
-from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.shards import Skipped
-from tactile_toolkit.touch.contact import PRESS_DEPTH_M, RENDERED_CONTACT_M
-from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, encode_image
+from tactile_toolkit.mesh import MeshLike, SolidDataset
+from tactile_toolkit.places import Name, Place, open_place
+from tactile_toolkit.touch import IMAGE_SUFFIX, PRESS_DEPTH_M, RENDERED_CONTACT_M, encode_image
 
 # The published 64 x 64 sets are these, scaled down: the whole sensor, squashed.
 _PUBLISHED_PX = (320, 240)
@@ -106,7 +95,7 @@ class GenerateSpec:
     limit: int | None = integer(None, 1, optional=True)
     layer_m: float = 0.0
     noise: SensorNoise | None = None
-    ids: IdChoice | None = None
+    ids: catalog.IdChoice | None = None
     labels: Sequence[str] | None = None
     per_class: int | None = integer(None, 1, optional=True)
 
@@ -157,7 +146,7 @@ class GenerateSpec:
         if self.optics == "cyclegan":
             from tactile_sim.learned.networks import published_weights, read_weights
 
-            file = expanded(self.weights) if self.weights else published_weights("touch")
+            file = store.expanded(self.weights) if self.weights else published_weights("touch")
             network = {
                 "weights_size_px": list(read_weights(file).size_px),
                 "weights_sha256": hashlib.sha256(file.read_bytes()).hexdigest(),
@@ -202,14 +191,14 @@ class TouchMaking(making.Making):
         _require_known_objects(place.name, splits, spec)
         rows: dict[str, Any] = {split: range(len(each))[: spec.limit] for split, each in splits.items()}
         if any(value is not None for value in spec._chosen.values()):
-            chosen = choose_rows(list(splits.items()), **spec._chosen, limit=spec.limit)
+            chosen = catalog.choose_rows(list(splits.items()), **spec._chosen, limit=spec.limit)
             rows = {split: places for split, _, places in chosen}
         return cls(spec, splits, rows)
 
     def refuse_sources(self, source: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
         """Refuse to write into the source, as it is called (InputError)."""
         shards = (shard for each in self.source.values() for shard in each._table.files)
-        refuse_source(DataFolder(os.fspath(out)), os.fspath(source), shards)
+        catalog.refuse_source(store.DataFolder(os.fspath(out)), os.fspath(source), shards)
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and source, each split for itself: a folder can be filled split by split."""
@@ -226,7 +215,7 @@ class TouchMaking(making.Making):
         """Return how rows are stored: pictures and drawn numbers have no dictionary."""
         drawn = (f"{name}.list.element.list.element" for name in DRAWN)
         has_small_rounds = self._rounds_for(_PAGE_BYTES) >= _ROUNDS_PER_PAGE
-        style = ParquetStyle(
+        style = store.ParquetStyle(
             self._rounds_for(_GROUP_BYTES),
             compression_level=3,
             encodings=tuple((path, "PLAIN") for path in (_IMAGE_BYTES, *drawn)),
@@ -252,7 +241,7 @@ class TouchMaking(making.Making):
         """Return the Arrow schema of a shard."""
         return touch_schema(self.source[split].label_names)
 
-    def make(self, split: str, items: Any) -> Iterator[TouchRow | Skipped]:
+    def make(self, split: str, items: Any) -> Iterator[TouchRow | store.Skipped]:
         """Render the rounds; of an object that bounds no solid yield once why."""
         solids, plan = self.source[split], self.spec.plan
         for place in range(items.start // plan.rounds, (items.stop - 1) // plan.rounds + 1):
@@ -266,7 +255,7 @@ class TouchMaking(making.Making):
             except InputError as error:
                 # Whatever shards its rounds lie in: in that of the first round that it would have.
                 if not any(plan.touches_of(record.id, number) for number in range(touched[0])):
-                    yield Skipped(record.id, "no-solid", f"object {record.id}: {error}")
+                    yield store.Skipped(record.id, "no-solid", f"object {record.id}: {error}")
                 continue
             for number in touched:
                 yield _make_row(self.spec, solid, split, record.id, record.label, number)
@@ -280,7 +269,7 @@ class TouchMaking(making.Making):
 
 def optics_of(spec: GenerateSpec) -> Optics:
     """Return the optics of a specification, made once in a process and again when the weights change."""
-    file = expanded(spec.weights) if spec.weights else None
+    file = store.expanded(spec.weights) if spec.weights else None
     # A notebook trains into the same file again and again; the manifest has the checksum of the new one.
     facts = file.stat() if file is not None and file.is_file() else None
     return _optics(spec.optics, spec.weights, facts and (facts.st_ino, facts.st_size, facts.st_mtime_ns))
@@ -353,8 +342,8 @@ def generate(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
-    **run: Unpack[RunOptions],
-) -> Manifest:
+    **run: Unpack[store.RunOptions],
+) -> store.Manifest:
     """Make a data set of touches of solids, in the published schema; ``realtouch.load`` opens it.
 
     A folder that holds a finished or interrupted run of the same specification is completed. The same
@@ -373,7 +362,7 @@ def generate(
     splits : sequence of str, optional
         Splits of the source; all by default.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
 
     Returns
     -------

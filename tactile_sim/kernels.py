@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.mesh.nearness import compiled
+from tactile_toolkit.mesh import compiled
 
 Numbers: TypeAlias = NDArray[np.float64]
 

@@ -25,7 +25,7 @@ from tactile_sim.pressing import Sensor, depth_image
 from tactile_toolkit.arithmetic import cosine_sine, exp_neg
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.touch.jpeg import resized
+from tactile_toolkit.touch import resized
 
 if TYPE_CHECKING:
     from tactile_sim.kernels import Calibration, PictureTables

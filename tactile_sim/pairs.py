@@ -23,22 +23,18 @@ from tactile_sim.optics import scaled
 from tactile_sim.plan import content_fingerprint, key_of, open_split, plan_round
 from tactile_sim.pressing import Pressable, Sensor, center_view, full_view, render_touch
 from tactile_sim.spec import WINDOWS, PairsSpec, TouchPlan
-from tactile_toolkit import making
-from tactile_toolkit.catalog.locate import refuse_source
+from tactile_toolkit import catalog, making, mesh, places, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.mesh.records import SolidDataset
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.rows import column, plain_schema, row
-from tactile_toolkit.store.build import RunOptions
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.shards import Skipped
-from tactile_toolkit.touch.jpeg import IMAGE_SUFFIX, MAX_IMAGE_PIXELS, decode_image, encode_image
-from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
+from tactile_toolkit.touch import (
+    IMAGE_SUFFIX,
+    MAX_IMAGE_PIXELS,
+    MEDIA_TYPE,
+    decode_image,
+    encode_image,
+    with_features,
+)
 
 SPLITS = ("depth", "real")
 
@@ -103,7 +99,7 @@ def decode_depth(data: bytes) -> NDArray[np.float32]:
 class Domain:
     """One split: depth images or real touches."""
 
-    table: ShardedTable
+    table: read.ShardedTable
     is_depth: bool
     size_px: tuple[int, int]
 
@@ -171,9 +167,9 @@ class Pairs:
     identity: str
 
     @classmethod
-    def open(cls, folder: Name | Place) -> Pairs:
+    def open(cls, folder: places.Name | places.Place) -> Pairs:
         """Open a folder; InputError for something else or an unfinished one, IntegrityError if damaged."""
-        place = open_place(folder).require(KIND, "train")
+        place = places.open_place(folder).require(KIND, "train")
         manifest = place.require_manifest(KIND)
         if manifest.spec.get("operation") != "pairs":
             raise InputError(
@@ -189,7 +185,8 @@ class Pairs:
                 next="make the set again",
             ) from error
         depth, real = (
-            Domain(ShardedTable(place.shards(split)), split == "depth", (width, height)) for split in SPLITS
+            Domain(read.ShardedTable(place.shards(split)), split == "depth", (width, height))
+            for split in SPLITS
         )
         # Content and order of the rows: what a training may continue with.
         checksums = "/".join(record.sha256 for split in SPLITS for record in manifest.shards_of(split))
@@ -213,16 +210,16 @@ class PairsMaking(making.Making):
     """
 
     spec: PairsSpec
-    objects: SolidDataset[Any] = field(repr=False)
+    objects: mesh.SolidDataset[Any] = field(repr=False)
     real: str
     split: str
-    touches: RecordDataset[Any] = field(repr=False)
+    touches: read.RecordDataset[Any] = field(repr=False)
     kind = replace(KIND, nouns="pictures")
 
     @classmethod
     def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsMaking:
         """Look at both sources; InputError for what is not of the right kind, or holds no mesh."""
-        solids = open_split(open_place(objects), split)
+        solids = open_split(places.open_place(objects), split)
         if not len(solids):
             raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
         touches = KIND.load(real, split)
@@ -232,9 +229,9 @@ class PairsMaking(making.Making):
 
     def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
         """Refuse to write into a source; ``objects`` is what that of the depth is called (InputError)."""
-        folder = DataFolder(os.fspath(out))
-        refuse_source(folder, objects, self.objects._table.files)
-        refuse_source(folder, self.real, self.touches._table.files)
+        folder = store.DataFolder(os.fspath(out))
+        catalog.refuse_source(folder, objects, self.objects._table.files)
+        catalog.refuse_source(folder, self.real, self.touches._table.files)
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and sources."""
@@ -258,7 +255,7 @@ class PairsMaking(making.Making):
     def layout(self) -> making.Layout:
         """Return how rows are stored: pictures do not compress again."""
         return making.Layout(
-            ParquetStyle(100, compression_level=3, encodings=(("sensor_image.bytes", "PLAIN"),)),
+            store.ParquetStyle(100, compression_level=3, encodings=(("sensor_image.bytes", "PLAIN"),)),
             libraries=("numpy", "pillow", "pyarrow"),
             smallest=_ROWS_PER_SHARD,
             largest=_ROWS_PER_SHARD,
@@ -268,11 +265,11 @@ class PairsMaking(making.Making):
         """Return the Arrow schema of a shard, with the classes of the source."""
         return pair_schema(self.objects.label_names if split == "depth" else self.touches.label_names)
 
-    def make(self, split: str, items: Sequence[Any]) -> Iterator[PairRow | Skipped]:
+    def make(self, split: str, items: Sequence[Any]) -> Iterator[PairRow | store.Skipped]:
         """Yield the rows of a split."""
         return self._depth(items) if split == "depth" else self._real(items)
 
-    def _depth(self, items: Sequence[int]) -> Iterator[PairRow | Skipped]:
+    def _depth(self, items: Sequence[int]) -> Iterator[PairRow | store.Skipped]:
         """Press the gel onto one object after another; of one that bounds no solid yield once why."""
         spec, solids = self.spec, self.objects
         last, solid = -1, None
@@ -286,7 +283,7 @@ class PairsMaking(making.Making):
                 except InputError as error:
                     # In the shard of its first image.
                     if not number or (number - 1) * len(self.objects) // spec.count != place:
-                        yield Skipped(record.id, "no-solid", f"object {record.id}: {error}")
+                        yield store.Skipped(record.id, "no-solid", f"object {record.id}: {error}")
             if solid is not None:
                 key, contact = f"{record.id}-{number}", not spec.is_empty(number)
                 image = encode_depth(_touched(spec, solid, record.id, number))
@@ -363,8 +360,8 @@ def make_pairs(
     split: str,
     spec: PairsSpec,
     out: str | os.PathLike[str],
-    **run: Unpack[RunOptions],
-) -> Manifest:
+    **run: Unpack[store.RunOptions],
+) -> store.Manifest:
     """Make the training set of a CycleGAN: depth images of objects, and real touches, not paired.
 
     Parameters
@@ -381,7 +378,7 @@ def make_pairs(
     out : str or path-like
         Folder to write: splits ``depth`` and ``real``.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
 
     Returns
     -------

@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 
 from tactile_sim.pressing import CELL_M, Pressable, pose, product, turn_quaternion
 from tactile_sim.spec import TouchPlan
+from tactile_toolkit import mesh, places, read
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.mesh.records import SolidDataset, require_mesh_columns
-from tactile_toolkit.places.place import Place
-from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.touch.schema import CLASS_NAMES
+from tactile_toolkit.touch import CLASS_NAMES
 
 REACH_M = (0.0385, 0.0405)
 """How far from the middle of the cell the gel is sent, x and y, metres: half the cell less ``CELL_PADDING``
@@ -28,11 +25,11 @@ _SHIFT_M = 1e-3  # tactile-mnist 0.13.0, translation_perturbation_scale
 _SHIFT_RAD = 5e-2  # tactile-mnist 0.13.0, rotation_perturbation_scale
 
 
-def open_split(place: Place, split: str) -> SolidDataset[Any]:
+def open_split(place: places.Place, split: str) -> mesh.SolidDataset[Any]:
     """Open a split of a data set of solids; InputError for a source without meshes."""
-    table = ShardedTable(place.shards(split))
-    require_mesh_columns(table.schema, place.name, "mnist3d generate")
-    return SolidDataset(table, label_names=class_names(table.schema, CLASS_NAMES, place.name))
+    table = read.ShardedTable(place.shards(split))
+    mesh.require_mesh_columns(table.schema, place.name, "mnist3d generate")
+    return mesh.SolidDataset(table, label_names=read.class_names(table.schema, CLASS_NAMES, place.name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -159,7 +156,7 @@ def on_object(
     return product(poses[:touches], local)[:, :2, 3]
 
 
-def content_fingerprint(shard: Shard) -> dict[str, Any]:
+def content_fingerprint(shard: read.Shard) -> dict[str, Any]:
     """Return JSON values that identify a file by all of its bytes, for sources of moderate size."""
     with shard.stored() as stream:
         digest = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]

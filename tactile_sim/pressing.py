@@ -26,11 +26,8 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.files import merge_equal_vertices
-from tactile_toolkit.mesh.mesh import Mesh, MeshLike, as_mesh
-from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.touch.contact import PRESS_DEPTH_M
-from tactile_toolkit.touch.jpeg import MAX_IMAGE_PIXELS
+from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold, merge_equal_vertices
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS, PRESS_DEPTH_M
 from tactile_toolkit.wording import is_integer, plain, plain_number
 
 Numbers = NDArray[np.float64]

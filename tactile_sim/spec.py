@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.touch.contact import contact_height_option, size_option
+from tactile_toolkit.touch import contact_height_option, size_option
 from tactile_toolkit.wording import plain
 
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_sim.pressing import CELL_M
+from tactile_toolkit import store
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.files import expanded, open_regular
 from tactile_toolkit.text_tables import table_text
 from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
 
@@ -104,7 +104,7 @@ class TouchTable:
         InputError
             The file is not there, is not such a table, or holds values as above.
         """
-        file = expanded(path)
+        file = store.expanded(path)
         if file.suffix.lower() not in _ENDINGS:
             raise InputError(f"given touches in {str(path)!r}: expected a file {', '.join(_ENDINGS)}")
         try:
@@ -190,7 +190,7 @@ def _column(name: str, value: Any) -> NDArray[Any]:
 
 def _read_columns(file: Path) -> Mapping[str, Any]:
     """Read a table whose columns are those of touches; InputError for other columns, or too many rows."""
-    with open_regular(file) as stream:
+    with store.open_regular(file) as stream:
         size_bytes = file.stat().st_size
         if file.suffix.lower() == ".npz":
             with zipfile.ZipFile(stream) as archive:

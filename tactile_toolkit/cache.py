@@ -24,8 +24,8 @@ from pathlib import Path
 from threading import RLock
 from typing import IO, Any, Generic, TypeVar
 
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.store.files import DRAFT, expanded, resource_shortage, write_file
 
 LOCKS = "locks"
 """Folder of the cache whose files processes hold while they write others."""
@@ -44,12 +44,12 @@ def cache_folder() -> Path:
     """Return the cache folder: ``$TACTILE_TOOLKIT_CACHE``, or ours in the user's cache folder."""
     named = os.environ.get(CACHE_VARIABLE)
     if named:
-        return expanded(named, CACHE_VARIABLE)
+        return store.expanded(named, CACHE_VARIABLE)
     of_system = os.environ.get("XDG_CACHE_HOME")
     if of_system:
-        return expanded(of_system, "XDG_CACHE_HOME") / "tactile-toolkit"
+        return store.expanded(of_system, "XDG_CACHE_HOME") / "tactile-toolkit"
     try:
-        return expanded("~/.cache") / "tactile-toolkit"
+        return store.expanded("~/.cache") / "tactile-toolkit"
     except InputError:  # a user without a home, as in some containers
         return _temporary_cache()
 
@@ -139,9 +139,9 @@ class DiskCache:
                 raise OSError(errno.ELOOP, "it is a symbolic link")
             if _CHANCE.random() * self.limit_bytes < size_bytes * _LOOKED_THROUGH_AFTER:
                 self._make_room(path.parent, size_bytes)
-            write_file(path, fill, durable=self.durable)
+            store.write_file(path, fill, durable=self.durable)
         except OSError as error:
-            if resource_shortage(error) is not None:
+            if store.resource_shortage(error) is not None:
                 return False
             _unwritable.add(path.parent)
             if self.warning:
@@ -169,7 +169,7 @@ class DiskCache:
 
 def _files(folder: Path, names: str) -> list[tuple[float, int, Path]]:
     """Return the files of a cache by their last use: seconds since the epoch, bytes, path."""
-    files, paths, ours = [], list[Path](), re.compile(f"(?:{DRAFT})?(?:{names})")
+    files, paths, ours = [], list[Path](), re.compile(f"(?:{store.DRAFT})?(?:{names})")
     with contextlib.suppress(OSError):
         paths += [] if folder.is_symlink() else folder.iterdir()
     for path in paths:

@@ -11,23 +11,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Unpack
 
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.run.processes import Check, Runner
-from tactile_toolkit.store.build import (
-    RunOptions,
-    build,
-    refuse_overwriting_parts,
-    require_replaceable,
-    require_rows,
-)
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan, Job, inspect_job, manifest_so_far
-from tactile_toolkit.store.manifest import Manifest, without_collecting
-from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
-from tactile_toolkit.store.shards import ShardName, Skipped, shard_ranges
-from tactile_toolkit.store.task import ShardContent, ShardTask
+from tactile_toolkit.run import Check, Runner
 from tactile_toolkit.system import usable_cores
 
 # What workers need to start and import their libraries.
@@ -55,7 +43,7 @@ class Layout:
         Items that are made of one thing, and so stand in one shard where that is possible.
     """
 
-    style: ParquetStyle
+    style: store.ParquetStyle
     libraries: tuple[str, ...]
     smallest: int = 1
     largest: int = 1
@@ -93,10 +81,10 @@ class Making(ABC):
         """Return the Arrow schema of the shards of a split."""
 
     @abstractmethod
-    def make(self, split: str, items: Sequence[Any]) -> Iterable[Any | Skipped]:
+    def make(self, split: str, items: Sequence[Any]) -> Iterable[Any | store.Skipped]:
         """Yield the row of each item, or why it gives none; touches no file of the data set."""
 
-    def report(self, shard: ShardName, rows: Sequence[Any]) -> Any:
+    def report(self, shard: store.ShardName, rows: Sequence[Any]) -> Any:
         """Return rows of the report about rows of a shard, an Arrow table; None without a report."""
         return None
 
@@ -105,18 +93,18 @@ class Making(ABC):
         return None
 
 
-def make_shard(making: Making, shard: ShardName, items: Sequence[Any]) -> ShardContent:
+def make_shard(making: Making, shard: store.ShardName, items: Sequence[Any]) -> store.ShardContent:
     """Make the rows of a shard; items that give none are listed instead."""
     rows: list[Any] = []
-    skipped: list[Skipped] = []
+    skipped: list[store.Skipped] = []
     for each in making.make(shard.split, items):
-        (skipped if isinstance(each, Skipped) else rows).append(each)
-    with without_collecting():
+        (skipped if isinstance(each, store.Skipped) else rows).append(each)
+    with store.without_collecting():
         table = table_of(rows, making.schema(shard.split))
-    return ShardContent(table, tuple(skipped), making.report(shard, rows), making.statistics(rows))
+    return store.ShardContent(table, tuple(skipped), making.report(shard, rows), making.statistics(rows))
 
 
-def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan:
+def plan_build(making: Making, splits: Sequence[str] | None = None) -> store.BuildPlan:
     """Decide which shards hold what; writes nothing. InputError: an unknown split, or nothing to make."""
     items, layout = making.items(), making.layout()
     known = tuple(items)
@@ -133,7 +121,7 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
             f"no {making.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
             next="choose another --split, or larger ones",
         )
-    return BuildPlan(
+    return store.BuildPlan(
         making.kind.name,
         making.manifest(),
         known,
@@ -144,11 +132,11 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> BuildPlan
     )
 
 
-def _tasks(making: Making, items: Mapping[str, Any], layout: Layout) -> tuple[ShardTask[Any], ...]:
+def _tasks(making: Making, items: Mapping[str, Any], layout: Layout) -> tuple[store.ShardTask[Any], ...]:
     return tuple(
-        ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, making))
+        store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, making))
         for split, each in items.items()
-        for shard, rows in shard_ranges(
+        for shard, rows in store.shard_ranges(
             split,
             len(each),
             smallest=layout.smallest,
@@ -165,8 +153,8 @@ def generate(
     splits: Sequence[str] | None = None,
     *,
     require: Callable[[], None] = lambda: None,
-    **run: Unpack[RunOptions],
-) -> Manifest:
+    **run: Unpack[store.RunOptions],
+) -> store.Manifest:
     """Make a data set folder.
 
     A folder that holds a finished or interrupted run of the same specification is completed: finished shards
@@ -184,7 +172,7 @@ def generate(
     require : callable
         Raises what speaks against the run, once it is known what is to be made.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.build.RunOptions`.
+        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
 
     Returns
     -------
@@ -193,7 +181,7 @@ def generate(
     """
     plan = plan_build(making, splits)
     require()
-    return build(DataFolder(os.fspath(out)), plan, write_card=making.kind.write_card, **run)
+    return store.build(store.DataFolder(os.fspath(out)), plan, write_card=making.kind.write_card, **run)
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,13 +217,13 @@ def forecast(
     """
     plan = plan_build(making, splits)
     require()
-    folder = DataFolder(os.fspath(out))
+    folder = store.DataFolder(os.fspath(out))
     if overwrite:
-        refuse_overwriting_parts(folder, workers.workers if isinstance(workers, Check) else workers)
-    if overwrite and require_replaceable(folder, plan):
-        job = Job(folder, plan, plan.new_manifest(), plan.tasks)
+        store.refuse_overwriting_parts(folder, workers.workers if isinstance(workers, Check) else workers)
+    if overwrite and store.require_replaceable(folder, plan):
+        job = store.Job(folder, plan, plan.new_manifest(), plan.tasks)
     else:
-        job = inspect_job(folder, plan, workers)
+        job = store.inspect_job(folder, plan, workers)
     rows, left = Counter[str](), Counter[str]()
     for task in job.tasks:
         rows[task.shard.split] += task.size
@@ -259,7 +247,7 @@ def forecast(
     )
 
 
-def _sample(making: Making, plan: BuildPlan) -> tuple[int, float, float]:
+def _sample(making: Making, plan: store.BuildPlan) -> tuple[int, float, float]:
     """Make the first few items; return how many rows they gave, and bytes and seconds of an item."""
     first = plan.tasks[0]
     replace(first, items=first.items[:1]).make()  # pays for imports and for what is kept in memory
@@ -268,15 +256,15 @@ def _sample(making: Making, plan: BuildPlan) -> tuple[int, float, float]:
     content = few.make()
     table = content.table
     if few.size == sum(task.size for task in plan.tasks):
-        require_rows([(len(table), content.skipped)])
-    size_bytes = len(encode_parquet(table, plan.style)) if len(table) else 0
+        store.require_rows([(len(table), content.skipped)])
+    size_bytes = len(store.encode_parquet(table, plan.style)) if len(table) else 0
     return len(table), size_bytes / few.size, (time.perf_counter() - start_s) / few.size
 
 
-def _existing_rows(folder: DataFolder) -> dict[str, int] | None:
+def _existing_rows(folder: store.DataFolder) -> dict[str, int] | None:
     """Return the rows of each split of a data set; empty where its manifest is damaged, None without one."""
     try:
-        manifest = manifest_so_far(folder)
+        manifest = store.manifest_so_far(folder)
     except IntegrityError:
         return {}
     return None if manifest is None else {name: row["rows"] for name, row in manifest.split_table().items()}

@@ -14,7 +14,7 @@ from typing import Any, TypeVar, dataclass_transform
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.read.columns import RaggedColumn, ragged_array
+from tactile_toolkit import read
 
 T = TypeVar("T")
 _COLUMN = "column"
@@ -74,7 +74,9 @@ def _array(values: list[Any], data_type: pa.DataType) -> pa.Array:
     """Pack the values of a column: arrays of shape (n, w) as lists of vectors, tuples as lists of structs."""
     inner = data_type.value_type if pa.types.is_list(data_type) else None
     if inner is not None and pa.types.is_fixed_size_list(inner):
-        return ragged_array(RaggedColumn(np.concatenate(values), _offsets(values)), inner.value_type)
+        return read.ragged_array(
+            read.RaggedColumn(np.concatenate(values), _offsets(values)), inner.value_type
+        )
     if inner is not None and pa.types.is_struct(inner):
         # Much faster than from a dict for each struct.
         parts = list(zip(*chain.from_iterable(values), strict=True))

@@ -49,7 +49,7 @@ _CONTEXT.set_forkserver_preload(
         "tactile_toolkit.mesh.nearness",
         "tactile_toolkit.printing.objects",
         "tactile_toolkit.run.processes",
-        "tactile_toolkit.store.build",
+        "tactile_toolkit.store.building",
         "trimesh",
     ]
 )

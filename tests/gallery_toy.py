@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_toolkit.gallery.items import Facet, Gallery, Item, Measure, packed_mesh, thumbnail
+from tactile_toolkit.gallery import Facet, Gallery, Item, Measure, packed_mesh, thumbnail
 
 _OWN = "document.title='owned'"
 HOSTILE = f"""<script>{_OWN}</script>"><img src=x onerror="{_OWN}">'`${{1}}&amp;\u2028"""

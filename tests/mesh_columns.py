@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.read.columns import RaggedColumn, ragged_array
+from tactile_toolkit.read import RaggedColumn, ragged_array
 
 
 def list_array(rows: Sequence[NDArray[Any]], value_type: Any) -> Any:

@@ -87,7 +87,7 @@ import tactile_toolkit.store.locks as system
 def main():
     import env_assets, starstruck_gen
     from tactile_toolkit.store.folder import DataFolder
-    from tactile_toolkit.store.verify import verify
+    from tactile_toolkit.store.verification import verify
 
     spec = starstruck_gen.GenerateSpec(scenes=(("train", 8), ("test", 2)))
     starstruck_gen.generate(spec, "scenes", workers=2)
@@ -127,7 +127,7 @@ def _imports(path: Path) -> set[str]:
 
 @pytest.mark.skipif(sys.platform == "win32", reason="asks how a system with the module does it")
 def test_a_lock_keeps_others_waiting(tmp_path: Path) -> None:
-    from tactile_toolkit.store.locks import locked
+    from tactile_toolkit.store import locked
 
     code = f"""
 from pathlib import Path

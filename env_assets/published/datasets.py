@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from env_assets.meshes import MeshView
 from env_assets.published.packages import published_package
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.dataset import RecordDataset, picks_several
+from tactile_toolkit.read import RecordDataset, picks_several
 
 tactile_mnist: Any = published_package("tactile_mnist")
 

@@ -34,11 +34,10 @@ from env_assets.published.packages import (
     takes_recorded_noise,
 )
 from tactile_sim.pressing import Pressable, center_view, render_touch
+from tactile_toolkit import store
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.units import refuse_unit
-from tactile_toolkit.store.files import expanded, named_failures
-from tactile_toolkit.store.shards import ShardName
+from tactile_toolkit.mesh import refuse_unit
 
 
 def make(
@@ -319,9 +318,9 @@ def noise_folder(rounds: Any, where: str) -> Path:
     # Size and time as well: a link does not show that its file was written again.
     facts = [(str(target), target.stat().st_size, target.stat().st_mtime_ns) for target in targets]
     folder = cache_folder() / "linked" / hashlib.sha256(repr(facts).encode()).hexdigest()[:32]
-    with named_failures(str(folder)):
+    with store.named_failures(str(folder)):
         for number, target in enumerate(targets):
-            link = folder / ShardName("train", number, len(targets)).data_path
+            link = folder / store.ShardName("train", number, len(targets)).data_path
             link.parent.mkdir(parents=True, exist_ok=True)
             # One folder for each list of files, so a link that is there is the right one.
             with contextlib.suppress(FileExistsError):
@@ -440,7 +439,7 @@ def learned_sensor(
     read = read_weights(weights)
     # Named by its content: environments of two files of one name must not share a sensor, which the package
     # looks up by its name alone.
-    name = f"cycle_gan-{hashlib.sha256(expanded(weights).read_bytes()).hexdigest()[:16]}"
+    name = f"cycle_gan-{hashlib.sha256(store.expanded(weights).read_bytes()).hexdigest()[:16]}"
     kind = _learned_renderer()
     factory: Any = published_package("tactile_mnist.tactile_renderer.factory")
     factory.TACTILE_RENDERER_FACTORIES[name] = {

@@ -13,17 +13,12 @@ import pyarrow as pa
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.solid import wrench_mesh
 from env_assets.wrench.spec import WrenchSpec
-from tactile_toolkit import making
-from tactile_toolkit.mesh.files import write_mesh
-from tactile_toolkit.mesh.records import MeshRow, mesh_schema
+from tactile_toolkit import cards, making, pictures, store
+from tactile_toolkit.mesh import MeshRow, mesh_schema, write_mesh
 from tactile_toolkit.rows import column, meanings, row
-from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle
 
 if TYPE_CHECKING:
-    from tactile_toolkit.mesh.printability import PrintReport
-    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.mesh import PrintReport
 
 # Side of a pixel of the picture: the usual wrench of 157.5 mm is 790 pixels long.
 _PITCH_M = 0.0002
@@ -64,7 +59,7 @@ class WrenchMaking(making.Making):
 
     def layout(self) -> making.Layout:
         """Return how the row is stored."""
-        style = ParquetStyle(rows_per_group=32, compression="zstd", compression_level=9)
+        style = store.ParquetStyle(rows_per_group=32, compression="zstd", compression_level=9)
         return making.Layout(style, libraries=("manifold3d", "numpy", "pillow", "pyarrow"))
 
     def schema(self, split: str) -> Any:
@@ -88,7 +83,7 @@ class WrenchMaking(making.Making):
 
 def write_wrench(
     spec: WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
-) -> Manifest:
+) -> store.Manifest:
     """Write a data set of one wrench.
 
     Parameters
@@ -124,7 +119,7 @@ def write_wrench(
     # What cannot be made or written is refused before the folder is touched.
     mesh = wrench_mesh(spec)
     if mesh_file is not None:
-        write_mesh(expanded(mesh_file), mesh)
+        write_mesh(store.expanded(mesh_file), mesh)
     return making.generate(WrenchMaking(spec), out, overwrite=overwrite)
 
 
@@ -145,13 +140,10 @@ def wrench_facts(spec: WrenchSpec, report: PrintReport) -> dict[str, Any]:
     }
 
 
-def write_card(folder: DataFolder, manifest: Manifest) -> None:
+def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of the folder of a wrench and the picture that it shows."""
-    from tactile_toolkit.cards.card import Card, write_table_card
     from tactile_toolkit.kind import is_copy
-    from tactile_toolkit.mesh.printability import inspect
-    from tactile_toolkit.pictures.render import relief
-    from tactile_toolkit.pictures.sheets import png_bytes
+    from tactile_toolkit.mesh import inspect
 
     columns, title = meanings(WrenchRow), "Open-end wrench"
     if is_copy(manifest):
@@ -159,14 +151,14 @@ def write_card(folder: DataFolder, manifest: Manifest) -> None:
             "licence_text": "MIT, as the toolkit.",
             "citation_text": "The task: Schneider et al. 2025.",
         }
-        write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
+        cards.write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
         return
     spec = WrenchSpec(**manifest.spec)
     mesh = wrench_mesh(spec)
     report = inspect(mesh)
     second = f" and {spec.second_opening_mm:g} mm" if spec.second_opening_mm else ", one end plain"
-    drawn = png_bytes(relief(mesh.vertices_m, mesh.faces, _PITCH_M))
-    Card(
+    drawn = pictures.png_bytes(pictures.relief(mesh.vertices_m, mesh.faces, _PITCH_M))
+    cards.Card(
         template=KIND.card_template,
         title=title,
         columns=columns,

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh import MM_PER_M, Mesh, check_manifold
 
 # Sides of a whole circle: 0.03 mm from round at 60 mm across, less than a printer can show.
 _SEGMENTS = 96

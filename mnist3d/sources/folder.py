@@ -15,8 +15,8 @@ import numpy as np
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.canvas import fit
 from mnist3d.sources.pictures import is_picture_name, pages_of, read_picture
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.wording import natural_key, printable
 
 _CHOICES = {"ink": ("auto", "dark", "light"), "threshold": ("auto", "local", "global")}
@@ -137,7 +137,7 @@ def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
     base, found, left_out = Path(root), list[_Picture](), list[str]()
     try:
         inner = [path for digit in base.glob("[0-9]") for path in digit.iterdir()]
-        visible = sorted(path for path in (*base.iterdir(), *inner) if not is_hidden(path.name))
+        visible = sorted(path for path in (*base.iterdir(), *inner) if not store.is_hidden(path.name))
     except OSError as error:
         raise InputError(
             f"{root}: cannot be listed ({error.strerror}), expected a folder of pictures",

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.canvas import SIDE_PX, enlarge
+from tactile_toolkit import store
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import HubError, InputError, needs_extra
-from tactile_toolkit.store.names import is_hidden
 
 IMAGES_MAGIC = 0x803
 """First number of a file of images: unsigned bytes (8) in three dimensions (3)."""
@@ -119,7 +119,7 @@ class MnistSource:
             return path
         found = "no such folder"
         if folder.is_dir():
-            found = str(sorted(each.name for each in folder.iterdir() if not is_hidden(each.name))[:8])
+            found = str(sorted(each.name for each in folder.iterdir() if not store.is_hidden(each.name))[:8])
         raise InputError(
             f"{self.root}: found {found}, expected {prefix}-{kind}-{_KINDS[kind]} or the same with .gz, "
             "there or in MNIST/raw",

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from mnist3d.ink import margin, otsu_threshold, paper_is_dark, require_paper_around
 from mnist3d.photograph import even_out, is_clean
 from mnist3d.sources.canvas import as_grey
+from tactile_toolkit import store
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError, install_line
-from tactile_toolkit.store.files import open_regular
-from tactile_toolkit.touch.jpeg import require_bounded_jpeg
+from tactile_toolkit.touch import require_bounded_jpeg
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -172,7 +172,7 @@ def _opened(path: Path) -> Iterator[Image]:
             warnings.simplefilter("ignore")
             # Pillow only warns of pictures up to twice its limit; one of them takes half a gigabyte.
             warnings.simplefilter("error", Image.DecompressionBombWarning)
-            with open_regular(path) as stream, Image.open(stream, formats=formats) as picture:
+            with store.open_regular(path) as stream, Image.open(stream, formats=formats) as picture:
                 yield picture
     # Decoders of broken files raise whatever comes: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:

@@ -62,24 +62,20 @@ from realtouch.schema import (
 )
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from realtouch.video import write_avi
-from tactile_toolkit.catalog.choose import choose_rows
+from tactile_toolkit import catalog, read, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places.place import Name, Place
-from tactile_toolkit.read.columns import class_names, column_types
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import sha256_hex
-from tactile_toolkit.touch.contact import height_text
-from tactile_toolkit.touch.jpeg import (
+from tactile_toolkit.places import Name, Place
+from tactile_toolkit.touch import (
+    CLASS_NAMES,
     IMAGE_SUFFIX,
     MAX_IMAGE_PIXELS,
+    MEDIA_TYPE,
     ImageFormat,
     Pixels,
     encode_image,
+    height_text,
     resized,
 )
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE
 
 _CONTACT_FRAME_ROWS = 16
 _INDEX_ROWS = 16
@@ -90,7 +86,7 @@ def clips_to_images(
     out: str | PathLike[str],
     frame: str = "contact_end",
     **job: Unpack[JobOptions],
-) -> Manifest:
+) -> store.Manifest:
     """Make a ``single`` data set of a ``seq`` one: one frame of each clip, with the pose at that moment.
 
     Parameters
@@ -155,7 +151,7 @@ def resize(
     *,
     quality: int = 95,
     **job: Unpack[JobOptions],
-) -> Manifest:
+) -> store.Manifest:
     """Write the same data set with images or clips of another size.
 
     Parameters
@@ -201,7 +197,7 @@ def select(
     objects: Iterable[int | tuple[int, int]] = (),
     per_class: int | None = None,
     **job: Unpack[JobOptions],
-) -> Manifest:
+) -> store.Manifest:
     """Write some rounds and touches of a data set; images and clips pass through byte for byte.
 
     Parameters
@@ -250,7 +246,7 @@ def select(
 def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> Conversion:
     options = {**chosen, "limit": limit}
     if options["min_height_m"] is None:
-        rule = ContactHeight.of(column_types(opened.schema))
+        rule = ContactHeight.of(read.column_types(opened.schema))
         options["min_height_m"] = rule.min_height_m if options["contact"] else MIN_CONTACT_HEIGHT_M
     choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
     if options["contact"] and not any(choices.values()):
@@ -287,7 +283,7 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
         inside = [(low <= numbers) & (numbers <= high) for low, high in ranges]
         dataset = dataset[np.logical_or.reduce(inside).astype(bool)]
     if "per_class" in options and len(dataset):
-        ((_, _, rows_kept),) = choose_rows([("", dataset)], per_class=options["per_class"])
+        ((_, _, rows_kept),) = catalog.choose_rows([("", dataset)], per_class=options["per_class"])
         dataset = dataset[rows_kept]
     rows = dataset._row_numbers.tolist()
     if not options["contact"]:
@@ -313,7 +309,7 @@ def frames(
     *,
     difference: Literal["grey", "absolute"] | None = None,
     **job: Unpack[JobOptions],
-) -> Manifest:
+) -> store.Manifest:
     """Write touches as plain image files with an index in CSV and Parquet.
 
     Parameters
@@ -353,7 +349,7 @@ def frames(
             opened,
             "frames",
             {**options, **({} if difference is None else {"difference": difference})},
-            WritePictures(kind, method, difference, class_names(opened.schema, CLASS_NAMES)),
+            WritePictures(kind, method, difference, read.class_names(opened.schema, CLASS_NAMES)),
             marked_repetitions(opened, first_rows(opened, limit)),
             rows_per_shard=_INDEX_ROWS,
             rows_per_group=1 << 16,
@@ -618,7 +614,7 @@ class WritePictures:
             **columns_of_touches(row, shown, self.names),
             "id": [f"{name}/{each.touch:03d}" for each in shown],
             "file": list(files),
-            "sha256": list(map(sha256_hex, files.values())),
+            "sha256": list(map(store.sha256_hex, files.values())),
         }
         return table_of(self.schema(None), columns), files
 
@@ -633,12 +629,12 @@ class WritePictures:
         return encode_image(pixels, self.kind)
 
 
-def write_index(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
     """Write the index of all pictures as ``index.csv`` and return its checksum by its path."""
     stream = io.StringIO(newline="")
     writer = csv.writer(stream, lineterminator="\n")
     for number, record in enumerate(manifest.shards):
-        table = Shard(folder.address(record.shard.data_path)).read()
+        table = read.Shard(folder.address(record.shard.data_path)).read()
         if number == 0:
             writer.writerow(["split", *table.column_names])
         writer.writerows([record.shard.split, *line.values()] for line in table.to_pylist())

@@ -6,7 +6,7 @@ import hashlib
 import re
 from urllib.parse import unquote
 
-from tactile_toolkit.store.names import problem_of_name
+from tactile_toolkit import store
 
 _NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
 _LONGEST = 100
@@ -23,7 +23,7 @@ def file_stem(round_id: str) -> str:
     stem = _NOT_PLAIN.sub(_escaped, content).decode()
     if len(stem) > _LONGEST:
         return f"{stem[:_KEPT]}-{hashlib.sha256(content).hexdigest()[:16]}"
-    if not stem or problem_of_name(stem):  # none, or a device of Windows, such as ``con``
+    if not stem or store.problem_of_name(stem):  # none, or a device of Windows, such as ``con``
         return f"%{content[:1].hex().upper()}{stem[1:]}"
     return stem
 

@@ -1,7 +1,7 @@
 """What all conversions share: the source, the rows, the tasks, and the finished folder.
 
 A conversion is planned from footers and small columns alone; each task reads its own rows, block by block,
-and makes one shard. See :mod:`tactile_toolkit.store.build` for resuming and byte-identical results.
+and makes one shard. See :mod:`tactile_toolkit.store.building` for resuming and byte-identical results.
 """
 
 from __future__ import annotations
@@ -22,23 +22,10 @@ from realtouch.columns import TouchRow
 from realtouch.dataset import dataset_of
 from realtouch.kind import KIND
 from realtouch.schema import flat_schema, media_kind, origin_of, require_types
-from tactile_toolkit.catalog.locate import (
-    manifest_beside,
-    refuse_source,
-)
+from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.columns import class_names, column_types
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.build import RunOptions, build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, is_unchanged, sha256_hex
-from tactile_toolkit.store.shards import DAMAGED, ShardName, ShardRecord, Skipped, rows_per_shard
-from tactile_toolkit.store.task import ShardContent, ShardTask
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
+from tactile_toolkit.run import in_threads
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
 
 # What a worker may hold, unpacked.
 _SHARD_BYTES = 256 << 20
@@ -54,17 +41,17 @@ class Source:
     """A data set to convert: its name as the user gave it, the shards of each split, and what it holds."""
 
     name: str
-    shards: Mapping[str, tuple[Shard, ...]]
+    shards: Mapping[str, tuple[read.Shard, ...]]
     kind: Kind
     unfinished: str = ""
 
     @classmethod
-    def open(cls, name: Name | Place, split: str | None = None) -> Source:
+    def open(cls, name: places.Name | places.Place, split: str | None = None) -> Source:
         """Find the splits of a data set (or the one given), fetching them first where they are on the Hub.
 
         Reads footers. Raises as :func:`realtouch.load`.
         """
-        place = open_place(name).require_complete(split)
+        place = places.open_place(name).require_complete(split)
         splits = (split,) if split is not None else place.splits
         shards = {each: place.shards(each, kind=KIND) for each in splits}
         for found in shards.values():
@@ -76,9 +63,9 @@ class Source:
         """Arrow schema of the first shard."""
         return next(iter(self.shards.values()))[0].schema
 
-    def manifest(self) -> Manifest | None:
+    def manifest(self) -> store.Manifest | None:
         """Return the manifest next to the shards, where there is one."""
-        return manifest_beside(next(iter(self.shards.values()))[0])
+        return catalog.manifest_beside(next(iter(self.shards.values()))[0])
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""
@@ -89,7 +76,7 @@ class Source:
         return self._average(f"{MEDIA_COLUMN[self.kind]}.")
 
     def _average(self, column: str) -> int:
-        def measured(shard: Shard) -> tuple[int, int]:
+        def measured(shard: read.Shard) -> tuple[int, int]:
             """Return the rows of a file, or the values of a column of bytes, and their size unpacked."""
             groups = map(shard.metadata.row_group, range(shard.metadata.num_row_groups))
             chunks = [group.column(index) for group in groups for index in range(group.num_columns)]
@@ -109,7 +96,7 @@ class Source:
         reading 28 GB to plan a conversion would cost minutes.
         """
         return {
-            split: list(in_threads(Shard.fingerprint, found, _READERS))
+            split: list(in_threads(read.Shard.fingerprint, found, _READERS))
             for split, found in self.shards.items()
         }
 
@@ -131,7 +118,7 @@ Choices = Mapping[str, Sequence[RowChoice]]
 Made = tuple[pa.Table, Mapping[str, bytes]]
 """New rows, and the files that lie next to them, by path."""
 
-Pack = Callable[[ShardName, pa.Table, Sequence[Skipped]], Made]
+Pack = Callable[[store.ShardName, pa.Table, Sequence[store.Skipped]], Made]
 """What makes files of all new rows of a shard, and an index of them, which the shard keeps; picklable."""
 
 
@@ -167,7 +154,7 @@ class Conversion:
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
     extra_dirs: tuple[str, ...] = ()
-    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
+    write_files: Callable[[store.DataFolder, store.Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
     )
     pack: Pack | None = None
@@ -180,13 +167,13 @@ class _ConvertRows:
     ``shards`` are the files of the source that hold the rows, ``start`` is the number of their first row.
     """
 
-    shards: Sequence[Shard]
+    shards: Sequence[read.Shard]
     start: int
     step: Step
     schema: pa.Schema
     pack: Pack | None
 
-    def __call__(self, shard: ShardName, choices: Sequence[RowChoice]) -> ShardContent:
+    def __call__(self, shard: store.ShardName, choices: Sequence[RowChoice]) -> store.ShardContent:
         """Convert rows; damaged ones are left out and listed."""
         tables, skipped = [self.schema.empty_table()], []
         files: dict[str, bytes] = {}
@@ -205,12 +192,12 @@ class _ConvertRows:
                 message = str(error)
                 for each in self.shards:  # as the manifest names them: their folder may be private
                     message = message.replace(each.path, each.path.rpartition("/")[2])
-                skipped.append(Skipped(choice.row, DAMAGED, message))
+                skipped.append(store.Skipped(choice.row, store.DAMAGED, message))
         kept = pa.concat_tables(tables)
         if self.pack is not None:
             kept, packed = self.pack(shard, kept, skipped)
             files |= packed
-        return ShardContent(kept.combine_chunks(), tuple(skipped), files=files)
+        return store.ShardContent(kept.combine_chunks(), tuple(skipped), files=files)
 
     def _rows(self, choices: Sequence[RowChoice]) -> Iterator[tuple[RowChoice, TouchRow]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
@@ -230,10 +217,10 @@ class _ConvertRows:
             start += len(shard)
 
 
-def plan_conversion(conversion: Conversion) -> BuildPlan:
+def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     """Decide which shards hold which rows; reads footers only. InputError when nothing is left to convert."""
     source, step = conversion.source, conversion.step
-    names = class_names(source.schema, CLASS_NAMES)
+    names = read.class_names(source.schema, CLASS_NAMES)
     schema = with_features(step.schema(flat_schema(source.schema)), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MOST_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
@@ -245,12 +232,12 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
         size = per_shard
         if conversion.rows_per_shard is None:  # of many rows, as many as a worker can hold
             most = max(per_shard, _SHARD_BYTES // row_bytes)
-            size = min(rows_per_shard(len(choices), per_shard), most)
+            size = min(store.rows_per_shard(len(choices), per_shard), most)
         chunks = [choices[start : start + size] for start in range(0, len(choices), size)]
         for index, chunk in enumerate(chunks):
             first, last = (bisect_right(starts, chunk[end].row) - 1 for end in (0, -1))
             work = _ConvertRows(shards[first : last + 1], starts[first], step, schema, conversion.pack)
-            tasks.append(ShardTask(ShardName(split, index, len(chunks)), chunk, work))
+            tasks.append(store.ShardTask(store.ShardName(split, index, len(chunks)), chunk, work))
     if not tasks:
         raise InputError(
             f"nothing is left of {source.name!r} after {conversion.operation!r}", next="choose fewer filters"
@@ -268,12 +255,12 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
     encodings = tuple((f"{name}.bytes", "PLAIN") for name in media)
     is_flat = not any(name.endswith(".element") for name in media)
     per_page = None if is_flat else max(1, _PAGE_BYTES // source.media_bytes())
-    return BuildPlan(
+    return store.BuildPlan(
         KIND.name,
         spec,
         tuple(source.shards),
         tuple(tasks),
-        ParquetStyle(per_group, compression_level=3, encodings=encodings, values_per_page=per_page),
+        store.ParquetStyle(per_group, compression_level=3, encodings=encodings, values_per_page=per_page),
         extra_dirs=conversion.extra_dirs,
         files_of=files_of,
         libraries=("numpy", "pillow", "pyarrow", "simplejpeg"),
@@ -281,7 +268,7 @@ def plan_conversion(conversion: Conversion) -> BuildPlan:
     )
 
 
-class JobOptions(RunOptions, total=False):
+class JobOptions(store.RunOptions, total=False):
     """How any conversion is done; see :func:`realtouch.clips_to_images`."""
 
     split: str | None
@@ -289,28 +276,28 @@ class JobOptions(RunOptions, total=False):
 
 
 def convert(
-    source: Name | Place,
+    source: places.Name | places.Place,
     out: str | PathLike[str],
     plan: Callable[[Source, int | None], Conversion],
     *,
     split: str | None = None,
     limit: int | None = None,
-    **run: Unpack[RunOptions],
-) -> Manifest:
+    **run: Unpack[store.RunOptions],
+) -> store.Manifest:
     """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped.
 
     ``plan`` takes the source and the number of rounds of each split to take at most.
     """
-    opened, folder = Source.open(source, split=split), DataFolder(fspath(out))
+    opened, folder = Source.open(source, split=split), store.DataFolder(fspath(out))
     conversion = plan(opened, require_limit(limit))
-    refuse_source(folder, opened.name, chain.from_iterable(opened.shards.values()))
+    catalog.refuse_source(folder, opened.name, chain.from_iterable(opened.shards.values()))
     origin = origin_of(opened.schema, opened.manifest())
     # The terms are those of the source; columns of rounds say by themselves that they were rendered.
     if opened.unfinished:
         conversion = replace(conversion, options={**conversion.options, "unfinished": opened.unfinished})
     if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
         conversion = replace(conversion, options={**conversion.options, "touches": origin})
-    return build(folder, plan_conversion(conversion), write_card=write_card, **run)
+    return store.build(folder, plan_conversion(conversion), write_card=write_card, **run)
 
 
 def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
@@ -347,7 +334,7 @@ def with_files(
     index: pa.Table, files: Mapping[str, bytes], named: Sequence[Sequence[str]] | None = None
 ) -> Made:
     """Return the files of a shard with its index, which names up to two for each row: by default all."""
-    digests = {path: sha256_hex(content) for path, content in files.items()}
+    digests = {path: store.sha256_hex(content) for path, content in files.items()}
     columns = [[path] * len(index) for path in files] if named is None else named
     for prefix, paths in zip(_PREFIXES, columns, strict=False):
         for name, values in (("file", paths), ("sha256", [digests[path] for path in paths])):
@@ -355,9 +342,9 @@ def with_files(
     return index, files
 
 
-def files_of(folder: DataFolder, record: ShardRecord) -> dict[str, str]:
+def files_of(folder: store.DataFolder, record: store.ShardRecord) -> dict[str, str]:
     """Return the checksum of each file that the index of a finished shard names, by path."""
-    shard = Shard(folder.address(record.shard.data_path))
+    shard = read.Shard(folder.address(record.shard.data_path))
     found: dict[str, str] = {}
     for prefix in _PREFIXES:
         names = [f"{prefix}file", f"{prefix}sha256"]
@@ -367,7 +354,7 @@ def files_of(folder: DataFolder, record: ShardRecord) -> dict[str, str]:
     return found
 
 
-def checksums(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+def checksums(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
     """Return the checksum of each file that the shards name, for the manifest."""
     return {path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record).items()}
 
@@ -377,7 +364,7 @@ def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collect
 
     With the type of each stand columns of the source, of which one is needed; without any it is always there.
     """
-    known = column_types(source)
+    known = read.column_types(source)
     return pa.schema(
         (name, data_type)
         for name, (data_type, needed) in wanted.items()
@@ -391,9 +378,9 @@ def table_of(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
     return pa.table([pa.array(columns.get(each.name, unknown), each.type) for each in schema], schema=schema)
 
 
-def write_changed(folder: DataFolder, path: str, content: bytes) -> str:
+def write_changed(folder: store.DataFolder, path: str, content: bytes) -> str:
     """Write a file only where it differs: a run over a finished set changes nothing. Return its checksum."""
-    sha256 = sha256_hex(content)
-    if not is_unchanged(folder, path, sha256):
+    sha256 = store.sha256_hex(content)
+    if not store.is_unchanged(folder, path, sha256):
         folder.write_bytes(path, content)
     return sha256

@@ -17,13 +17,8 @@ from realtouch.convert.plan import Made, with_files, write_changed
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
 from realtouch.exchange.items import Item, as_jpeg, background_of, open_source, path_of, source_of
 from realtouch.spec import ImportColumns
+from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.inside import size_inside
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.names import is_hidden
-from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER, _IMAGES, _FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
 _BACKGROUND = "background.jpg"
@@ -31,7 +26,7 @@ _LIST_END = "_bg.txt"
 _LEFT_OUT = "-1"
 
 
-def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+def _pack(shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
     """Return the touches of each round as numbered images, and their median as the background."""
     if (rows["label"].to_numpy() < 0).any():
         raise InputError("touches without a class; in this format the label -1 leaves an image out")
@@ -49,11 +44,11 @@ def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
     return with_files(rows.drop_columns([IMAGE]), files, [paths, backgrounds])
 
 
-def _write_lists(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
     """Write a list for each split; return the checksum of each by its path."""
     lines: dict[str, list[str]] = {}
     for record in manifest.shards:
-        table = Shard(folder.address(record.shard.data_path)).read(columns=["file", "label"])
+        table = read.Shard(folder.address(record.shard.data_path)).read(columns=["file", "label"])
         for path, label in zip(*(column.to_pylist() for column in table.columns), strict=True):
             _, _, name, _, image = path.split("/")
             lines.setdefault(record.shard.split, []).append(f"{name}/{image},{label},{_BACKGROUND}\n")
@@ -65,9 +60,9 @@ def _write_lists(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
 plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_lists)
 
 
-def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each line of the lists (or one, by its name); of a file that is not there, why."""
-    found = [(home, name) for name in home.sizes() if name.endswith(_LIST_END) and not is_hidden(name)]
+    found = [(home, name) for name in home.sizes() if name.endswith(_LIST_END) and not store.is_hidden(name)]
     lists = found if table is None else [source_of(table)]
     if not lists:
         raise InputError(f"{home.address()!r} holds no lists (*{_LIST_END})")
@@ -84,7 +79,7 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
             try:
                 if label == _LEFT_OUT:
                     raise ItemError("label", "the list leaves it out: its label is -1")
-                size = size_inside(home, name, sizes)
+                size = store.size_inside(home, name, sizes)
             except ItemError as error:
                 problem = error
             round_id = id_of_stem(folder.removeprefix(f"{split}-"))

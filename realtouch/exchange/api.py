@@ -40,19 +40,10 @@ from realtouch.exchange.fields import (
 from realtouch.exchange.items import Item, ReadContents, common_size, contents_of, require_intact
 from realtouch.kind import KIND
 from realtouch.spec import ImportColumns
-from tactile_toolkit.catalog.locate import refuse_source
+from tactile_toolkit import catalog, places, store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.places.place import Name, Place
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.build import RunOptions, build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.names import is_hidden
-from tactile_toolkit.store.parquet import ParquetStyle, sha256_hex
-from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.store.task import ShardContent, ShardTask
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_TYPE, with_features
+from tactile_toolkit.read import Shard
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_TYPE, with_features
 from tactile_toolkit.wording import printable
 
 Layout = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
@@ -67,13 +58,13 @@ def format_of(layout: str, known: Sequence[str]) -> Any:
 
 
 def export(
-    source: Name | Place,
+    source: places.Name | places.Place,
     out: str | PathLike[str],
     layout: Layout,
     *,
     frame: str = "contact_end",
     **job: Unpack[JobOptions],
-) -> Manifest:
+) -> store.Manifest:
     """Write touches in the format of another library; stored JPEGs are copied, never encoded again.
 
     Parameters
@@ -156,8 +147,8 @@ def import_images(
     table: str | None = None,
     classes: Sequence[str] = (),
     split: str | None = None,
-    **run: Unpack[RunOptions],
-) -> Manifest:
+    **run: Unpack[store.RunOptions],
+) -> store.Manifest:
     """Make a data set of touches from images and a table of labels and poses; images are not changed.
 
     Parameters
@@ -195,7 +186,7 @@ def import_images(
     IntegrityError, SpecMismatchError, StorageError
         A tar is damaged; or as :func:`realtouch.clips_to_images`.
     """
-    home, folder = DataFolder(fspath(source)), DataFolder(fspath(out))
+    home, folder = store.DataFolder(fspath(source)), store.DataFolder(fspath(out))
     format_of(layout, get_args(ImportLayout))
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
@@ -203,21 +194,21 @@ def import_images(
         raise InputError(
             f"{home.address()!r} does not exist; expected a folder of images or tars", next="check the name"
         )
-    refuse_source(folder, home.address(), [Shard(home.address("any file"))])
+    catalog.refuse_source(folder, home.address(), [Shard(home.address("any file"))])
     chosen = columns or ImportColumns()
     items = _items(home, layout, chosen, table)
     known = dict.fromkeys(name for item in items for name in item.fields)
     plan = _plan(items, chosen.found_in(known), tuple(classes), split, layout)
-    return build(folder, plan, write_card=write_card, **run)
+    return store.build(folder, plan, write_card=write_card, **run)
 
 
-def _items(home: DataFolder, layout: str, columns: ImportColumns, table: str | None) -> list[Item]:
+def _items(home: store.DataFolder, layout: str, columns: ImportColumns, table: str | None) -> list[Item]:
     """Read what a folder holds: of an export of ours below the name of the format, and in all splits."""
-    folders = [DataFolder(home.address(layout)) if layout in home.entries() else home]
-    found = {name: size for name, size in folders[0].entries().items() if not is_hidden(name)}
+    folders = [store.DataFolder(home.address(layout)) if layout in home.entries() else home]
+    found = {name: size for name, size in folders[0].entries().items() if not store.is_hidden(name)}
     splits = [name for name, size in found.items() if size is None]
     if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
-        folders = [DataFolder(folders[0].address(split)) for split in splits]
+        folders = [store.DataFolder(folders[0].address(split)) for split in splits]
     read = format_of(layout, get_args(ImportLayout)).items
     every = (item for folder in folders for item in read(folder, columns, table))
     items = [item.used(number, columns) for number, item in enumerate(every)]
@@ -228,7 +219,7 @@ def _items(home: DataFolder, layout: str, columns: ImportColumns, table: str | N
 
 def _plan(
     items: Sequence[Item], columns: ImportColumns, classes: tuple[str, ...], split: str | None, layout: str
-) -> BuildPlan:
+) -> store.BuildPlan:
     """Divide the touches into splits, rounds and shards. InputError where nothing can be imported."""
     names = classes or _class_names(items, columns.label)
     if len(set(map(integer_text, classes))) < len(classes):
@@ -238,11 +229,11 @@ def _plan(
     held = Counter(map(_file_of, items))
     versions = {file: _version(file) for file, count in held.items() if count > 1}
     work = _ImportTouches(layout, columns, names, size, _schema(columns, names), versions)
-    tasks: list[ShardTask[NamedItem]] = []
+    tasks: list[store.ShardTask[NamedItem]] = []
     for each, found in rounds.items():
         parts = _divided(found)
         for index, part in enumerate(parts):
-            tasks.append(ShardTask(ShardName(each, index, len(parts)), part, work, work.digest))
+            tasks.append(store.ShardTask(store.ShardName(each, index, len(parts)), part, work, work.digest))
     listing = [(item.name, item.start, item.size, item.values) for item in items]
     spec = {
         "operation": "import",
@@ -257,20 +248,22 @@ def _plan(
             each: [{"file": "images", "rows": sum(map(len, found.values()))}]
             for each, found in rounds.items()
         },
-        "listing_sha256": sha256_hex(json.dumps(listing, sort_keys=True, default=str).encode()),
+        "listing_sha256": store.sha256_hex(json.dumps(listing, sort_keys=True, default=str).encode()),
     }
     image_bytes = sum(item.size for item in items) // len(items) + 1
     per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // image_bytes)
     per_round = max(1, len(items) // sum(map(len, rounds.values())))
     encodings = (("sensor_image.list.element.bytes", "PLAIN"),)
-    style = ParquetStyle(
+    style = store.ParquetStyle(
         max(1, per_group // per_round),
         compression_level=3,
         encodings=encodings,
         values_per_page=max(1, _PAGE_BYTES // image_bytes),
     )
 
-    return BuildPlan(KIND.name, spec, tuple(rounds), tuple(tasks), style, libraries=("numpy", "pyarrow"))
+    return store.BuildPlan(
+        KIND.name, spec, tuple(rounds), tuple(tasks), style, libraries=("numpy", "pyarrow")
+    )
 
 
 def _divided(rounds: Mapping[str, Sequence[Item]]) -> list[list[NamedItem]]:
@@ -367,7 +360,7 @@ def _file_of(item: Item) -> tuple[str, str]:
 def _version(file: tuple[str, str]) -> tuple[object, ...] | None:
     """Return what changes whenever a file, by folder and path, is replaced."""
     folder, path = file
-    return DataFolder(folder).version(path)
+    return store.DataFolder(folder).version(path)
 
 
 def _noted(contents: Iterable[bytes | ItemError], digest: Any) -> Iterator[bytes | ItemError]:
@@ -404,7 +397,7 @@ class _ImportTouches:
         deque(_noted(self._contents(touches), found), maxlen=0)
         return found.hexdigest()
 
-    def __call__(self, shard: ShardName, touches: Sequence[NamedItem]) -> ShardContent:
+    def __call__(self, shard: store.ShardName, touches: Sequence[NamedItem]) -> store.ShardContent:
         """Read touches; those that cannot be used are left out and listed."""
         rows, skipped = [], []
         used = {*self.columns.names(), self.columns.image}
@@ -422,7 +415,9 @@ class _ImportTouches:
                     made.append(touch)
                     others.update(name for name in item.fields if name not in used)
                 except ItemError as error:
-                    skipped.append(Skipped(item.number, error.reason, f"{item.name!r}: {error.message}"))
+                    skipped.append(
+                        store.Skipped(item.number, error.reason, f"{item.name!r}: {error.message}")
+                    )
             if made:
                 of_touch = {each: [touch[each] for touch in made] for each in made[0]}
                 rows.append({"id": name, **of_touch, **{each: made[0][each] for each in _OF_ROUND}})
@@ -435,7 +430,9 @@ class _ImportTouches:
         counted = {printable(name): count for name, count in others.most_common(_MOST_FIELDS)}
         statistics = {NOT_IMPORTED: dict(sorted(counted.items()))} if counted else None
         table = pa.Table.from_pylist(rows, self.schema)
-        return ShardContent(table, tuple(skipped), statistics=statistics, source_digest=digest.hexdigest())
+        return store.ShardContent(
+            table, tuple(skipped), statistics=statistics, source_digest=digest.hexdigest()
+        )
 
     def _touch(self, item: Item, contents: Iterator[bytes | ItemError]) -> dict[str, Any]:
         """Return what the columns hold of a touch; ItemError where it cannot be used."""

@@ -20,9 +20,9 @@ from realtouch.exchange.items import image_column, require_intact
 from realtouch.media import SensorImages, TouchClip
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
+from tactile_toolkit import read
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
@@ -49,7 +49,7 @@ class Episodes:
     @classmethod
     def of(cls, source: Source, split: str) -> Episodes:
         """Look at the first image of a split: all are to be of its size."""
-        names = class_names(source.schema, CLASS_NAMES)
+        names = read.class_names(source.schema, CLASS_NAMES)
         row = next(filter(TouchRow.touch_total, stored_rows(source.shards[split])), None)
         if row is None:
             raise InputError(

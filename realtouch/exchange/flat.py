@@ -31,10 +31,8 @@ from realtouch.exchange.items import image_column, require_intact
 from realtouch.rounds import touch_id
 from realtouch.schema import POSE_COLUMN
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit.read.columns import class_names
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.schema import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
+from tactile_toolkit import read, store
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE = "image"
 
@@ -51,7 +49,7 @@ def plan(
     *,
     folder: str | None = None,
     pack: Pack | None = None,
-    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = checksums,
+    write_files: Callable[[store.DataFolder, store.Manifest], Mapping[str, str]] = checksums,
 ) -> Conversion:
     """Plan an export with a row for each touch; of clips, a touch shows the frame by some method.
 
@@ -63,7 +61,7 @@ def plan(
         source,
         "export",
         {**options, **({"frame": method} if is_seq else {})},
-        _Touches(method, class_names(source.schema, CLASS_NAMES)),
+        _Touches(method, read.class_names(source.schema, CLASS_NAMES)),
         marked_repetitions(source, choices),
         rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
         extra_dirs=() if folder is None else (folder,),

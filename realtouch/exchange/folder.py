@@ -7,14 +7,12 @@ from functools import cache
 
 from realtouch.exchange.items import Item, path_of, read_table, require_columns, source_of
 from realtouch.spec import ImportColumns
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.inside import size_inside
-from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.text_tables import TABLE_ENDINGS
 
 
-def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each line of the table; of a file that cannot be found, why."""
     if columns.image is None:
         raise InputError("no column names the images", next="add --image-column NAME")
@@ -27,7 +25,7 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
         name = path_of(str(values[columns.image] or ""))
         problem, size = None, 0
         try:
-            size = size_inside(home, name, sizes)
+            size = store.size_inside(home, name, sizes)
             if seen.setdefault(name, number) != number:
                 raise ItemError("duplicate", f"the same file as in row {seen[name]} of the table")
             if None in values:
@@ -37,9 +35,9 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
         yield Item(name, home.address(), name, 0, size, values, problem)
 
 
-def _table_name(home: DataFolder) -> str:
+def _table_name(home: store.DataFolder) -> str:
     files = home.sizes()
-    found = [name for name in files if name.lower().endswith(TABLE_ENDINGS) and not is_hidden(name)]
+    found = [name for name in files if name.lower().endswith(TABLE_ENDINGS) and not store.is_hidden(name)]
     if len(found) != 1:
         raise InputError(
             f"{home.address()!r} should be a folder with one CSV file; found {', '.join(found) or 'none'}",

@@ -19,17 +19,15 @@ from realtouch.exchange import webdataset
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
 from realtouch.exchange.items import Item, as_jpeg
 from realtouch.spec import FOTA_POSE_COLUMNS, POSE_COLUMNS, ImportColumns
+from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER = "fota"
 _LENGTHS = 3  # of these, the first so many are lengths
 _MM_PER_M = 1000.0
 
 
-def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+def _pack(shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
     """Return the touches of a shard as one tar; the same touches give the same bytes."""
     if not len(rows):
         raise IntegrityError(
@@ -57,7 +55,7 @@ def _pose_mm(fields: Mapping[str, Any]) -> dict[str, float]:
     return dict(zip(FOTA_POSE_COLUMNS, values, strict=True))
 
 
-def _write_counts(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+def _write_counts(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
     """Write the number of samples of each split; return the checksum of each file by its path."""
     files = checksums(folder, manifest)
     for split, entry in manifest.split_table().items():
@@ -69,7 +67,7 @@ def _write_counts(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
 plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_counts)
 
 
-def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each sample of the tars of one split; the folder's name is that of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
     for item in webdataset.items(home, columns, table):

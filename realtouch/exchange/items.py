@@ -20,14 +20,10 @@ import pyarrow as pa
 from realtouch.contact import median_in_memory
 from realtouch.exchange.fields import NUMBERED
 from realtouch.spec import ImportColumns
+from tactile_toolkit import run, store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.inside import open_inside
-from tactile_toolkit.store.names import is_remote
 from tactile_toolkit.text_tables import table_lines
-from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES, Pixels, decode_image, encode_image, image_size
-from tactile_toolkit.touch.schema import MEDIA_TYPE
+from tactile_toolkit.touch import MAX_IMAGE_BYTES, MEDIA_TYPE, Pixels, decode_image, encode_image, image_size
 from tactile_toolkit.wording import did_you_mean
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
@@ -109,15 +105,15 @@ def contents_of(items: Iterable[Item]) -> Iterator[bytes | ItemError]:
     A tar is opened once for all that follow each other in it.
     """
     groups = [tuple(group) for _, group in groupby(items, key=lambda item: (item.home, item.path))]
-    threads = _FAR_READERS if groups and is_remote(groups[0][0].home) else 1
-    for found in in_threads(_contents, groups, threads):
+    threads = _FAR_READERS if groups and store.is_remote(groups[0][0].home) else 1
+    for found in run.in_threads(_contents, groups, threads):
         yield from found
 
 
 def _contents(items: Sequence[Item]) -> list[bytes | ItemError]:
     found: list[bytes | ItemError] = []
     try:
-        with open_inside(DataFolder(items[0].home), items[0].path) as stream:
+        with store.open_inside(store.DataFolder(items[0].home), items[0].path) as stream:
             for item in items:
                 stream.seek(item.start)
                 found.append(stream.read(item.size))
@@ -134,20 +130,20 @@ def path_of(text: str) -> str:
     return _HERE.sub("", text.strip().replace("\\", "/"))
 
 
-def source_of(place: str) -> tuple[DataFolder, str]:
+def source_of(place: str) -> tuple[store.DataFolder, str]:
     """Return the folder of a file that the user named, and its name there; it may be a link itself."""
-    return split_uri(place if is_remote(place) else os.path.realpath(place))
+    return store.split_uri(place if store.is_remote(place) else os.path.realpath(place))
 
 
-def open_source(folder: DataFolder, name: str) -> IO[bytes]:
+def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
     """Open a file of a source that holds many touches or what is known of them; InputError names it."""
     try:
-        return open_inside(folder, name)
+        return store.open_inside(folder, name)
     except ItemError as error:
         raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
 
 
-def read_table(folder: DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
+def read_table(folder: store.DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
     """Return the columns and lines of a table; InputError where it cannot be read."""
     with open_source(folder, name) as stream:
         content = stream.read()

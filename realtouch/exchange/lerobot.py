@@ -32,18 +32,14 @@ from realtouch.convert.plan import (
 from realtouch.dataset import dataset_of
 from realtouch.exchange.episodes import IMAGE, Episodes, only_split
 from realtouch.exchange.items import decoded
+from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
-from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.touch.schema import MEDIA_TYPE, with_features
+from tactile_toolkit.touch import MEDIA_TYPE, with_features
 
 FOLDER = "lerobot"
 FILES_PER_CHUNK = 1000
 FILE_BYTES = 100 << 20
-META_STYLE = ParquetStyle(rows_per_group=1 << 12, compression_level=3)
+META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
 
 _VERSION = "v3.0"
 _GROUP_BYTES = 16 << 20
@@ -99,7 +95,7 @@ class _PackEpisodes:
     tasks: tuple[str, ...]
     rows_per_group: int
 
-    def __call__(self, shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+    def __call__(self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
         """Return the frames and episodes of a shard, numbered over the whole data set.
 
         Raises IntegrityError where a round was left out, or lengths were not as stated.
@@ -151,13 +147,13 @@ class _PackEpisodes:
             **columns_of_episodes(frames, starts.tolist(), lengths.tolist()),
         }
         encodings = ((f"{IMAGE}.bytes", "PLAIN"),)
-        style = ParquetStyle(self.rows_per_group, compression_level=3, encodings=encodings)
+        style = store.ParquetStyle(self.rows_per_group, compression_level=3, encodings=encodings)
         index |= {name: rows[name].take(starts) for name in _OF_EPISODE if name in rows.schema.names}
         return with_files(
             pa.table(index),
             {
-                f"{FOLDER}/data/{place}": encode_parquet(frames, style),
-                f"{FOLDER}/meta/episodes/{place}": encode_parquet(pa.table(meta), META_STYLE),
+                f"{FOLDER}/data/{place}": store.encode_parquet(frames, style),
+                f"{FOLDER}/meta/episodes/{place}": store.encode_parquet(pa.table(meta), META_STYLE),
             },
         )
 
@@ -171,18 +167,18 @@ class WriteMeta:
     size: tuple[int, int]
     tasks: tuple[str, ...]
 
-    def __call__(self, folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+    def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
         """Return the checksum of each file of the LeRobotDataset by its path."""
         files = checksums(folder, manifest)
         placed = [list(files_of(folder, record)) for record in manifest.shards if record.rows]
         frames, episodes = (
-            [Shard(folder.address(path)) for path in paths] for paths in zip(*placed, strict=True)
+            [read.Shard(folder.address(path)) for path in paths] for paths in zip(*placed, strict=True)
         )
         info = self._info(frames[0].schema, sum(map(len, episodes)), sum(map(len, frames)))
         meta = {
             "info.json": _json_bytes(info),
             "stats.json": _json_bytes(statistics_of_all(episodes, frames)),
-            "tasks.parquet": encode_parquet(_task_table(self.tasks), META_STYLE),
+            "tasks.parquet": store.encode_parquet(_task_table(self.tasks), META_STYLE),
         }
         for name, content in meta.items():
             path = f"{FOLDER}/meta/{name}"
@@ -285,7 +281,7 @@ def _statistics(values: NDArray[np.float64], counts: NDArray[np.int64]) -> dict[
     return {name: float(value) for name, value in found.items()}
 
 
-def statistics_of_all(episodes: Sequence[Shard], frames: Sequence[Shard]) -> dict[str, Any]:
+def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shard]) -> dict[str, Any]:
     """Return the statistics of all frames; of images put together from the episodes, as LeRobot does.
 
     One number of each frame is in memory at a time: 8 bytes a frame.
@@ -304,7 +300,7 @@ def statistics_of_all(episodes: Sequence[Shard], frames: Sequence[Shard]) -> dic
     return found
 
 
-def _put_together(episodes: Sequence[Shard], name: str) -> dict[str, Any]:
+def _put_together(episodes: Sequence[read.Shard], name: str) -> dict[str, Any]:
     """Put the statistics of the images of all episodes together, weighed by their counts."""
     columns = [f"stats/{name}/{statistic}" for statistic in _NAMES]
     table = pa.concat_tables([shard.read(columns=columns) for shard in episodes])

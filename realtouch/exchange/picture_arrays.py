@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from realtouch.exchange.zarr_arrays import ZarrArray
 from tactile_toolkit.bounds import require_unpackable
-from tactile_toolkit.touch.jpeg import Pixels
+from tactile_toolkit.touch import Pixels
 
 _CHANNELS = (1, 3)
 _MOST_LEVEL = 255

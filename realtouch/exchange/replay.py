@@ -36,13 +36,9 @@ from realtouch.exchange.picture_arrays import PictureArray
 from realtouch.exchange.zarr_arrays import ZarrArray, ZarrGroup
 from realtouch.rounds import touch_id
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
+from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.names import is_hidden
-from tactile_toolkit.store.parquet import is_unchanged
-from tactile_toolkit.touch.jpeg import encode_image
+from tactile_toolkit.touch import encode_image
 
 _FOLDER = "replay"
 _FILE = f"{_FOLDER}/touches.zarr.zip"
@@ -77,18 +73,20 @@ class _WriteBuffer:
     size: tuple[int, int]
     names: tuple[str, ...]
 
-    def __call__(self, folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+    def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
         """Return the checksum of the file by its path; one that is as it should be is left alone."""
-        shards = [Shard(folder.address(record.shard.data_path)) for record in manifest.shards if record.rows]
+        shards = [
+            read.Shard(folder.address(record.shard.data_path)) for record in manifest.shards if record.rows
+        ]
         with tempfile.SpooledTemporaryFile(_IN_MEMORY_BYTES) as made:
             self._write(made, shards)
             made.seek(0)
             digest = hashlib.file_digest(made, "sha256").hexdigest()
-            if not is_unchanged(folder, _FILE, digest):
+            if not store.is_unchanged(folder, _FILE, digest):
                 folder.write(_FILE, lambda stream: _copy(made, stream))
         return {_FILE: digest}
 
-    def _write(self, stream: IO[bytes], shards: Sequence[Shard]) -> None:
+    def _write(self, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
         names = [name for name in _ARRAYS if name in shards[0].types]
         more = [name for name in ("round_id", "touch", "frame_index") if name in shards[0].types]
         table = pa.concat_tables([shard.read(columns=[*names, *more]) for shard in shards])
@@ -127,10 +125,10 @@ def conversion(items: Sequence[Item]) -> str:
 def _pictures(item: Item) -> PictureArray:
     """Open the pictures that an item is one of."""
     divisor, _, name = item.part.partition(" ")
-    return PictureArray(ZarrGroup(DataFolder(item.home), item.path).array(name), float(divisor))
+    return PictureArray(ZarrGroup(store.DataFolder(item.home), item.path).array(name), float(divisor))
 
 
-def _images(shards: Sequence[Shard]) -> Any:
+def _images(shards: Sequence[read.Shard]) -> Any:
     """Yield the stored image of each frame, and its name."""
     yield from (row.group.table[IMAGE][row.index].as_py() for row in stored_rows(shards, [IMAGE]))
 
@@ -144,7 +142,7 @@ def _numbers(column: pa.ChunkedArray) -> NDArray[Any]:
     return found.reshape(len(values), -1) if is_list else found
 
 
-def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each frame of the buffer; an episode is a round, other arrays are its fields.
 
     Only arrays that a column names are read. What an array of others means does not follow from its shape.
@@ -222,13 +220,13 @@ def contents(items: Iterable[Item]) -> Iterator[bytes | ItemError]:
         yield encode_image(chunk[item.start % length], "png")
 
 
-def _group_in(home: DataFolder) -> tuple[DataFolder, str]:
+def _group_in(home: store.DataFolder) -> tuple[store.DataFolder, str]:
     """Return where the group lies that a folder or zip is, or the only one that it holds."""
     if home.address().lower().endswith(".zip"):
         return source_of(home.address())
     if home.exists(".zgroup") or home.exists("zarr.json"):
         return home, ""
-    names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not is_hidden(name)]
+    names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not store.is_hidden(name)]
     if len(names) != 1:
         raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}")
     return home, names[0]

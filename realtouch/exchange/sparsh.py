@@ -21,11 +21,8 @@ from realtouch.convert.plan import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
 from realtouch.exchange.items import Item, background_of, open_source, read_table, source_of
 from realtouch.spec import ImportColumns
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.names import is_hidden
-from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER = "sparsh"
 _BACKGROUND = "bgs/bg_gs.jpg"
@@ -40,7 +37,7 @@ _OF_LISTS = frozenset(
 )
 
 
-def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+def _pack(shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
     """Return the stored images of a shard as a list, with a table; the same touches give the same bytes."""
     index, stream = rows.drop_columns([IMAGE]), io.BytesIO()
     images = [image["bytes"] for image in rows[IMAGE].to_pylist()]
@@ -50,7 +47,7 @@ def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
     return with_files(index, files if images else {})
 
 
-def _write_backgrounds(folder: DataFolder, manifest: Manifest) -> dict[str, str]:
+def _write_backgrounds(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
     """Write the median of the first images of each split; return the checksum of each file by its path."""
     files = checksums(folder, manifest)
     for split in dict.fromkeys(record.shard.split for record in manifest.shards if record.rows):
@@ -92,11 +89,11 @@ def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
         raise InputError(f"{name!r} is not an intact pickle", next="fetch it again") from error
 
 
-def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
     split = home.address().rstrip("/").rpartition("/")[2]
     files = home.sizes()
-    names = [name for name in files if name.lower().endswith(".pkl") and not is_hidden(name)]
+    names = [name for name in files if name.lower().endswith(".pkl") and not store.is_hidden(name)]
     if not names:
         raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
     for name in names:

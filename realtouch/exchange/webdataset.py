@@ -19,10 +19,8 @@ from realtouch.exchange.flat import IMAGE, plan as plan_rows
 from realtouch.exchange.items import IMAGE_ENDINGS, Item, open_source, path_of, require_columns, source_of
 from realtouch.spec import ImportColumns
 from realtouch.tars import files_of_tar
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import is_hidden, problem_of_name
-from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER = "webdataset"
 _MOST_TEXT_BYTES = 1 << 20  # of a file with fields; of a longer one nothing is read
@@ -41,7 +39,7 @@ def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, Any]]]) -> bytes:
     return stream.getvalue()
 
 
-def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
     """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
     if table is not None:
         raise InputError("--table is about folders of images; a WebDataset has JSON files")
@@ -60,9 +58,9 @@ def items(home: DataFolder, columns: ImportColumns, table: str | None) -> Iterat
         require_columns(list(known), columns.found_in(known).names(), home.address())
 
 
-def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:
+def _tars(home: store.DataFolder) -> list[tuple[store.DataFolder, str]]:
     """Return the tars of a folder, or the one that was named itself, each with its folder."""
-    names = [name for name in home.sizes() if name.lower().endswith(".tar") and not is_hidden(name)]
+    names = [name for name in home.sizes() if name.lower().endswith(".tar") and not store.is_hidden(name)]
     if names:
         return [(home, name) for name in names]
     place = home.address()
@@ -75,12 +73,12 @@ def _tars(home: DataFolder) -> list[tuple[DataFolder, str]]:
 _Member = tuple[str, str, int, int, bytes]
 
 
-def _members(folder: DataFolder, name: str) -> Iterator[_Member]:
+def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
     try:
         with open_source(folder, name) as stream:
             for member in files_of_tar(stream, folder.size_bytes(name)):
                 start, path = member.offset_data, path_of(member.name)
-                if is_hidden(path):  # as archives of a Mac have, one for each file
+                if store.is_hidden(path):  # as archives of a Mac have, one for each file
                     continue
                 directory, slash, base = path.rpartition("/")
                 stem, _, ending = base.partition(".")
@@ -102,11 +100,11 @@ def _is_image(ending: str) -> bool:
 
 
 def _sample(
-    folder: DataFolder, name: str, key: str, members: Sequence[_Member], columns: ImportColumns
+    folder: store.DataFolder, name: str, key: str, members: Sequence[_Member], columns: ImportColumns
 ) -> Item:
     """Put the files of one key together."""
     wanted = None if columns.image in (None, "file") else str(columns.image).lower()
-    named = problem_of_name(key)
+    named = store.problem_of_name(key)
     problem = ItemError("name", f"the key {named}") if named else None
     images = [member for member in members if _is_image(member[1]) and wanted in (None, member[1])]
     if not images:
@@ -134,7 +132,7 @@ def _fields(content: bytes) -> dict[str, Any]:
         ) from error
 
 
-def _pack(shard: ShardName, rows: pa.Table, skipped: Sequence[Skipped]) -> Made:
+def _pack(shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
     """Return the touches of a shard as one tar; the same touches give the same bytes."""
     index = rows.drop_columns([IMAGE])
     images = (each.as_py() for each in rows[IMAGE])

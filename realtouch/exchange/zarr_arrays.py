@@ -22,11 +22,9 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import store
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError, ItemError, needs_extra
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.inside import open_inside
-from tactile_toolkit.store.names import LARGEST, is_hidden
 
 _METADATA = {2: ".zarray", 3: "zarr.json"}
 _MOST_METADATA_BYTES = 1 << 20
@@ -69,7 +67,7 @@ _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
 class ZarrGroup:
     """A group, by its path below the source: a folder, or a file ``.zip``."""
 
-    def __init__(self, home: DataFolder, path: str) -> None:
+    def __init__(self, home: store.DataFolder, path: str) -> None:
         self.home = home
         self.path = path
         self.place = home.address(path)
@@ -79,7 +77,7 @@ class ZarrGroup:
     @cached_property
     def _archive(self) -> zipfile.ZipFile:
         try:
-            stream = open_inside(self.home, self.path)
+            stream = store.open_inside(self.home, self.path)
             weakref.finalize(self, stream.close)
             archive = zipfile.ZipFile(stream)
             require_plain_archive(archive)
@@ -89,7 +87,7 @@ class ZarrGroup:
 
     def _open(self, path: str) -> IO[bytes]:
         if not self.is_zip:
-            return open_inside(self.home, self.below(path))
+            return store.open_inside(self.home, self.below(path))
         if path not in self._archive.NameToInfo:
             raise ItemError("missing", "")
         return self._archive.open(path)
@@ -126,7 +124,7 @@ class ZarrGroup:
             names = {path.removeprefix(f"{folder}/").partition("/")[0] for path in self._archive.NameToInfo}
         else:
             names = set(self.home.names(self.below(folder)))
-        visible = sorted(name for name in names if not is_hidden(name))
+        visible = sorted(name for name in names if not store.is_hidden(name))
         return [name for name in visible if "shape" in self._stated(f"{folder}/{name}")[1]]
 
     def _stated(self, path: str) -> tuple[int, dict[str, Any]]:
@@ -215,7 +213,7 @@ class ZarrArray:
                 "code, lose values or are not known here; nothing was opened",
             )
         sizes = [*self.shape, *self.chunks]
-        fits = all(type(size) is int and 0 <= size <= LARGEST for size in sizes) and all(self.chunks)
+        fits = all(type(size) is int and 0 <= size <= store.LARGEST for size in sizes) and all(self.chunks)
         axes = list(range(len(self.shape)))
         fits &= sorted(self.axes) == axes == list(range(len(self.chunks)))
         if not fits or self.dtype.kind not in "biuf" or self.separator not in ("/", "."):

@@ -34,9 +34,8 @@ from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, chosen_de
 from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.pairs import Domain, Pairs
 from tactile_sim.plan import generator
-from tactile_toolkit.cards.card import markdown_table
+from tactile_toolkit import cards, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
 
 Pictures: TypeAlias = NDArray[np.uint8]
 Depths: TypeAlias = NDArray[np.float32]
@@ -118,7 +117,9 @@ class Evaluation:
             )
             for each in self.measured
         ]
-        table = markdown_table(header, [["-" if "nan" in cell else cell for cell in row] for row in rows])
+        table = cards.markdown_table(
+            header, [["-" if "nan" in cell else cell for cell in row] for row in rows]
+        )
         made = (
             "without noise: a sensor's noise alone separates real touches from them"
             if self.noise is None
@@ -129,7 +130,7 @@ class Evaluation:
 
     def write(self, out: str | os.PathLike[str]) -> None:
         """Write ``evaluation.md``, ``evaluation.json`` and ``evaluation.png`` into a folder."""
-        folder = DataFolder(os.fspath(out))
+        folder = store.DataFolder(os.fspath(out))
         folder.require_folder()
         folder.write_bytes("evaluation.md", self.to_markdown().encode())
         folder.write_bytes("evaluation.json", (json.dumps(self.to_dict(), indent=1) + "\n").encode())

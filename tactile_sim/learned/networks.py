@@ -33,10 +33,9 @@ from torch import nn
 from tactile_sim.noise import SensorNoise, draw_noise
 from tactile_sim.optics import Optics
 from tactile_sim.pressing import Sensor, depth_image
+from tactile_toolkit import store
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, MissingExtraError
-from tactile_toolkit.store.files import expanded, open_regular
-from tactile_toolkit.store.folder import DataFolder
 
 Direction = Literal["touch", "depth"]
 """What a generator makes: touches of depth, or depth of touches."""
@@ -246,9 +245,9 @@ def read_weights(file: str | Path) -> GeneratorWeights:
     InputError
         The file is not there, is damaged, or holds something else than a generator.
     """
-    path = expanded(file)
+    path = store.expanded(file)
     try:
-        with open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
+        with store.open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
             require_unpackable(sum(entry.file_size for entry in archive.infolist()), repr(str(path)))
             comment = archive.comment
             stream.seek(0)
@@ -301,7 +300,7 @@ def weights_bytes(weights: GeneratorWeights) -> bytes:
     return buffer.getvalue()
 
 
-def write_weights(folder: DataFolder, name: str, weights: GeneratorWeights) -> None:
+def write_weights(folder: store.DataFolder, name: str, weights: GeneratorWeights) -> None:
     """Write a file of weights, complete or not at all; StorageError where it cannot be written."""
     folder.write_bytes(name, weights_bytes(weights))
 

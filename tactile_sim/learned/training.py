@@ -49,10 +49,8 @@ from tactile_toolkit.errors import (
     SpecMismatchError,
     ToolkitError,
 )
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import decode, is_hidden
-from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.store import DataFolder, ParquetStyle, decode, encode_parquet, is_hidden
+from tactile_toolkit.touch import decode_image
 
 TOUCH_WEIGHTS = "depth_to_touch.npz"
 DEPTH_WEIGHTS = "touch_to_depth.npz"

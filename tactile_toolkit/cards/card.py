@@ -17,20 +17,11 @@ from typing import Any
 
 import numpy as np
 
+from tactile_toolkit import pictures, read, store
 from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts, head_text
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_export
-from tactile_toolkit.mesh.files import unpack_mesh
-from tactile_toolkit.mesh.records import FACES, MESH, SIZES, VERTICES
-from tactile_toolkit.pictures.render import relief
-from tactile_toolkit.pictures.sheets import Tile, png_bytes, sheet
-from tactile_toolkit.read.columns import column_names
-from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.source import all_blocks
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.names import problem_of_name
-from tactile_toolkit.store.shards import Finding
+from tactile_toolkit.mesh import FACES, MESH, SIZES, VERTICES, unpack_mesh
 from tactile_toolkit.wording import markdown_code, markdown_text, printable, printable_json
 
 CARD_FILE = "README.md"
@@ -107,8 +98,8 @@ class Card:
 
     def write(
         self,
-        folder: DataFolder,
-        manifest: Manifest | None,
+        folder: store.DataFolder,
+        manifest: store.Manifest | None,
         kind: DatasetKind,
         facts: FolderFacts | None = None,
     ) -> None:
@@ -157,8 +148,8 @@ class Card:
 
 
 def write_table_card(
-    folder: DataFolder,
-    manifest: Manifest,
+    folder: store.DataFolder,
+    manifest: store.Manifest,
     kind: DatasetKind,
     title: str,
     columns: Mapping[str, Column],
@@ -198,7 +189,7 @@ def write_table_card(
 def _table_sheet(facts: FolderFacts) -> bytes | None:
     """Draw the first objects as PNG; None without rows."""
     tiles, file = [], f"{MESH}.bytes"  # of tables, whose meshes are GLB files
-    is_glb = VERTICES not in column_names(facts.schema)
+    is_glb = VERTICES not in read.column_names(facts.schema)
     for row in islice(rows_to_draw(facts, [file] if is_glb else [VERTICES, FACES]), _SHOWN):
         if is_glb:
             mesh = unpack_mesh(row.value(file), ".glb")
@@ -206,13 +197,13 @@ def _table_sheet(facts: FolderFacts) -> bytes | None:
         else:
             vertices_m, faces = row.array(VERTICES), row.array(FACES)
         pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)
-        tiles.append(Tile(relief(vertices_m, faces, pitch_m)))
+        tiles.append(pictures.Tile(pictures.relief(vertices_m, faces, pitch_m)))
     return tiles_png(tiles, 5)
 
 
-def tiles_png(tiles: Sequence[Tile], columns: int) -> bytes | None:
+def tiles_png(tiles: Sequence[pictures.Tile], columns: int) -> bytes | None:
     """Lay pictures out for a card, as PNG; None without any."""
-    return png_bytes(sheet(tiles, columns, margin_px=8)) if tiles else None
+    return pictures.png_bytes(pictures.sheet(tiles, columns, margin_px=8)) if tiles else None
 
 
 def card_words(file: str) -> dict[str, Any]:
@@ -229,7 +220,7 @@ def split_table(facts: FolderFacts, nouns: str, figures: Mapping[str, Sequence[o
     return markdown_table(("split", nouns, *figures, "shards", "Parquet", "unpacked"), rows)
 
 
-def _write_changed(folder: DataFolder, path: str, content: bytes) -> None:
+def _write_changed(folder: store.DataFolder, path: str, content: bytes) -> None:
     if not folder.exists(path) or folder.read_bytes(path) != content:
         folder.write_bytes(path, content)
 
@@ -246,11 +237,11 @@ def with_repo_name(card: str, name: str) -> str:
     return card if found is None else card.replace(f'"{found["name"]}"', f'"{name}"')
 
 
-def rows_to_draw(facts: FolderFacts, columns: Sequence[str]) -> Iterator[Row]:
+def rows_to_draw(facts: FolderFacts, columns: Sequence[str]) -> Iterator[read.Row]:
     """Yield the rows of the first split that has any, reading some columns block by block."""
     split = next((split for split in facts.splits if split.rows), None)
-    for block in all_blocks(() if split is None else split.shards, list(columns)):
-        yield from (Row(block, index) for index in range(len(block.table)))
+    for block in read.all_blocks(() if split is None else split.shards, list(columns)):
+        yield from (read.Row(block, index) for index in range(len(block.table)))
 
 
 def bibtex(*names: str) -> str:
@@ -325,13 +316,13 @@ _UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
 
 
-def check_card(folder: DataFolder) -> list[Finding]:
+def check_card(folder: store.DataFolder) -> list[store.Finding]:
     """List all in the card of a finished folder that manifest, Parquet files or pictures contradict."""
     import yaml
     from huggingface_hub import DatasetCard
 
     if not folder.exists(CARD_FILE):
-        return [Finding(CARD_FILE, "is missing; next: write it with the command `card`")]
+        return [store.Finding(CARD_FILE, "is missing; next: write it with the command `card`")]
     text = folder.read_bytes(CARD_FILE).decode("utf-8", errors="replace")
     try:
         head = DatasetCard(text).data.to_dict()  # type: ignore[no-untyped-call]
@@ -341,11 +332,11 @@ def check_card(folder: DataFolder) -> list[Finding]:
         gaps = dict.fromkeys(match[0] for match in _GAPS.finditer(text))
         problems += [f"reads {gap!r}; expected every gap filled" for gap in gaps]
     except ToolkitError as error:
-        return [Finding(CARD_FILE, f"cannot be compared with the data: {error}")]
+        return [store.Finding(CARD_FILE, f"cannot be compared with the data: {error}")]
     except (*_UNREADABLE, yaml.YAMLError) as error:
         first_line = next(iter(str(error).splitlines()), type(error).__name__)
-        return [Finding(CARD_FILE, f"its YAML head cannot be read: {first_line}")]
-    return [*(Finding(CARD_FILE, problem) for problem in problems), *_check_pictures(folder, text)]
+        return [store.Finding(CARD_FILE, f"its YAML head cannot be read: {first_line}")]
+    return [*(store.Finding(CARD_FILE, problem) for problem in problems), *_check_pictures(folder, text)]
 
 
 def _contradictions(head: Mapping[str, Any], facts: FolderFacts) -> Iterator[str]:
@@ -401,16 +392,18 @@ def pictures_in(text: str) -> list[str]:
     return [path for path in paths if "://" not in path and not path.startswith("data:")]
 
 
-def _check_pictures(folder: DataFolder, text: str) -> Iterator[Finding]:
+def _check_pictures(folder: store.DataFolder, text: str) -> Iterator[store.Finding]:
     """Yield pictures of the card that are missing or damaged."""
     for path in pictures_in(text):
-        problem = problem_of_name(normpath(path))
+        problem = store.problem_of_name(normpath(path))
         if problem:
-            yield Finding(CARD_FILE, f"shows the picture {path!r}, which {problem}")
+            yield store.Finding(CARD_FILE, f"shows the picture {path!r}, which {problem}")
         elif not folder.exists(path):
-            yield Finding(path, f"is missing; {CARD_FILE} shows it")
+            yield store.Finding(path, f"is missing; {CARD_FILE} shows it")
         elif not _is_picture(folder.read_bytes(path)):
-            yield Finding(path, "is not an intact picture; next: write it again with the command `card`")
+            yield store.Finding(
+                path, "is not an intact picture; next: write it again with the command `card`"
+            )
 
 
 def _is_picture(content: bytes) -> bool:

@@ -14,14 +14,8 @@ from functools import cached_property, partial
 from pathlib import PurePosixPath
 from typing import Any
 
+from tactile_toolkit import places, read, run, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places.place import Place, folder_place
-from tactile_toolkit.read.columns import dtype_name, stored_features
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest, read_manifest
-from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.system import usable_cores
 from tactile_toolkit.wording import printable
 
@@ -38,7 +32,7 @@ class SplitFacts:
     """
 
     split: str
-    shards: tuple[Shard, ...]
+    shards: tuple[read.Shard, ...]
     paths: tuple[str, ...]
     rows: int
     file_bytes: int
@@ -71,7 +65,7 @@ class FolderFacts:
 
 
 def folder_facts(
-    folder: DataFolder, manifest: Manifest | None = None, place: Place | None = None
+    folder: store.DataFolder, manifest: store.Manifest | None = None, place: places.Place | None = None
 ) -> FolderFacts:
     """Return the facts of a folder: of each file what the manifest states, or else what its footer says.
 
@@ -79,10 +73,10 @@ def folder_facts(
     manifests of others do not state sizes. Raises InputError when the folder holds no Parquet files, and
     IntegrityError when one is missing or damaged.
     """
-    manifest = manifest or read_manifest(folder)
+    manifest = manifest or store.read_manifest(folder)
     splits = []
     if manifest is None:
-        held = (place or folder_place(folder)).all_shards()
+        held = (place or places.folder_place(folder)).all_shards()
     else:
         held = {split: _recorded(folder, manifest.shards_of(split)) for split in manifest.splits}
     for split, shards in held.items():
@@ -91,7 +85,7 @@ def folder_facts(
         sizes: Iterable[Sequence[Any]] = [(each.rows, each.bytes, each.unpacked_bytes) for each in records]
         if manifest is None:
             files = zip(shards, paths, strict=True)
-            sizes = in_threads(partial(_sizes, folder), files, usable_cores())
+            sizes = run.in_threads(partial(_sizes, folder), files, usable_cores())
         splits.append(SplitFacts(split, shards, paths, *map(sum, zip(*sizes, strict=True))))
     if not splits:
         raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
@@ -100,26 +94,26 @@ def folder_facts(
     )
 
 
-def _recorded(folder: DataFolder, records: Iterable[ShardRecord]) -> tuple[Shard, ...]:
-    return tuple(Shard(folder.address(each.shard.data_path), each.rows) for each in records)
+def _recorded(folder: store.DataFolder, records: Iterable[store.ShardRecord]) -> tuple[read.Shard, ...]:
+    return tuple(read.Shard(folder.address(each.shard.data_path), each.rows) for each in records)
 
 
-def _sizes(folder: DataFolder, file: tuple[Shard, str]) -> tuple[int, int, int]:
+def _sizes(folder: store.DataFolder, file: tuple[read.Shard, str]) -> tuple[int, int, int]:
     """Return rows, bytes and unpacked bytes of a file."""
     shard, path = file
     groups = map(shard.metadata.row_group, range(shard.metadata.num_row_groups))
     return len(shard), folder.size_bytes(path), sum(group.total_byte_size for group in groups)
 
 
-def viewer_files(manifest: Manifest | None) -> dict[str, tuple[str, ...]]:
+def viewer_files(manifest: store.Manifest | None) -> dict[str, tuple[str, ...]]:
     """Return the files of each split that a manifest lists for the Hub's page."""
     if manifest is None:
         return {}
-    listed = [path for path in manifest.files or () if path.startswith(f"{VIEWER_FOLDER}/")]
-    names = sorted(filter(None, (ShardName.parse(PurePosixPath(path).name) for path in listed)))
+    listed = [path for path in manifest.files or () if path.startswith(f"{store.VIEWER_FOLDER}/")]
+    names = sorted(filter(None, (store.ShardName.parse(PurePosixPath(path).name) for path in listed)))
     found: dict[str, tuple[str, ...]] = {}
     for split in manifest.splits:
-        if paths := tuple(f"{VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split):
+        if paths := tuple(f"{store.VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split):
             found[split] = paths
     return found
 
@@ -150,9 +144,9 @@ def configs(facts: FolderFacts, others: Sequence[str] = ()) -> list[dict[str, An
 
     ``others`` lie next to them and belong to none.
     """
-    folders = {"default": (DATA_FOLDER, {split.split: split.paths for split in facts.splits})}
+    folders = {"default": (store.DATA_FOLDER, {split.split: split.paths for split in facts.splits})}
     if facts.viewer:
-        folders[VIEWER_FOLDER] = (VIEWER_FOLDER, dict(facts.viewer))
+        folders[store.VIEWER_FOLDER] = (store.VIEWER_FOLDER, dict(facts.viewer))
     found = []
     for name, (folder, paths) in folders.items():
         there = [*others, *(path for each in paths.values() for path in each)]
@@ -166,7 +160,7 @@ def configs(facts: FolderFacts, others: Sequence[str] = ()) -> list[dict[str, An
 def _path_of(split: str, folder: str, paths: Sequence[str], there: Sequence[str]) -> str | list[str]:
     """Return patterns where they find the files of this split and no other, and else their names."""
     # `datasets` sorts what a pattern finds as text: numbers of each length have one of their own.
-    names = (ShardName.parse(path.rpartition("/")[2]) for path in paths)
+    names = (store.ShardName.parse(path.rpartition("/")[2]) for path in paths)
     lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
     several = [f"{folder}/{split}-{'?' * length}-of-*" for length in lengths]
     patterns = several if len(lengths) > 1 else [f"{folder}/{split}-*"]
@@ -218,7 +212,7 @@ def yaml_features(schema: Any, where: str = "") -> list[dict[str, Any]]:
     metadata that cannot be read.
     """
     # Not by `datasets` itself: importing it takes longer than making a small data set.
-    features = stored_features(schema, where)
+    features = read.stored_features(schema, where)
     return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
 
 
@@ -241,4 +235,4 @@ def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
         return {"list": next(iter(inner.values())) if is_short else inner, **fixed}
     if types.is_struct(data_type):
         return {"struct": [{"name": f.name, **_entry(f.type, known.get(f.name))} for f in data_type]}
-    return {"dtype": dtype_name(data_type)}
+    return {"dtype": read.dtype_name(data_type)}

@@ -13,24 +13,17 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import mesh, places, read, run, store
 from tactile_toolkit.catalog.spec import GivenId, IdChoice, id_range, id_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.records import require_mesh_columns
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.columns import null_fields, whole_number
-from tactile_toolkit.read.dataset import RecordDataset, Row
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.run.processes import runner_for
-from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.names import is_remote, normalize_uri
 
 T = TypeVar("T")
-D = TypeVar("D", bound=RecordDataset[Any])
+D = TypeVar("D", bound=read.RecordDataset[Any])
 
 
 def open_splits(
-    place: Place, split: str | None, load: Callable[[Place, str], D], things: str
+    place: places.Place, split: str | None, load: Callable[[places.Place, str], D], things: str
 ) -> dict[str, D]:
     """Open one split of a data set, or all of them; those without rows are left out.
 
@@ -113,9 +106,9 @@ def _with_id(values: NDArray[Any], given: GivenId) -> NDArray[np.bool_]:
 
 def short_name(name: str) -> str:
     """Return a data set's name without the folders that it lies in: a site may be given to others."""
-    if is_remote(name):
+    if store.is_remote(name):
         return name.rstrip("/").rpartition("/")[2]
-    place = expanded(normalize_uri(name))
+    place = store.expanded(store.normalize_uri(name))
     return place.resolve().name if place.exists() else name
 
 
@@ -134,23 +127,25 @@ class CheckedRow(Generic[T]):
     null_field: str = ""
 
 
-def shards_to_check(name: Name | Place, split: str | None, kind: DatasetKind) -> list[tuple[str, Shard]]:
+def shards_to_check(
+    name: places.Name | places.Place, split: str | None, kind: DatasetKind
+) -> list[tuple[str, read.Shard]]:
     """Return the files of a data set of meshes of a kind, each with its split.
 
     Raises InputError where there is none, IntegrityError where a shard is damaged or missing, or the run that
     makes the data set is under way or was interrupted: a check of the rest would pass for one of all.
     """
-    place = open_place(name).require(kind, "validate").require_complete(split)
+    place = places.open_place(name).require(kind, "validate").require_complete(split)
     splits = place.splits if split is None else (split,)
     shards = [(each, shard) for each in splits for shard in place.shards(each)]
     for _, shard in shards:
-        require_mesh_columns(shard.schema, place.name, kind.made_by)
+        mesh.require_mesh_columns(shard.schema, place.name, kind.made_by)
     return shards
 
 
 def check_rows(
-    shards: Sequence[tuple[str, Shard]],
-    check: Callable[[Row], T],
+    shards: Sequence[tuple[str, read.Shard]],
+    check: Callable[[read.Row], T],
     columns: Sequence[str],
     limit: int | None = None,
     workers: int = 1,
@@ -162,7 +157,7 @@ def check_rows(
     only the first ``limit`` rows of each split, where given. ``on_progress`` is called with rows done and in
     all.
     """
-    parts: list[tuple[int, str, Shard, int, int]] = []
+    parts: list[tuple[int, str, read.Shard, int, int]] = []
     left = dict.fromkeys((split for split, _ in shards), math.inf if limit is None else limit)
     for split, shard in shards:
         for group, (start, stop) in enumerate(pairwise(shard.group_starts)):
@@ -172,7 +167,7 @@ def check_rows(
                 parts.append((len(parts), split, shard, group, rows))
     total, done = sum(rows for *_, rows in parts), 0
     results: dict[int, list[CheckedRow[T]]] = {}
-    for number, found in runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
+    for number, found in run.runner_for(workers).run(partial(_check_part, check, tuple(columns)), parts):
         results[number] = found
         done += len(found)
         on_progress(done, total)
@@ -180,18 +175,18 @@ def check_rows(
 
 
 def _check_part(
-    check: Callable[[Row], T], columns: Sequence[str], part: tuple[int, str, Shard, int, int]
+    check: Callable[[read.Row], T], columns: Sequence[str], part: tuple[int, str, read.Shard, int, int]
 ) -> tuple[int, list[CheckedRow[T]]]:
     """Check the first rows of a row group; return its number with what was found."""
     number, split, shard, group, rows = part
     file = Path(shard.path).name
     checked: list[CheckedRow[T]] = []
     for block in shard.blocks(group):
-        nulls = null_fields(block.table, columns)
+        nulls = read.null_fields(block.table, columns)
         for index, row_id in enumerate(block.table["id"].to_pylist()[: rows - len(checked)]):
             # In data sets of others it may be null, or a text.
-            known_id = whole_number(row_id)
-            found = None if index in nulls else check(Row(block, index))
+            known_id = read.whole_number(row_id)
+            found = None if index in nulls else check(read.Row(block, index))
             row, null_field = block.first_row + index, nulls.get(index, "")
             checked.append(CheckedRow(split, file, row, known_id, found, null_field))
         if len(checked) == rows:

@@ -6,13 +6,8 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.manifest import Manifest, read_manifest
-from tactile_toolkit.store.names import damaged
-from tactile_toolkit.store.shards import DATA_FOLDER
 
 
 @contextmanager
@@ -22,17 +17,17 @@ def specification_read(where: str) -> Iterator[None]:
         yield
     except (KeyError, TypeError, AttributeError) as error:
         problem = f"its specification is not that of this kind of data set ({type(error).__name__}: {error})"
-        raise damaged(where, problem) from error
+        raise store.damaged(where, problem) from error
 
 
-def manifest_beside(shard: Shard) -> Manifest | None:
+def manifest_beside(shard: read.Shard) -> store.Manifest | None:
     """Return the manifest of the folder that a shard lies in, where there is one."""
-    data, _ = split_uri(shard.path)
-    folder, name = split_uri(data.address())
-    return read_manifest(folder) if name == DATA_FOLDER else None
+    data, _ = store.split_uri(shard.path)
+    folder, name = store.split_uri(data.address())
+    return store.read_manifest(folder) if name == store.DATA_FOLDER else None
 
 
-def refuse_source(folder: DataFolder, name: str, shards: Iterable[Shard]) -> None:
+def refuse_source(folder: store.DataFolder, name: str, shards: Iterable[read.Shard]) -> None:
     """Refuse to write where shards are read, be it by another name or through a link (InputError).
 
     ``name`` is the data set as the user gave it.
@@ -43,7 +38,7 @@ def refuse_source(folder: DataFolder, name: str, shards: Iterable[Shard]) -> Non
         holds = any(file.startswith(inside) for file in files)
         lies_in = inside.startswith(f"{name.rstrip('/')}/")
     else:
-        place, home = Path(out).resolve(), expanded(name).resolve()
+        place, home = Path(out).resolve(), store.expanded(name).resolve()
         # By both paths: files of the Hub's cache are links into another folder.
         named = [Path(file).absolute() for file in files]
         real = [file.resolve() for file in named]

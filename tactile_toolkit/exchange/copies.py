@@ -12,64 +12,43 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 import numpy as np
 
-from tactile_toolkit.catalog.choose import choose_rows
-from tactile_toolkit.catalog.locate import refuse_source
-from tactile_toolkit.catalog.spec import id_text
+from tactile_toolkit import catalog, mesh, read, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
-from tactile_toolkit.mesh.records import FACES, MESH, VERTICES, SolidDataset, flat_table
-from tactile_toolkit.places.layout import unknown_split
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.columns import class_names, column_names
-from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.build import RunOptions, build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.parquet import (
-    ParquetStyle,
-    encode_parquet,
-    open_checked,
-    sha256_hex,
-)
-from tactile_toolkit.store.shards import VIEWER_FOLDER, ShardName, ShardRecord
-from tactile_toolkit.store.task import ShardContent, ShardTask
+from tactile_toolkit.places import Name, Place, open_place, unknown_split
+from tactile_toolkit.run import in_threads
 from tactile_toolkit.system import usable_cores
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tactile_toolkit.mesh.records import SolidRecord
-    from tactile_toolkit.read.dataset import RecordDataset
 
-
-Choices: TypeAlias = "Iterable[tuple[str, RecordDataset[SolidRecord], NDArray[Any]]]"
+Choices: TypeAlias = "Iterable[tuple[str, read.RecordDataset[mesh.SolidRecord], NDArray[Any]]]"
 
 _ROWS_PER_FILE = 1000
 # 100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long.
-_STYLE = ParquetStyle(100, compression_level=3, encodings=((f"{MESH}.bytes", "PLAIN"),))
+_STYLE = store.ParquetStyle(100, compression_level=3, encodings=((f"{mesh.MESH}.bytes", "PLAIN"),))
 # Made once and read by many; at level 9 the meshes of digits take a fifth more.
 _VIEWER_STYLE = replace(_STYLE, compression_level=19)
 # Shards in memory at a time; packing them at level 19 takes some 100 MB more for each.
 _MOST_AT_ONCE = 8
 
 
-def _copy_file(source: Shard, _shard: ShardName, _rows: range) -> ShardContent:
+def _copy_file(source: read.Shard, _shard: store.ShardName, _rows: range) -> store.ShardContent:
     """Return a shard as it is; IntegrityError where a page or the footer does not match its checksum."""
     with source.stored() as stream:
         content = stream.read()
-        table = open_checked(io.BytesIO(content)).read(use_threads=False)
-    return ShardContent(table, encoded=content)
+        table = store.open_checked(io.BytesIO(content)).read(use_threads=False)
+    return store.ShardContent(table, encoded=content)
 
 
-def _take_rows(source: Shard, _shard: ShardName, rows: NDArray[np.int64]) -> ShardContent:
+def _take_rows(source: read.Shard, _shard: store.ShardName, rows: NDArray[np.int64]) -> store.ShardContent:
     """Return some rows of a shard, by their positions in order."""
     import pyarrow as pa
 
     groups = enumerate(_in_parts(rows, source.group_starts))
     tables = [source.read(groups=[index]).take(rows) for index, rows in groups]
-    return ShardContent(pa.concat_tables(tables).combine_chunks())
+    return store.ShardContent(pa.concat_tables(tables).combine_chunks())
 
 
 def _in_parts(rows: NDArray[np.int64], starts: Sequence[int]) -> list[NDArray[np.int64]]:
@@ -88,12 +67,12 @@ class _Source:
     name: str
     spec: Mapping[str, Any] | None
     is_imported: bool
-    shards: Mapping[str, tuple[Shard, ...]]
+    shards: Mapping[str, tuple[read.Shard, ...]]
     unfinished: str = ""
 
     @property
-    def table(self) -> ShardedTable:
-        return ShardedTable(sum(self.shards.values(), ()))
+    def table(self) -> read.ShardedTable:
+        return read.ShardedTable(sum(self.shards.values(), ()))
 
 
 def _related_kinds(kind: DatasetKind) -> list[DatasetKind]:
@@ -114,8 +93,8 @@ def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source
 
 
 def merge_sets(
-    kind: DatasetKind, names: Sequence[Name | Place], out: str, **run: Unpack[RunOptions]
-) -> Manifest:
+    kind: DatasetKind, names: Sequence[Name | Place], out: str, **run: Unpack[store.RunOptions]
+) -> store.Manifest:
     """Make one data set of several, whose shards are copied byte for byte; ``run`` are options of ``build``.
 
     Raises InputError where they are of another kind, have other columns or classes, or an id in common.
@@ -153,7 +132,7 @@ def divide(
         only = among.pop("split", None)
         if only not in (None, *datasets):
             raise unknown_split(only, tuple(datasets), place.name)
-        some = choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
+        some = catalog.choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
         taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
         return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]
     parts: list[dict[str, NDArray[np.int64]]] = [{} for _ in fractions]
@@ -172,8 +151,8 @@ def write_part(
     rows: Mapping[str, NDArray[np.int64]],
     options: Mapping[str, Any],
     out: str,
-    **run: Unpack[RunOptions],
-) -> Manifest:
+    **run: Unpack[store.RunOptions],
+) -> store.Manifest:
     """Write rows of a data set as one of the same kind; ``options`` are JSON values that say which."""
     return _build(kind, [_open_source(kind, name, SPLIT)], rows, SPLIT, options, out, run)
 
@@ -185,11 +164,11 @@ def _build(
     operation: str,
     options: Mapping[str, Any],
     out: str,
-    run: RunOptions,
-) -> Manifest:
-    folder, tasks, found = DataFolder(out), [], {}
+    run: store.RunOptions,
+) -> store.Manifest:
+    folder, tasks, found = store.DataFolder(out), [], {}
     for source in sources:
-        refuse_source(folder, source.name, source.table.files)
+        catalog.refuse_source(folder, source.name, source.table.files)
     for split in dict.fromkeys(split for source in sources for split in source.shards):
         shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
         parts: list[tuple[Any, Any]] = [(range(len(shard)), partial(_copy_file, shard)) for shard in shards]
@@ -197,7 +176,10 @@ def _build(
             held = _in_parts(rows[split], list(accumulate(map(len, shards), initial=0)))
             taken = zip(held, shards, strict=True)
             parts = [(part, partial(_take_rows, shard)) for part, shard in taken if len(part)]
-        tasks += [ShardTask(ShardName(split, index, len(parts)), *part) for index, part in enumerate(parts)]
+        tasks += [
+            store.ShardTask(store.ShardName(split, index, len(parts)), *part)
+            for index, part in enumerate(parts)
+        ]
     if not tasks:
         raise InputError(f"no row is left for {out!r}", next="choose a larger part")
     options = {**options, **_unfinished(sources)}
@@ -209,7 +191,7 @@ def _build(
     made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
     style = _style([*shards, *chain.from_iterable(found.values())])
     plan = _copy_plan(made, operation, options, found, source_spec, tasks, style)
-    return build(folder, plan, write_card=made.write_card, **run)
+    return store.build(folder, plan, write_card=made.write_card, **run)
 
 
 def _unfinished(sources: Iterable[_Source | Place]) -> dict[str, str]:
@@ -222,12 +204,12 @@ def _copy_plan(
     kind: DatasetKind,
     operation: str,
     options: Mapping[str, Any],
-    shards: Mapping[str, Sequence[Shard]],
+    shards: Mapping[str, Sequence[read.Shard]],
     source_spec: Mapping[str, Any] | None,
     tasks: Sequence[Any],
-    style: ParquetStyle,
+    style: store.ParquetStyle,
     *libraries: str,
-) -> BuildPlan:
+) -> store.BuildPlan:
     """Plan a copy; ``shards`` are those that it is made of, by split."""
     spec = {
         "operation": operation,
@@ -236,10 +218,10 @@ def _copy_plan(
         "source_spec": source_spec,
     }
     libraries = ("numpy", "pyarrow", *libraries)
-    return BuildPlan(kind.name, spec, tuple(shards), tuple(tasks), style, libraries=libraries)
+    return store.BuildPlan(kind.name, spec, tuple(shards), tuple(tasks), style, libraries=libraries)
 
 
-def _style(shards: Iterable[Shard]) -> ParquetStyle:
+def _style(shards: Iterable[read.Shard]) -> store.ParquetStyle:
     """Return the layout of the first shard with rows, but for its compression.
 
     Row groups, and columns without a dictionary.
@@ -248,23 +230,23 @@ def _style(shards: Iterable[Shard]) -> ParquetStyle:
     groups = (footer.row_group(index) for footer in footers for index in range(footer.num_row_groups))
     group = next((each for each in groups if each.num_rows), None)
     if group is None:
-        return ParquetStyle(1)
+        return store.ParquetStyle(1)
     columns = [group.column(index) for index in range(group.num_columns)]
     encodings = [
         (each.path_in_schema, next(name for name in each.encodings if name != "RLE"))
         for each in columns
         if not each.has_dictionary_page
     ]
-    return ParquetStyle(group.num_rows, encodings=tuple(encodings))
+    return store.ParquetStyle(group.num_rows, encodings=tuple(encodings))
 
 
-def _flat_rows(_shard: ShardName, rows: Any) -> ShardContent:
-    return ShardContent(flat_table(rows))
+def _flat_rows(_shard: store.ShardName, rows: Any) -> store.ShardContent:
+    return store.ShardContent(mesh.flat_table(rows))
 
 
 def plan_tables(
     kind: DatasetKind, place: Place, choices: Choices, chosen: Mapping[str, Any], out: str
-) -> BuildPlan:
+) -> store.BuildPlan:
     """Plan Parquet files of chosen rows of splits, which other libraries read.
 
     ``chosen`` is what :func:`~tactile_toolkit.catalog.choose.choose_rows` chose them by. Raises as all makers
@@ -276,41 +258,43 @@ def plan_tables(
         starts = range(0, len(places), _ROWS_PER_FILE)
         for index, start in enumerate(starts):
             part = rows[places[start : start + _ROWS_PER_FILE]]
-            tasks.append(ShardTask(ShardName(split, index, len(starts)), part, _flat_rows))
+            tasks.append(store.ShardTask(store.ShardName(split, index, len(starts)), part, _flat_rows))
     options = {
         "layout": "flat",
-        "ids": ",".join(map(id_text, chosen["ids"] or ())) or None,
+        "ids": ",".join(map(catalog.id_text, chosen["ids"] or ())) or None,
         "labels": ",".join(chosen["labels"] or ()) or None,
         "limit": chosen["limit"],
         **({} if chosen["per_class"] is None else {"per_class": chosen["per_class"]}),
         **_unfinished([place]),
     }
     every = [shard for found in shards.values() for shard in found]
-    refuse_source(DataFolder(out), place.name, every)
+    catalog.refuse_source(store.DataFolder(out), place.name, every)
     return _copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")
 
 
-def viewer_tables(folder: DataFolder, manifest: Manifest, out: Path) -> dict[str, str]:
+def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path) -> dict[str, str]:
     """Write a file for each shard that the Hub's page shows; return their digests by path in ``out``.
 
     Each row with its mesh as a GLB file: a second configuration of a repository. It repeats what the shards
     hold, so it is made when a folder is sent, and nothing here reads it: loaders take the shards, and a
     download leaves it where it is. Raises InputError where the rows have no mesh.
     """
-    (out / VIEWER_FOLDER).mkdir()
+    (out / store.VIEWER_FOLDER).mkdir()
 
-    def make(record: ShardRecord) -> tuple[str, str]:
-        shard = Shard(folder.address(record.shard.data_path), record.rows)
-        if not {VERTICES, FACES} <= set(column_names(shard.schema)):
+    def make(record: store.ShardRecord) -> tuple[str, str]:
+        shard = read.Shard(folder.address(record.shard.data_path), record.rows)
+        if not {mesh.VERTICES, mesh.FACES} <= set(read.column_names(shard.schema)):
             raise InputError(
                 f"--viewer shows meshes in 3D, and {folder.address()!r} holds none (the Hub shows images and "
                 "clips without it); nothing was sent",
                 next="leave --viewer out",
             )
-        rows = SolidDataset[Any](ShardedTable((shard,)), label_names=class_names(shard.schema, ()))
-        content = encode_parquet(flat_table(rows), _VIEWER_STYLE)
-        path = f"{VIEWER_FOLDER}/{record.shard}.parquet"
+        rows = mesh.SolidDataset[Any](
+            read.ShardedTable((shard,)), label_names=read.class_names(shard.schema, ())
+        )
+        content = store.encode_parquet(mesh.flat_table(rows), _VIEWER_STYLE)
+        path = f"{store.VIEWER_FOLDER}/{record.shard}.parquet"
         (out / path).write_bytes(content)
-        return path, sha256_hex(content)
+        return path, store.sha256_hex(content)
 
     return dict(in_threads(make, manifest.shards, min(usable_cores(), _MOST_AT_ONCE)))

@@ -16,23 +16,12 @@ from typing import Any
 
 import msgspec
 
-from tactile_toolkit.cards.card import CARD_FILE
-from tactile_toolkit.cards.facts import card_head, folder_facts, viewer_files, with_head
+from tactile_toolkit import cards, hub, places, run, store
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, SpecMismatchError, ToolkitError
-from tactile_toolkit.hub.calls import not_cached
-from tactile_toolkit.hub.repository import HubRepository, open_repository
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.places.place import Place, repository_place, require_kind
-from tactile_toolkit.places.published import kind_of_published, repository_named
-from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import refuse_unknown_files
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
-from tactile_toolkit.store.names import names_inside
-from tactile_toolkit.store.origin import DownloadRecord, HubFile, digest_like, read_record, write_record
 
 # What is fitted to the splits that a folder gets.
-_METADATA_FILES = (CARD_FILE, MANIFEST_FILE)
+_METADATA_FILES = (cards.CARD_FILE, store.MANIFEST_FILE)
 
 _EXTRA_FOLDERS = ("reports/", "previews/")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
@@ -72,15 +61,15 @@ class DownloadPlan:
         What the folder recorded when the plan was made.
     """
 
-    repository: HubRepository
+    repository: hub.HubRepository
     held: Mapping[str, tuple[str, ...]]
-    folder: DataFolder | None
+    folder: store.DataFolder | None
     splits: tuple[str, ...]
-    missing: tuple[HubFile, ...]
+    missing: tuple[store.HubFile, ...]
     leftover: list[str]
     is_done: bool
-    record: DownloadRecord
-    earlier: DownloadRecord | None
+    record: store.DownloadRecord
+    earlier: store.DownloadRecord | None
 
     @property
     def missing_bytes(self) -> int:
@@ -108,32 +97,34 @@ def plan_download(
     Raises InputError (not a repository, no such split, a user's own files in the folder),
     SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
     """
-    published = kind_of_published(name)
+    published = places.kind_of_published(name)
     if kind is not None and published is not None:
-        require_kind(published, kind, name, "download")
-    named = repository_named(name, revision)
-    repository = open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
+        places.require_kind(published, kind, name, "download")
+    named = places.repository_named(name, revision)
+    repository = hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
     if out is not None and repository.is_cache:  # which may list a part of the files only
-        raise not_cached(repository.repo_id, "the present list of files")
-    place = repository_place(repository, repository.repo_id, config=config)
+        raise hub.not_cached(repository.repo_id, "the present list of files")
+    place = places.repository_place(repository, repository.repo_id, config=config)
     if kind is not None and place.is_kind_stated:
         place.require(kind, "download")
-    return _plan(repository, place.files, splits, None if out is None else DataFolder(out))
+    return _plan(repository, place.files, splits, None if out is None else store.DataFolder(out))
 
 
 def _plan(
-    repository: HubRepository,
+    repository: hub.HubRepository,
     held: Mapping[str, tuple[str, ...]],
     splits: Sequence[str],
-    folder: DataFolder | None,
+    folder: store.DataFolder | None,
 ) -> DownloadPlan:
     """Compare a repository, with the files of each split that it holds, with what is here."""
     earlier = None if folder is None else _earlier_record(folder, repository)
     recorded = earlier.files if earlier else {}
-    manifest, place = repository.manifest, Place(repository.repo_id, repository, held)
+    manifest, place = repository.manifest, places.Place(repository.repo_id, repository, held)
     # Other tools write files of that name, too, which are not manifests.
     metadata = tuple(
-        path for path in _METADATA_FILES if path in repository.remote and (path != MANIFEST_FILE or manifest)
+        path
+        for path in _METADATA_FILES
+        if path in repository.remote and (path != store.MANIFEST_FILE or manifest)
     )
     all_splits = place.splits
     wanted = {*splits, *(each for each in all_splits if not recorded.keys().isdisjoint(held[each]))}
@@ -142,14 +133,14 @@ def _plan(
     paths = _accompanying_files(repository, chosen, metadata if folder is None else ())
     for split in dict.fromkeys([*chosen, *splits]):
         paths += place.paths_of(split)
-    names = names_inside(dict.fromkeys(paths), f"Hub data set {repository.repo_id!r}")
+    names = store.names_inside(dict.fromkeys(paths), f"Hub data set {repository.repo_id!r}")
     files = {path: repository.file(path) for path in names}
 
     is_intact = partial(_is_intact, folder or repository.folder, earlier)
-    here = in_threads(is_intact, files.values(), _THREADS)
+    here = run.in_threads(is_intact, files.values(), _THREADS)
     missing = tuple(file for file, is_here in zip(files.values(), here, strict=True) if not is_here)
     commit, revision = repository.commit, repository.revision
-    record = DownloadRecord(repository.repo_id, commit, revision, files, all_splits, metadata)
+    record = store.DownloadRecord(repository.repo_id, commit, revision, files, all_splits, metadata)
     is_done = not missing
     if folder is not None:
         own = [file.path for file in missing if file.path not in recorded and folder.exists(file.path)]
@@ -162,12 +153,12 @@ def _plan(
         same = earlier is not None and earlier == msgspec.structs.replace(record, revision=earlier.revision)
         is_done = is_done and same and _is_described(folder, metadata)
     elif missing and repository.is_cache:
-        raise not_cached(repository.repo_id, repr(missing[0].path))
+        raise hub.not_cached(repository.repo_id, repr(missing[0].path))
     leftover = [path for path in recorded if path not in files]
     return DownloadPlan(repository, held, folder, chosen, missing, leftover, is_done, record, earlier)
 
 
-def _is_intact(folder: DataFolder, earlier: DownloadRecord | None, file: HubFile) -> bool:
+def _is_intact(folder: store.DataFolder, earlier: store.DownloadRecord | None, file: store.HubFile) -> bool:
     """Return whether a file of a folder is intact; it is read, as a flipped bit changes no time."""
     path, digest = file.path, file.digest
     if not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
@@ -177,16 +168,16 @@ def _is_intact(folder: DataFolder, earlier: DownloadRecord | None, file: HubFile
     if is_known or digest is None:
         return True
     with folder.open(path) as stream:
-        return digest_like(stream, digest) == digest
+        return store.digest_like(stream, digest) == digest
 
 
-def _earlier_record(folder: DataFolder, repository: HubRepository) -> DownloadRecord | None:
+def _earlier_record(folder: store.DataFolder, repository: hub.HubRepository) -> store.DownloadRecord | None:
     """Return the record of an earlier download of the same repository; refuse a folder of anything else."""
     names = folder.names()  # before the record, which another download writes first
-    record = read_record(folder)
-    if record is None and MANIFEST_FILE not in names:
+    record = store.read_record(folder)
+    if record is None and store.MANIFEST_FILE not in names:
         if names:
-            refuse_unknown_files(folder)
+            store.refuse_unknown_files(folder)
         return None
     if record is None or record.repo_id != repository.repo_id:
         found = f"a download of {record.repo_id!r}" if record is not None else "a data set of another origin"
@@ -199,7 +190,7 @@ def _earlier_record(folder: DataFolder, repository: HubRepository) -> DownloadRe
 
 
 def _accompanying_files(
-    repository: HubRepository, splits: Sequence[str], metadata: Iterable[str]
+    repository: hub.HubRepository, splits: Sequence[str], metadata: Iterable[str]
 ) -> list[str]:
     """Return what goes with the shards of some splits: small files, and pictures where the set has any.
 
@@ -214,20 +205,22 @@ def _accompanying_files(
     return [path for path in repository.files() if path in wanted or path.startswith(folders)]
 
 
-def _shown(manifest: Manifest | None) -> set[str]:
+def _shown(manifest: store.Manifest | None) -> set[str]:
     """Return the files that repeat the shards for the Hub's page."""
-    return {path for paths in viewer_files(manifest).values() for path in paths}
+    return {path for paths in cards.viewer_files(manifest).values() for path in paths}
 
 
-def _is_described(folder: DataFolder, metadata: Iterable[str]) -> bool:
+def _is_described(folder: store.DataFolder, metadata: Iterable[str]) -> bool:
     """Return whether a folder has its card, and a manifest that states that nothing is left to do."""
     with contextlib.suppress(IntegrityError):
-        manifest = read_manifest(folder)
+        manifest = store.read_manifest(folder)
         return all(map(folder.exists, metadata)) and (manifest is None or manifest.complete)
     return False
 
 
-def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambda _done, _total: None) -> str:
+def run_download(
+    plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambda _done, _total: None
+) -> str:
     """Carry out a plan and return the folder that holds the files: that of a commit in the cache, or its own.
 
     ``on_progress`` gets the bytes that have arrived and the bytes in all. Raises IntegrityError (a file
@@ -246,39 +239,39 @@ def download(plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambd
             except BusyError as error:
                 repository.on_wait(f"{error.what}; this download begins when that has ended")
                 stack.enter_context(folder.locked(is_patient=True))
-            if read_record(folder) != plan.earlier:  # another download was here, maybe of other splits
+            if store.read_record(folder) != plan.earlier:  # another download was here, maybe of other splits
                 plan = _plan(repository, plan.held, plan.splits, folder)
             if not plan.is_done:
                 _execute(plan, folder, on_progress)
     return folder.address()
 
 
-def _execute(plan: DownloadPlan, folder: DataFolder, on_progress: Callable[[int, int], None]) -> None:
+def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable[[int, int], None]) -> None:
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
     repository, record, leftover = plan.repository, plan.record, plan.leftover
     manifest = repository.manifest
     if folder.is_local:  # refused before anything changes: a link leads to what is not of this folder
-        for path in (_STAGE_FOLDER, MANIFEST_FILE, *leftover, *record.files):
+        for path in (_STAGE_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
             folder.place(path)
     folder.remove_temporaries()
     # What the folder is to become is written down first, so that a killed download is known for what it is.
     earlier = plan.earlier.files if plan.earlier else {}
     begun = msgspec.structs.replace(record, files={**earlier, **record.files}, finished=False)
-    write_record(folder, begun)
+    store.write_record(folder, begun)
     if manifest is not None and (plan.missing or leftover):
-        write_manifest(folder, replace(manifest, shards=(), complete=False))
+        store.write_manifest(folder, replace(manifest, shards=(), complete=False))
     # Before the first new file comes: old and new ones next to each other would pass for one set.
     for path in (*leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
     repository.fetch(plan.missing, folder, lambda done: on_progress(done, plan.missing_bytes))
     _write_metadata(plan, folder, manifest)
-    write_record(folder, record)
+    store.write_record(folder, record)
     if folder.is_local:
         folder.remove_tree(_STAGE_FOLDER, _STAGED.fullmatch)
         folder.remove_empty(str(PurePosixPath(_STAGE_FOLDER).parent))
 
 
-def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest | None) -> None:
+def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: store.Manifest | None) -> None:
     """Write manifest and card, fitted to the splits of the folder."""
     names = plan.record.metadata_files
     found = [place.read_bytes() for place in plan.repository.local_paths(names)]
@@ -288,27 +281,29 @@ def _write_metadata(plan: DownloadPlan, folder: DataFolder, manifest: Manifest |
     if manifest is not None and is_fitted:
         records = [record for record in manifest.shards if record.split in plan.splits]
         files = {path: digest for path, digest in manifest.files.items() if path not in shown}
-        contents[MANIFEST_FILE] = replace(manifest, shards=tuple(records), files=files).to_json().encode()
+        contents[store.MANIFEST_FILE] = (
+            replace(manifest, shards=tuple(records), files=files).to_json().encode()
+        )
     # In this order: the card is fitted to what the manifest lists.
-    if MANIFEST_FILE in contents:
-        folder.write_bytes(MANIFEST_FILE, contents[MANIFEST_FILE])
-    if CARD_FILE in contents:
-        card = contents[CARD_FILE]
+    if store.MANIFEST_FILE in contents:
+        folder.write_bytes(store.MANIFEST_FILE, contents[store.MANIFEST_FILE])
+    if cards.CARD_FILE in contents:
+        card = contents[cards.CARD_FILE]
         if is_fitted:
             # One that cannot be read stays as it is.
             with contextlib.suppress(ToolkitError, ValueError, TypeError, RecursionError):
                 card = _fitted_card(plan, folder, is_part, card.decode()).encode()
-        folder.write_bytes(CARD_FILE, card)
+        folder.write_bytes(cards.CARD_FILE, card)
 
 
-def _fitted_card(plan: DownloadPlan, folder: DataFolder, is_part: bool, card: str) -> str:
+def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, card: str) -> str:
     """Return a card whose YAML head names what is here, with a note in front of the text of a part.
 
     Shards and manifest must be in place.
     """
     # ``datasets.load_dataset(folder)`` fails over a split of the head that is not in the folder.
     held = {split: plan.held[split] for split in plan.splits}
-    here = card_head(folder_facts(folder, place=Place(folder.address(), folder, held)))
+    here = cards.card_head(cards.folder_facts(folder, place=places.Place(folder.address(), folder, held)))
     note = (
         f"\n> This folder holds {', '.join(f'`{split}`' for split in plan.splits)} of "
         f"`{plan.repository.repo_id}` (commit `{plan.record.commit[:12]}`); the text below describes "
@@ -318,4 +313,4 @@ def _fitted_card(plan: DownloadPlan, folder: DataFolder, is_part: bool, card: st
     def fit(head: dict[str, Any]) -> None:
         head.update({name: here[name] for name in here if name in head or name == "configs"})
 
-    return with_head(card, fit, note if is_part else "")
+    return cards.with_head(card, fit, note if is_part else "")

@@ -16,22 +16,11 @@ from pathlib import Path
 from posixpath import normpath
 from typing import Any
 
-from tactile_toolkit.cards.card import CARD_FILE, PREVIEW_FOLDER, check_card, pictures_in, with_repo_name
-from tactile_toolkit.cards.facts import configs, folder_facts, with_head
+from tactile_toolkit import cards, hub, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
-from tactile_toolkit.hub.calls import call_with_retry, page_of
-from tactile_toolkit.hub.repository import HubName, HubRepository, hub_name, listing
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.places.place import folder_place
-from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import scratch_folder
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
-from tactile_toolkit.store.names import is_hidden, names_inside, problem_of_name
-from tactile_toolkit.store.origin import HubFile, has_digest
-from tactile_toolkit.store.shards import VIEWER_FOLDER, Finding, ShardName
-from tactile_toolkit.store.verify import problem_of_place, verify
+from tactile_toolkit.places import folder_place
 
 # Written by the Hub itself; every repository has them.
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
@@ -48,13 +37,13 @@ class LocalFile:
     size: int
     sha256: str | None = None
 
-    def has_content_of(self, remote: HubFile | None) -> bool:
+    def has_content_of(self, remote: store.HubFile | None) -> bool:
         """Return whether a file of a repository has its content."""
         if remote is None or remote.digest is None or remote.size_bytes != self.size:
             return False
         if self.sha256 is not None and len(remote.digest) == len(self.sha256):
             return remote.digest == self.sha256
-        return has_digest(self.place, remote.digest)
+        return store.has_digest(self.place, remote.digest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +63,9 @@ class UploadPlan:
         return not (self.to_send or self.removed)
 
 
-def compare(files: Iterable[LocalFile], held: HubRepository | None, *, delete: bool = False) -> UploadPlan:
+def compare(
+    files: Iterable[LocalFile], held: hub.HubRepository | None, *, delete: bool = False
+) -> UploadPlan:
     """Compare all that is to be in a repository with what a commit holds, by path and checksum."""
     local, remote = {file.path: file for file in files}, held.remote if held else {}
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
@@ -82,7 +73,7 @@ def compare(files: Iterable[LocalFile], held: HubRepository | None, *, delete: b
 
 
 def _other_files(
-    paths: Iterable[str], held: HubRepository | None, delete: bool
+    paths: Iterable[str], held: hub.HubRepository | None, delete: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return what a commit holds besides these files and stays, and what goes.
 
@@ -91,18 +82,22 @@ def _other_files(
     kept, removed = list[str](), list[str]()
     for path in sorted(held.remote.keys() - set(paths) - _WRITTEN_BY_HUB) if held else ():
         folder, _, name = path.rpartition("/")
-        is_for_page = folder == VIEWER_FOLDER and ShardName.parse(name) is not None
+        is_for_page = folder == store.VIEWER_FOLDER and store.ShardName.parse(name) is not None
         (removed if delete or is_for_page else kept).append(path)
     return tuple(kept), tuple(removed)
 
 
-def collect(root: Path, manifest: Manifest) -> list[str]:
+def collect(root: Path, manifest: store.Manifest) -> list[str]:
     """List the paths of a verified folder that are sent: files of the manifest, card, pictures."""
-    place, found = DataFolder(str(root)), [CARD_FILE, MANIFEST_FILE]
-    for folder in (PREVIEW_FOLDER, _PICTURE_FOLDER):
+    place, found = store.DataFolder(str(root)), [cards.CARD_FILE, store.MANIFEST_FILE]
+    for folder in (cards.PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a dot in front are of writers that have not finished; links may lead to anything.
-        found += [path for path in paths if not problem_of_name(path) and not problem_of_place(place, path)]
+        found += [
+            path
+            for path in paths
+            if not store.problem_of_name(path) and not store.problem_of_place(place, path)
+        ]
     shards = (record.shard.data_path for record in manifest.shards)
     return list(dict.fromkeys([*found, *shards, *(manifest.files or ())]))
 
@@ -119,9 +114,9 @@ class PreparedUpload:
 
     repo_id: str
     options: UploadOptions
-    held: HubRepository | None
+    held: hub.HubRepository | None
     has_branch: bool
-    manifest: Manifest
+    manifest: store.Manifest
     files: tuple[LocalFile, ...]
     plan: UploadPlan
     left_out: tuple[str, ...]
@@ -131,7 +126,7 @@ class PreparedUpload:
     @property
     def page(self) -> str:
         """Address of the repository for people."""
-        return page_of(self.repo_id)
+        return hub.page_of(self.repo_id)
 
 
 @dataclass(frozen=True)
@@ -148,13 +143,13 @@ class UploadResult:
     tag: str | None = None
 
 
-def check_folder(kind: DatasetKind, folder: DataFolder, workers: int = 1) -> Iterable[Finding]:
+def check_folder(kind: DatasetKind, folder: store.DataFolder, workers: int = 1) -> Iterable[store.Finding]:
     """List what is wrong with a folder of a kind: files, rows, columns, ids, pictures, card."""
     if kind.check is not None:
-        found: Iterable[Finding] = kind.check(folder, workers)
+        found: Iterable[store.Finding] = kind.check(folder, workers)
         return found
     schema = kind.schema_of(folder_place(folder).require_manifest(kind))
-    return verify(folder, schema, check_card=check_card, workers=workers).findings
+    return store.verify(folder, schema, check_card=cards.check_card, workers=workers).findings
 
 
 def prepare_upload(
@@ -162,7 +157,7 @@ def prepare_upload(
     repo_id: str,
     options: UploadOptions | None = None,
     *,
-    check: Callable[[DataFolder], Iterable[Finding]] | None = None,
+    check: Callable[[store.DataFolder], Iterable[store.Finding]] | None = None,
     dry_run: bool = False,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> PreparedUpload:
@@ -174,19 +169,19 @@ def prepare_upload(
     """
     from huggingface_hub import HfApi
 
-    chosen, place = options or UploadOptions(), DataFolder(folder)
-    manifest = read_manifest(place)
-    if hub_name(repo_id) != HubName(repo_id, None, ""):
+    chosen, place = options or UploadOptions(), store.DataFolder(folder)
+    manifest = store.read_manifest(place)
+    if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
     if manifest is None:
-        message = place.missing_message(MANIFEST_FILE)
+        message = place.missing_message(store.MANIFEST_FILE)
         raise InputError(message, next="give the folder of a data set made by this toolkit")
-    ask = partial(call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
+    ask = partial(hub.call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
     with contextlib.ExitStack() as stack:
-        scratch = stack.enter_context(scratch_folder())
+        scratch = stack.enter_context(store.scratch_folder())
         if not place.is_local:
             place = local_copy(place, scratch / "copy")
-        _require_sound(check(place) if check else verify(place, check_card=check_card).findings)
+        _require_sound(check(place) if check else store.verify(place, check_card=cards.check_card).findings)
         if not dry_run:
             ask(HfApi().whoami)
         held, tags, has_branch = ask(partial(_state, repo_id, chosen.branch))
@@ -208,16 +203,16 @@ def prepare_upload(
     return prepared
 
 
-def _refuse_public(repo_id: str, options: UploadOptions, held: HubRepository | None) -> None:
+def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository | None) -> None:
     """Refuse to show what is to be private."""
     if options.private and held is not None and not held.is_private:
         raise InputError(
             f"{repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent",
-            next=f"make it private at {page_of(repo_id)}/settings, or leave --private out",
+            next=f"make it private at {hub.page_of(repo_id)}/settings, or leave --private out",
         )
 
 
-def _state(repo_id: str, branch: str) -> tuple[HubRepository | None, dict[str, str], bool]:
+def _state(repo_id: str, branch: str) -> tuple[hub.HubRepository | None, dict[str, str], bool]:
     """Return what a branch holds, the commits that tags name, and whether the branch exists.
 
     A repository that does not exist is not an error.
@@ -234,23 +229,23 @@ def _state(repo_id: str, branch: str) -> tuple[HubRepository | None, dict[str, s
     tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
     # A pull request that is written to is not listed.
     exists = branch.startswith("refs/") or branch in {ref.name for ref in refs.branches}
-    return listing(repo_id, branch if exists else MAIN_BRANCH), tags, exists
+    return hub.listing(repo_id, branch if exists else MAIN_BRANCH), tags, exists
 
 
-def local_copy(folder: DataFolder, root: Path) -> DataFolder:
+def local_copy(folder: store.DataFolder, root: Path) -> store.DataFolder:
     """Copy all files of a folder but hidden ones to this machine.
 
     Raises IntegrityError for names that lead out of a folder, StorageError where the disk is full, and
     RemoteError where the store fails.
     """
-    visible = [path for path in folder.walk() if not is_hidden(path)]
-    paths = names_inside(visible, repr(folder.address()))
-    for _ in in_threads(lambda path: folder.download(path, root / path), paths, _THREADS):
+    visible = [path for path in folder.walk() if not store.is_hidden(path)]
+    paths = store.names_inside(visible, repr(folder.address()))
+    for _ in run.in_threads(lambda path: folder.download(path, root / path), paths, _THREADS):
         pass
-    return DataFolder(str(root))
+    return store.DataFolder(str(root))
 
 
-def _require_sound(findings: Iterable[Finding]) -> None:
+def _require_sound(findings: Iterable[store.Finding]) -> None:
     found = [f"{each.file} {each.problem.partition('; next: ')[0]}" for each in findings]
     if found:
         more = f" and {len(found) - 3} more" if len(found) > 3 else ""
@@ -261,13 +256,13 @@ def _require_sound(findings: Iterable[Finding]) -> None:
 
 
 def _files_to_send(
-    place: DataFolder,
-    manifest: Manifest,
+    place: store.DataFolder,
+    manifest: store.Manifest,
     repo_id: str,
-    held: HubRepository | None,
+    held: hub.HubRepository | None,
     options: UploadOptions,
     scratch: Path,
-) -> tuple[Manifest, tuple[LocalFile, ...]]:
+) -> tuple[store.Manifest, tuple[LocalFile, ...]]:
     """Collect the files, with the card as it is to be on the Hub, checked as such."""
     root, made = Path(place.address()), dict[str, str]()
     if options.viewer:
@@ -275,20 +270,20 @@ def _files_to_send(
 
         made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**manifest.files, **made})
-    paths, facts = collect(root, manifest), folder_facts(place, manifest)
+    paths, facts = collect(root, manifest), cards.folder_facts(place, manifest)
     # Where the pattern of a split would take one of the others for its own, its files are named one by one.
     others, _ = _other_files(paths, held, options.delete)
-    stored = with_repo_name(place.read_bytes(CARD_FILE).decode(), repo_id)
-    card = with_head(stored, lambda head: head.update(configs=configs(facts, others)))
+    stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)
+    card = cards.with_head(stored, lambda head: head.update(configs=cards.configs(facts, others)))
     there = {*paths, *others}
     _require_sound(
-        Finding(path, f"is shown by {CARD_FILE} and is not part of what is sent (previews/ is)")
-        for path in pictures_in(card)
+        store.Finding(path, f"is shown by {cards.CARD_FILE} and is not part of what is sent (previews/ is)")
+        for path in cards.pictures_in(card)
         if normpath(path) not in there
     )
-    rendered = {CARD_FILE: card}
+    rendered = {cards.CARD_FILE: card}
     if made:
-        rendered[MANIFEST_FILE] = manifest.to_json()
+        rendered[store.MANIFEST_FILE] = manifest.to_json()
     for path, text in rendered.items():
         (scratch / path).write_bytes(text.encode())
     known = {record.file: record.sha256 for record in manifest.shards} | dict(manifest.files)
@@ -318,7 +313,9 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     # A second try would open a second pull request where only the answer to the first was lost.
     commit, pull = ask(partial(_send, prepared), waits_s=() if options.create_pr else None)
     # By the digests that are known: HfApi.verify_repo_checksums (from 1.1 on) reads all of one folder again.
-    wrong = compare(prepared.files, ask(partial(listing, prepared.repo_id, commit)), delete=options.delete)
+    wrong = compare(
+        prepared.files, ask(partial(hub.listing, prepared.repo_id, commit)), delete=options.delete
+    )
     if not wrong.is_done:
         paths = [*(file.path for file in wrong.to_send), *wrong.removed]
         raise IntegrityError(

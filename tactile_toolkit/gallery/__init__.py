@@ -1,1 +1,5 @@
 """Galleries: static pages that show a data set and open from a plain file system."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -11,23 +11,14 @@ import io
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_toolkit.catalog.choose import choose_rows, open_splits, short_name
-from tactile_toolkit.catalog.spec import Chosen
+from tactile_toolkit import catalog, mesh, pictures, places, read
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import array_problem
-from tactile_toolkit.pictures.render import relief
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.dataset import RecordDataset
-
-if TYPE_CHECKING:
-    from tactile_toolkit.mesh.records import SolidRecord
 
 NONE = "none"
 """Facet value of items without a value, so that these can be looked at too."""
@@ -93,7 +84,7 @@ class RowsTask:
     Pickles with what is known of these rows alone; ``item`` takes record, split, class names and the known.
     """
 
-    dataset: RecordDataset[Any]
+    dataset: read.RecordDataset[Any]
     split: str
     item: Callable[[Any, str, tuple[str, ...], Any], Item]
     known: tuple[Any, ...] = field(repr=False)
@@ -132,8 +123,8 @@ class Gallery:
 
 def gallery_of_rows(
     kind: DatasetKind,
-    name: Name | Place,
-    chosen: Chosen,
+    name: places.Name | places.Place,
+    chosen: catalog.Chosen,
     title: str,
     facets: tuple[Facet, ...],
     measures: tuple[Measure, ...],
@@ -150,18 +141,18 @@ def gallery_of_rows(
     """
     among = chosen.given()
     only = among.pop("split")
-    place = open_place(name).require(kind, "gallery")
-    opened = open_splits(place, only, kind.load, kind.nouns)
+    place = places.open_place(name).require(kind, "gallery")
+    opened = catalog.open_splits(place, only, kind.load, kind.nouns)
     tasks: list[RowsTask] = []
     shown: dict[str, int] = {}
-    for split, dataset, positions in choose_rows(opened.items(), **among):
+    for split, dataset, positions in catalog.choose_rows(opened.items(), **among):
         rows = dataset[positions]
         shown[split] = len(rows)
         given = known(rows, split)
         for start in range(0, len(rows), rows_per_task):
             part = slice(start, start + rows_per_task)
             tasks.append(RowsTask(rows[part], split, item, tuple(given[part])))
-    heading = f"{title} · {short_name(place.name)}"
+    heading = f"{title} · {catalog.short_name(place.name)}"
     if place.unfinished:
         heading = f"{heading} (unfinished, {place.unfinished})"
     return Gallery(kind.name, heading, (kind.noun, kind.nouns), facets, measures, tuple(tasks), shown)
@@ -181,7 +172,7 @@ def packed_mesh(
     base64 of zlib of four planes of bytes (lowest first) of zigzag numbers, each the difference to the number
     before; vertices as x of all, y of all, z of all in steps of ``step_mm`` above ``low_mm``.
     """
-    vertices_mm = np.asarray(vertices_m, np.float64) * MM_PER_M
+    vertices_mm = np.asarray(vertices_m, np.float64) * mesh.MM_PER_M
     low_mm = vertices_mm.min(axis=0)
     extent_mm = float((vertices_mm.max(axis=0) - low_mm).max())
     step_mm = max(min(STEP_MM, max(extent_mm / _FEWEST_STEPS, _LEAST_STEP_MM)), extent_mm / _MOST_STEPS)
@@ -209,13 +200,13 @@ def _packed(numbers: NDArray[np.int64]) -> str:
 
 def size_text(vertices_m: NDArray[np.floating[Any]]) -> str:
     """Write the size of a mesh for people: ``"38.2 x 52.1 x 8.0 mm"``."""
-    size_mm = np.ptp(np.asarray(vertices_m, np.float64), axis=0) * MM_PER_M
+    size_mm = np.ptp(np.asarray(vertices_m, np.float64), axis=0) * mesh.MM_PER_M
     return " x ".join(f"{side:.1f}" for side in size_mm) + " mm"
 
 
-def require_mesh(record: SolidRecord, split: str) -> None:
+def require_mesh(record: mesh.SolidRecord, split: str) -> None:
     """Refuse a stored mesh that nothing can draw, with an IntegrityError."""
-    problem = array_problem(Mesh(record.vertices_m, record.faces))
+    problem = mesh.array_problem(mesh.Mesh(record.vertices_m, record.faces))
     if problem is not None:
         raise IntegrityError(
             f"the mesh of id {record.id} in split {split!r} cannot be drawn: {problem[1]}",
@@ -253,4 +244,4 @@ def relief_thumbnail(vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.in
     longest_m = float(np.ptp(vertices_m[:, :2], axis=0).max())
     # Drawn twice as large but for the margin of a relief; another source's mesh may have no extent at all.
     pitch_m = max(longest_m, 1e-6) / (2 * THUMBNAIL_PX - _MARGIN_PX)
-    return thumbnail(relief(vertices_m, faces, pitch_m), opaque_from=1)
+    return thumbnail(pictures.relief(vertices_m, faces, pitch_m), opaque_from=1)

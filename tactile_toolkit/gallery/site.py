@@ -23,13 +23,9 @@ from itertools import accumulate
 from pathlib import Path
 from typing import Any, cast
 
-from tactile_toolkit import toolkit_version
+from tactile_toolkit import __version__, run, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask
-from tactile_toolkit.run.processes import Runner, runner_for
-from tactile_toolkit.store.files import DRAFT, draft_of, named_failures, remove_drafts
-from tactile_toolkit.store.folder import local_folder
-from tactile_toolkit.store.locks import LOCK_FILE, locked
 from tactile_toolkit.wording import natural_key
 
 PAGE_FILE = "index.html"
@@ -59,7 +55,7 @@ class Site:
 def build_site(
     gallery: Gallery,
     out: str,
-    runner: Runner | int = 1,
+    runner: run.Runner | int = 1,
     *,
     overwrite: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -76,7 +72,7 @@ def build_site(
     # Each with the number on the page of its first item.
     firsts = accumulate((task.size for task in gallery.tasks), initial=0)
     tasks = list(zip(firsts, gallery.tasks, strict=False))
-    with named_failures(str(path)), _unfinished_folder(path) as folder:
+    with store.named_failures(str(path)), _unfinished_folder(path) as folder:
 
         def write(place: Path, content: str | bytes) -> None:
             place.parent.mkdir(exist_ok=True)
@@ -88,7 +84,7 @@ def build_site(
         for name in (*ASSETS, THREE):
             write(folder / "assets" / name, asset(name))
         on_progress(0, gallery.size)
-        made = cast("Generator[tuple[int, list[Item]]]", runner_for(runner).run(_make, tasks))
+        made = cast("Generator[tuple[int, list[Item]]]", run.runner_for(runner).run(_make, tasks))
         # Closed, so that the workers end when an item is refused.
         with closing(made) as results:
             for first, items in results:
@@ -113,11 +109,11 @@ def build_site(
         former, files = _former_folders(path, overwrite=overwrite), path / _name_of(folder)
         if files not in former:
             folder.rename(files)
-        draft = draft_of(path / PAGE_FILE)
+        draft = store.draft_of(path / PAGE_FILE)
         write(draft, _page_of(files))
         draft.replace(path / PAGE_FILE)
         for each in set(former) - {files}:
-            retired = each.rename(draft_of(each))
+            retired = each.rename(store.draft_of(each))
             if _name_of(retired) != each.name:  # a file was put there in this moment
                 retired.rename(each)
     return Site(str(path), len(shown), written["files"], written["bytes"], dict(gallery.splits))
@@ -138,10 +134,10 @@ def _unfinished_folder(path: Path) -> Iterator[Path]:
     is_new = not path.is_dir()
     path.mkdir(parents=True, exist_ok=True)
     try:
-        with locked(path, patience_s=0):
+        with store.locked(path, patience_s=0):
             try:
                 _remove_unfinished(path)
-                folder = draft_of(path / "files")
+                folder = store.draft_of(path / "files")
                 folder.mkdir()
                 yield folder
             finally:
@@ -153,9 +149,9 @@ def _unfinished_folder(path: Path) -> Iterator[Path]:
 
 
 def _remove_unfinished(path: Path) -> None:
-    remove_drafts(path)
+    store.remove_drafts(path)
     for left in path.iterdir():
-        if re.match(DRAFT, left.name) and not left.is_symlink():
+        if re.match(store.DRAFT, left.name) and not left.is_symlink():
             shutil.rmtree(left)
 
 
@@ -176,7 +172,7 @@ def _page_of(files: Path) -> bytes:
 def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
     """Return where the site of a gallery may be made; InputError where :func:`build_site` would raise it."""
     # Where a symbolic link leads: the link itself is not ours to replace.
-    path = Path(os.path.realpath(local_folder(out)))
+    path = Path(os.path.realpath(store.local_folder(out)))
     if path.is_dir():
         _former_folders(path, overwrite=overwrite)
     one, many = gallery.nouns
@@ -200,7 +196,7 @@ def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
     """
     former: list[Path] = []
     for entry in sorted(path.iterdir()):
-        is_ours = entry.name == LOCK_FILE or re.match(DRAFT, entry.name) is not None
+        is_ours = entry.name == store.LOCK_FILE or re.match(store.DRAFT, entry.name) is not None
         if entry.name.startswith(_FOLDER_PREFIX) and entry.is_dir() and not entry.is_symlink():
             is_ours = entry.name == _name_of(entry)
             former += [entry] if is_ours else []
@@ -265,7 +261,7 @@ def index_of(gallery: Gallery, items: Sequence[Item]) -> dict[str, Any]:
         "kind": gallery.kind,
         "title": gallery.title,
         "nouns": list(gallery.nouns),
-        "version": toolkit_version(),
+        "version": __version__,
         "ids": [item.id for item in items],
         "titles": [item.title for item in items],
         "facets": facets,

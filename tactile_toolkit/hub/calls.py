@@ -18,10 +18,9 @@ from importlib import import_module
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
+from tactile_toolkit import store
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
 from tactile_toolkit.redaction import redact
-from tactile_toolkit.store import remote
-from tactile_toolkit.store.remote import Failure, cause_chain, in_time, with_retry
 
 ANSWER_BYTES = 32 << 20
 """Largest answer to a question, unpacked: a listing of more than 100,000 files."""
@@ -155,14 +154,14 @@ def not_cached(repo_id: str, what: str) -> HubError:
 
 def failure_of(
     error: Exception, repo_id: str, doing: str = "reading", *, is_answer: bool = False
-) -> Failure | None:
+) -> store.Failure | None:
     """Return the failure for what the client raised; None for an error of another origin.
 
     Where nothing but an answer of the Hub was read (``is_answer``), what cannot be read is not one.
     """
     from huggingface_hub import get_token
 
-    chain = cause_chain(error)
+    chain = store.cause_chain(error)
     if any(isinstance(link, ToolkitError) for link in chain):
         return None
     traits = [_traits(link) for link in chain]
@@ -187,13 +186,13 @@ def failure_of(
             what, then = (redact(part.format(**values), get_token()) for part in sentence)
             raised = _CLASSES.get(pattern, HubError)(what, next=then)
             met = " ".join(traits)
-            return Failure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
+            return store.Failure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
     return None
 
 
 def has_answered(error: BaseException) -> bool:
     """Return whether what failed, at its bottom, is an answer that the Hub gave."""
-    return not any(_SILENT.search(_traits(link)) for link in cause_chain(error))
+    return not any(_SILENT.search(_traits(link)) for link in store.cause_chain(error))
 
 
 def call_with_retry(
@@ -212,7 +211,7 @@ def call_with_retry(
     """
     _limit_session()
     failure = partial(failure_of, repo_id=repo_id, doing=doing, is_answer=True)
-    return with_retry(action, failure, WAITS_S if waits_s is None else waits_s, on_wait=on_wait)
+    return store.with_retry(action, failure, WAITS_S if waits_s is None else waits_s, on_wait=on_wait)
 
 
 def _limit_session() -> None:
@@ -229,7 +228,7 @@ def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **opt
     """Send a request of the client's session, and limit the time until the head of the answer is there."""
     if request.method not in ("GET", "HEAD"):  # others may send a file
         return send(request, stream=stream, **options)
-    response = in_time(partial(send, request, stream=True, **options))
+    response = store.in_time(partial(send, request, stream=True, **options))
     if not stream:
         # Of requests, the session reads it, too.
         response.read() if hasattr(response, "read") else response.content
@@ -245,8 +244,8 @@ def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: Any) -> Iterator[
         if piece is None:
             return
         waited_s, arrived = waited_s + time.monotonic() - begun_s, arrived + len(piece)
-        if waited_s > remote.ANSWER_S + arrived / remote.LEAST_BYTES_PER_S:
-            raise remote.TooSlowError(f"{arrived:,} bytes came within {waited_s:.0f} s")
+        if waited_s > store.remote.ANSWER_S + arrived / store.remote.LEAST_BYTES_PER_S:
+            raise store.remote.TooSlowError(f"{arrived:,} bytes came within {waited_s:.0f} s")
         yield piece
 
 

@@ -17,6 +17,7 @@ from multiprocessing.pool import ThreadPool
 from pathlib import Path
 from typing import Any
 
+from tactile_toolkit import store
 from tactile_toolkit.errors import HubError, InputError, IntegrityError, require_public
 from tactile_toolkit.hub.calls import (
     TooLargeError,
@@ -25,11 +26,6 @@ from tactile_toolkit.hub.calls import (
     has_answered,
     not_cached,
 )
-from tactile_toolkit.store.files import scratch_folder, write_file
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
-from tactile_toolkit.store.names import names_inside, problem_of_name
-from tactile_toolkit.store.origin import DIGEST, HubFile, has_digest
 
 _PREFIX = "hf://datasets/"
 # Names of branches that hold a slash are written %2F, but for the two kinds that the Hub makes itself.
@@ -75,7 +71,7 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
 def commit_of(repo_id: str, revision: str) -> str | None:
     """Return the commit that a revision named when it was last looked at; None when it never was."""
     found = revision
-    if not _COMMIT.fullmatch(revision) and not problem_of_name(revision):
+    if not _COMMIT.fullmatch(revision) and not store.problem_of_name(revision):
         with contextlib.suppress(OSError, UnicodeDecodeError):
             found = (_cache_of(repo_id) / "refs" / revision).read_text().strip()
     return found if _COMMIT.fullmatch(found) else None
@@ -83,10 +79,10 @@ def commit_of(repo_id: str, revision: str) -> str | None:
 
 def remember_commit(repo_id: str, revision: str, commit: str) -> None:
     """Note which commit a revision names; a cache that cannot be written is not an error."""
-    if commit_of(repo_id, revision) not in (commit, revision) and not problem_of_name(revision):
+    if commit_of(repo_id, revision) not in (commit, revision) and not store.problem_of_name(revision):
         with contextlib.suppress(OSError):
             refs = _cache_of(repo_id) / "refs"
-            write_file(refs / revision, lambda stream: stream.write(commit.encode()))
+            store.write_file(refs / revision, lambda stream: stream.write(commit.encode()))
 
 
 def _cache_of(repo_id: str) -> Path:
@@ -132,39 +128,43 @@ class HubRepository:
     repo_id: str
     revision: str | None
     commit: str
-    remote: Mapping[str, HubFile] = field(repr=False)
+    remote: Mapping[str, store.HubFile] = field(repr=False)
     is_cache: bool = False
     licence: str | None = None
     is_private: bool = False
     on_wait: Callable[[str], None] = field(default=lambda _: None, repr=False, compare=False)
 
     @property
-    def folder(self) -> DataFolder:
+    def folder(self) -> store.DataFolder:
         """Where the cache has files of the commit, as links to their contents where the system has links."""
-        return DataFolder(str(_cache_of(self.repo_id) / "snapshots" / self.commit))
+        return store.DataFolder(str(_cache_of(self.repo_id) / "snapshots" / self.commit))
 
     @cached_property
-    def manifest(self) -> Manifest | None:
+    def manifest(self) -> store.Manifest | None:
         """The manifest of a data set made by the toolkit; None of any other, or IntegrityError."""
-        if MANIFEST_FILE not in self.remote:
+        if store.MANIFEST_FILE not in self.remote:
             return None
-        text = self.local_paths((MANIFEST_FILE,))[0].read_text(encoding="utf-8", errors="replace")
+        text = self.local_paths((store.MANIFEST_FILE,))[0].read_text(encoding="utf-8", errors="replace")
         try:
             values = json.loads(text)
         except ValueError:
             return None
         # Other tools write files of that name too.
         is_ours = isinstance(values, dict) and {"schema_version", "shards"} <= values.keys()
-        return Manifest.from_json(text, f"{self.repo_id}/{MANIFEST_FILE}") if is_ours else None
+        return store.Manifest.from_json(text, f"{self.repo_id}/{store.MANIFEST_FILE}") if is_ours else None
 
     @cached_property
-    def _listed(self) -> dict[str, HubFile]:
+    def _listed(self) -> dict[str, store.HubFile]:
         """What the manifest states of its shards, and of other files of the commit, by path."""
         if self.manifest is None:
             return {}
         digests = {path: each for path, each in self.manifest.files.items() if path in self.remote}
-        shards = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards}
-        return shards | {path: HubFile(path, self.remote[path].size_bytes, digests[path]) for path in digests}
+        shards = {
+            each.file: store.HubFile(each.file, each.bytes, each.sha256) for each in self.manifest.shards
+        }
+        return shards | {
+            path: store.HubFile(path, self.remote[path].size_bytes, digests[path]) for path in digests
+        }
 
     @property
     def size_bytes(self) -> int:
@@ -175,15 +175,15 @@ class HubRepository:
         """List the paths of all files; without the Hub, those in the cache and in a cached manifest."""
         return sorted({*self.remote, *(self._listed if self.is_cache else ())})
 
-    def file(self, path: str) -> HubFile:
+    def file(self, path: str) -> store.HubFile:
         """Return what a file must be: as the manifest states, or else the Hub, as far as either is known.
 
         Raises IntegrityError where the two disagree (fetching it would not help) and for a name that is not
         that of a file in a folder, HubError for no such file.
         """
-        names_inside((path,), f"Hub data set {self.repo_id!r}")
+        store.names_inside((path,), f"Hub data set {self.repo_id!r}")
         remote = self.remote.get(path)
-        wanted = remote if path == MANIFEST_FILE else self._listed.get(path, remote)
+        wanted = remote if path == store.MANIFEST_FILE else self._listed.get(path, remote)
         if wanted is None and self.is_cache:
             raise not_cached(self.repo_id, repr(path))
         if wanted is None:
@@ -194,8 +194,8 @@ class HubRepository:
         if len(set(digests)) == len(set(map(len, digests))):  # one of each kind
             return wanted
         raise IntegrityError(
-            f"{path!r} of Hub data set {self.repo_id!r} is not the file that its {MANIFEST_FILE} lists: "
-            f"{digests[0]}, expected {digests[1]}; nothing was fetched",
+            f"{path!r} of Hub data set {self.repo_id!r} is not the file that its "
+            f"{store.MANIFEST_FILE} lists: {digests[0]}, expected {digests[1]}; nothing was fetched",
             next="ask its owner to upload it again",
         )
 
@@ -216,8 +216,8 @@ class HubRepository:
 
     def fetch(
         self,
-        files: Sequence[HubFile],
-        folder: DataFolder | None = None,
+        files: Sequence[store.HubFile],
+        folder: store.DataFolder | None = None,
         on_bytes: Callable[[int], None] = lambda _: None,
     ) -> None:
         """Fetch files, several at once, into the Hub's cache or a folder; the first failure ends all.
@@ -228,7 +228,7 @@ class HubRepository:
         """
         lock, stopped, arrived, total = threading.Lock(), threading.Event(), dict[str, int](), 0
 
-        def count(file: HubFile, size_bytes: int) -> None:
+        def count(file: store.HubFile, size_bytes: int) -> None:
             nonlocal total
             if size_bytes > file.size_bytes:
                 raise TooLargeError(f"more than the {file.size_bytes:,} bytes that were expected")
@@ -239,7 +239,7 @@ class HubRepository:
                 arrived[file.path] = size_bytes
                 on_bytes(total)
 
-        def fetch_one(file: HubFile) -> None:
+        def fetch_one(file: store.HubFile) -> None:
             place = self._fetch_checked(file, stage, partial(count, file))
             if folder is not None and not folder.is_local:
                 folder.upload(file.path, place)
@@ -248,14 +248,14 @@ class HubRepository:
         with contextlib.ExitStack() as stack:
             stage = None
             if folder is not None:
-                stage = Path(folder.root) if folder.is_local else stack.enter_context(scratch_folder())
+                stage = Path(folder.root) if folder.is_local else stack.enter_context(store.scratch_folder())
             stack.callback(stopped.set)
             # Daemons, not an executor, whose threads the interpreter waits for.
             with ThreadPool(max(1, min(_FILES_AT_ONCE, len(files)))) as pool:
                 for _ in pool.imap_unordered(fetch_one, files):
                     pass
 
-    def _fetch_checked(self, file: HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
+    def _fetch_checked(self, file: store.HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
         """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
         from huggingface_hub import hf_hub_download
 
@@ -266,11 +266,11 @@ class HubRepository:
         options |= counting_options(count)
         cached = Path(self.folder.address(path))
         # What is intact came meanwhile, fetched by another process.
-        for force in (folder is None and cached.exists() and not has_digest(cached, digest), True):
+        for force in (folder is None and cached.exists() and not store.has_digest(cached, digest), True):
             fetch = partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
             doing = f"fetching {path!r} of"
             place = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
-            if has_digest(place, digest):
+            if store.has_digest(place, digest):
                 with place.open("rb") as stream:
                     os.fsync(stream.fileno())  # a power cut must not empty what counts as intact
                 count(file.size_bytes)
@@ -322,7 +322,7 @@ def listing(repo_id: str, revision: str | None = None) -> HubRepository:
     for entry in answer.siblings or ():
         # Files that git keeps itself are named by git's own digest.
         digest = entry.lfs.sha256 if entry.lfs else str(entry.blob_id)
-        files[entry.rfilename] = HubFile(entry.rfilename, int(entry.size), digest)
+        files[entry.rfilename] = store.HubFile(entry.rfilename, int(entry.size), digest)
     if not _COMMIT.fullmatch(answer.sha):
         raise ValueError(f"{answer.sha[:80]!r} is not a commit")
     licence = getattr(answer.card_data, "license", None)
@@ -341,6 +341,6 @@ def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | No
     for file in sorted(file for file in root.rglob("*") if file.is_file()):
         # A blob is named by the digest of its content; a cache without links has no blobs.
         path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
-        is_named = file.is_symlink() and DIGEST.fullmatch(blob)
-        files[path] = HubFile(path, file.stat().st_size, blob if is_named else None)
+        is_named = file.is_symlink() and store.DIGEST.fullmatch(blob)
+        files[path] = store.HubFile(path, file.stat().st_size, blob if is_named else None)
     return replace(found, remote=files) if files else None

@@ -12,15 +12,13 @@ from xml.parsers import expat
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.gltf import pack_glb, read_glb
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, joined
 from tactile_toolkit.mesh.readers import read_obj, read_ply, read_stl
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.mesh.units import MM_PER_UNIT, require_likely_size, require_unit
-from tactile_toolkit.store.files import expanded, named_failures, open_regular, write_file
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.inside import open_inside
 from tactile_toolkit.wording import counted
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
@@ -63,7 +61,7 @@ def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None =
         The file is missing, empty, cut short or not a mesh of its kind, or needs what is not supported; or
         the object is smaller than 1 mm or larger than 1 m, and no unit was given.
     """
-    path = expanded(path)
+    path = store.expanded(path)
     ending = file_ending(path)
     require_unit(unit)
     try:
@@ -78,9 +76,11 @@ def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None =
 def _content(path: Path, below: Path | None) -> bytes:
     try:
         if below is not None:
-            with open_inside(DataFolder(str(below)), path.relative_to(below).as_posix()) as stream:
+            with store.open_inside(
+                store.DataFolder(str(below)), path.relative_to(below).as_posix()
+            ) as stream:
                 return stream.read()
-        with open_regular(path) as stream:
+        with store.open_regular(path) as stream:
             return stream.read()
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror}); expected a mesh file") from error
@@ -139,9 +139,9 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     """
     path = Path(path)
     data = pack_mesh(as_mesh(mesh), file_ending(path))
-    with named_failures(str(path)):
+    with store.named_failures(str(path)):
         path.parent.stat()  # a folder that is mistyped is refused, not made
-        write_file(path, lambda stream: stream.write(data))
+        store.write_file(path, lambda stream: stream.write(data))
 
 
 def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:

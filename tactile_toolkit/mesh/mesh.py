@@ -14,7 +14,7 @@ from tactile_toolkit.errors import InputError
 if TYPE_CHECKING:
     import trimesh
 
-    from tactile_toolkit.read.dataset import Record
+    from tactile_toolkit import read
 
 
 MM_PER_M = 1000.0
@@ -24,7 +24,7 @@ Indices: TypeAlias = NDArray[np.int64]
 Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[np.int32]]
 """Vertices and triangles, in whatever unit."""
 
-MeshLike: TypeAlias = "Mesh | Record | trimesh.Trimesh"
+MeshLike: TypeAlias = "Mesh | read.Record | trimesh.Trimesh"
 """Whatever :func:`as_mesh` takes."""
 
 

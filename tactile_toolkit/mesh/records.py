@@ -14,34 +14,20 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from tactile_toolkit import read
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.files import pack_mesh, write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.read.columns import (
-    Expected,
-    class_names,
-    column_names,
-    column_types,
-    dtype_name,
-    feature_metadata,
-    label_feature,
-    vectors_type,
-    wrong_type,
-)
-from tactile_toolkit.read.dataset import Record, RecordDataset, Row
-from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.read.source import RowSource
-from tactile_toolkit.read.stream import Stream
 from tactile_toolkit.rows import column, plain_schema, row
 
 if TYPE_CHECKING:
     import trimesh
 
 
-R = TypeVar("R", bound=Record)
+R = TypeVar("R", bound=read.Record)
 S = TypeVar("S", bound="SolidRecord")
-D = TypeVar("D", bound=RecordDataset[Any])
+D = TypeVar("D", bound=read.RecordDataset[Any])
 W = TypeVar("W", bound="RecordStream[Any]")
 
 VERTICES = "mesh.vertices"
@@ -52,7 +38,7 @@ FACES = "mesh.faces"
 
 
 # Ids and labels are looked at row by row: a float may hold an integer.
-_MESH_TYPES: dict[str, Expected] = {
+_MESH_TYPES: dict[str, read.Expected] = {
     VERTICES: (2, (pa.types.is_floating,), "three floats per vertex"),
     FACES: (2, (pa.types.is_integer,), "three integers per triangle"),
 }
@@ -63,10 +49,10 @@ def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
 
     ``made_by`` is the command that writes such data sets, for the message of the InputError.
     """
-    found = column_names(schema)
+    found = read.column_names(schema)
     missing = [each for each in ("id", "label", VERTICES, FACES) if each not in found]
     problem = f"column {missing[0]!r} is missing (found {', '.join(found)})" if missing else ""
-    problem = problem or wrong_type(column_types(schema), _MESH_TYPES)
+    problem = problem or read.wrong_type(read.column_types(schema), _MESH_TYPES)
     if problem:
         raise InputError(
             f"{name!r} is not a data set of meshes: {problem}",
@@ -81,10 +67,10 @@ class MeshRow:
     id: int = column(pa.int64())
     label: int = column(pa.int64())
     vertices_m: Any = column(
-        vectors_type(pa.float32()), "V x 3, m, frame below", "corner positions", name=VERTICES
+        read.vectors_type(pa.float32()), "V x 3, m, frame below", "corner positions", name=VERTICES
     )
     faces: Any = column(
-        vectors_type(pa.int32()),
+        read.vectors_type(pa.int32()),
         "F x 3",
         "triangles: rows of the corners, counter-clockwise seen from outside",
         name=FACES,
@@ -95,7 +81,7 @@ def mesh_schema(row_type: type[MeshRow], class_names: tuple[str, ...]) -> pa.Sch
     """Return the Arrow schema of rows with a mesh; its metadata describe all columns to `datasets`."""
     schema = plain_schema(row_type)
     features = {field.name: _feature(field.type) for field in schema}
-    return schema.with_metadata(feature_metadata({**features, "label": label_feature(class_names)}))
+    return schema.with_metadata(read.feature_metadata({**features, "label": read.label_feature(class_names)}))
 
 
 def _feature(data_type: pa.DataType) -> Any:
@@ -107,7 +93,7 @@ def _feature(data_type: pa.DataType) -> Any:
         return {"feature": inner, "length": data_type.list_size, "_type": "Sequence"}
     if pa.types.is_list(data_type):
         return {"feature": _feature(data_type.value_type), "_type": "Sequence"}
-    return {"dtype": dtype_name(data_type), "_type": "Value"}
+    return {"dtype": read.dtype_name(data_type), "_type": "Value"}
 
 
 MESH = "mesh"
@@ -116,7 +102,7 @@ MESH = "mesh"
 SIZES = ("size_x_m", "size_y_m", "size_z_m")
 
 
-def flat_table(rows: RecordDataset[Any]) -> Any:
+def flat_table(rows: read.RecordDataset[Any]) -> Any:
     """Return an Arrow table of rows: all stored columns but the mesh, its class by name, size and file."""
     stored = rows.to_hf()
     kept = [name for name in stored.column_names if name not in (VERTICES, FACES)]
@@ -140,10 +126,10 @@ def flat_table(rows: RecordDataset[Any]) -> Any:
         name: features.get(name, {"dtype": "float64", "_type": "Value"}) for name in table.column_names
     }
     described |= {"label_name": {"dtype": "string", "_type": "Value"}, MESH: {"_type": "Mesh"}}
-    return table.replace_schema_metadata(feature_metadata(described))
+    return table.replace_schema_metadata(read.feature_metadata(described))
 
 
-class SolidRecord(Record):
+class SolidRecord(read.Record):
     """One row of the published mesh layout: an id, a label and a mesh. Fields are loaded on first use."""
 
     __slots__ = ()
@@ -200,7 +186,7 @@ class SolidRecord(Record):
         return f"{type(self).__name__}(id={self.id}, label={self.label}, {len(self.faces):,} faces)"
 
 
-class SolidDataset(RecordDataset[S]):
+class SolidDataset(read.RecordDataset[S]):
     """A lazy sequence of meshes: any data set in the published layout of meshes."""
 
     record_class: ClassVar[Any] = SolidRecord
@@ -214,7 +200,7 @@ class SolidDataset(RecordDataset[S]):
         return np.array([record.volume_m3 for record in self], np.float64)
 
 
-class RecordStream(Stream[RowSource], Generic[R]):
+class RecordStream(read.Stream[read.RowSource], Generic[R]):
     """Records one after another; see :class:`tactile_toolkit.read.stream.Stream`.
 
     Parameters
@@ -228,7 +214,7 @@ class RecordStream(Stream[RowSource], Generic[R]):
     """
 
     def __init__(
-        self, shards: tuple[RowSource, ...], record: type[R], default_names: tuple[str, ...]
+        self, shards: tuple[read.RowSource, ...], record: type[R], default_names: tuple[str, ...]
     ) -> None:
         super().__init__(shards)
         self._record = record
@@ -237,7 +223,7 @@ class RecordStream(Stream[RowSource], Generic[R]):
     @property
     def label_names(self) -> tuple[str, ...]:
         """Name of each class."""
-        return class_names(self.shards[0].schema, self._default_names)
+        return read.class_names(self.shards[0].schema, self._default_names)
 
     def __repr__(self) -> str:
         return self._described(self._record.__name__)
@@ -246,11 +232,11 @@ class RecordStream(Stream[RowSource], Generic[R]):
         """Decode one block of rows at a time."""
         for shard, index in self._row_groups():
             for block in shard.blocks(index):
-                yield from (self._record(Row(block, row)) for row in range(len(block.table)))
+                yield from (self._record(read.Row(block, row)) for row in range(len(block.table)))
 
 
 def open_solids(
-    shards: tuple[Shard, ...],
+    shards: tuple[read.Shard, ...],
     name: str,
     dataset: type[D],
     kind: DatasetKind,
@@ -260,8 +246,8 @@ def open_solids(
 
     ``name`` is the data set in the user's words. Raises InputError when a mesh column is missing.
     """
-    table = ShardedTable(shards)
+    table = read.ShardedTable(shards)
     require_mesh_columns(table.schema, name, kind.made_by)
     if stream is not None:
         return stream(shards, dataset.record_class, kind.class_names)
-    return dataset(table, label_names=class_names(table.schema, kind.class_names, name))
+    return dataset(table, label_names=read.class_names(table.schema, kind.class_names, name))

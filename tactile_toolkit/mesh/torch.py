@@ -9,11 +9,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import read
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh.raster import MOST_PIXELS, covered_pixels, highest_values
 from tactile_toolkit.mesh.records import SolidRecord
-from tactile_toolkit.read.dataset import RecordDataset
 
 if TYPE_CHECKING:
     import torch
@@ -208,7 +208,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __init__(
         self,
-        dataset: RecordDataset[Any],
+        dataset: read.RecordDataset[Any],
         representation: Representation = "points",
         *,
         points: int = 1024,
@@ -225,7 +225,6 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
             raise InputError(
                 f"no target {target!r}; expected one of {', '.join(TARGETS)}, a function of a record, or None"
             )
-        from tactile_toolkit.read.torch import shared_zeros  # here: without torch its message is another
 
         self.dataset = dataset
         self.representation = representation
@@ -235,7 +234,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.transform = transform
         self.target = target
         # Workers that live on from epoch to epoch (persistent_workers) see what is set here.
-        self._epoch = shared_zeros()
+        self._epoch = read.shared_zeros()
 
     @property
     def epoch(self) -> int:
@@ -247,7 +246,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self._epoch.fill_(epoch)
 
     @property
-    def sequence(self) -> RecordDataset[Any]:
+    def sequence(self) -> read.RecordDataset[Any]:
         """The solids, in the order of the items."""
         return self.dataset
 

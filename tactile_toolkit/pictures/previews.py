@@ -8,8 +8,7 @@ from typing import Any, Generic, TypeVar
 
 import numpy as np
 
-from tactile_toolkit.catalog.choose import choose_rows, open_splits
-from tactile_toolkit.catalog.spec import PreviewSpec
+from tactile_toolkit import catalog, places, read
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.pictures.sheets import (
     Pixels,
@@ -21,11 +20,9 @@ from tactile_toolkit.pictures.sheets import (
     sheet,
     with_scale_bar,
 )
-from tactile_toolkit.places.place import Name, Place, open_place
-from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.wording import counted
 
-D = TypeVar("D", bound=RecordDataset[Any])
+D = TypeVar("D", bound=read.RecordDataset[Any])
 
 
 class MeshPreviews(Generic[D]):
@@ -34,15 +31,17 @@ class MeshPreviews(Generic[D]):
     InputError where the split or id does not exist, the split is empty, or the data are of another kind.
     """
 
-    def __init__(self, kind: DatasetKind, name: Name | Place, spec: PreviewSpec) -> None:
-        place = open_place(name).require(kind, "preview")
+    def __init__(
+        self, kind: DatasetKind, name: places.Name | places.Place, spec: catalog.PreviewSpec
+    ) -> None:
+        place = places.open_place(name).require(kind, "preview")
         self.name, self.things, self.stem = place.name, kind.nouns, file_stem(place.name)
         self.unfinished = place.unfinished
         among = spec.given()
-        datasets: dict[str, D] = open_splits(place, among.pop("split"), kind.load, kind.nouns)
+        datasets: dict[str, D] = catalog.open_splits(place, among.pop("split"), kind.load, kind.nouns)
         if spec.ids:
             among["per_class"] = None
-        self.chosen = choose_rows(datasets.items(), **among)
+        self.chosen = catalog.choose_rows(datasets.items(), **among)
         self.made_by = place.made_by
 
     def plan_sheets(self, draw: Callable[[D, str], Pixels]) -> list[PlannedPicture]:

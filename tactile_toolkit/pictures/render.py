@@ -11,8 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import cosine_sine, moved
-from tactile_toolkit.mesh.mesh import Mesh, joined
-from tactile_toolkit.mesh.raster import highest_faces
+from tactile_toolkit.mesh import Mesh, highest_faces, joined
 from tactile_toolkit.pictures.sheets import PAPER, TILE_STYLE, Colour, figure_html
 
 _PITCH_M = 0.0002

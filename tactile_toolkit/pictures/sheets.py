@@ -18,9 +18,8 @@ from typing import TYPE_CHECKING, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.files import expanded
-from tactile_toolkit.store.folder import DataFolder
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
@@ -275,7 +274,7 @@ def plan_kinds(
 
 
 def write_pictures(
-    folder: DataFolder,
+    folder: store.DataFolder,
     pictures: Sequence[PlannedPicture],
     on_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[WrittenPicture]:
@@ -315,7 +314,7 @@ def figure_html(pixels: Pixels, caption: str, style: str = "") -> str:
 
 def file_stem(name: str) -> str:
     """Return by what pictures of data sets differ in name: the last part of a path, in plain letters."""
-    path = expanded(name)
+    path = store.expanded(name)
     last = path.resolve().name if path.is_dir() else path.stem if path.is_file() else path.name
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
     # With a dot in front it would be hidden, and with a dash an option.

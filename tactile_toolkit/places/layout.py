@@ -13,10 +13,9 @@ from functools import cache
 from pathlib import PurePosixPath
 from typing import Any, TypeAlias
 
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import kinds
-from tactile_toolkit.store.names import is_hidden, problem_of_name
-from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, ShardName
 from tactile_toolkit.wording import counted, did_you_mean, natural_key
 
 CARD_FILE = "README.md"
@@ -35,7 +34,7 @@ _SEPARATORS = re.compile("[-._ 0-9]+")
 _SHARD = re.compile(r"(\w+)-\d{5,}-of-\d{5,}(?:[-.].*)?\.parquet")
 _SPLIT_NAME = re.compile(r"\w[\w.-]*")
 # Folders with Parquet files that do not hold rows of the data set.
-_OTHER_FOLDERS = ("reports", VIEWER_FOLDER)
+_OTHER_FOLDERS = ("reports", store.VIEWER_FOLDER)
 _LARGEST_CARD_BYTES = 1 << 20
 
 Splits: TypeAlias = dict[str, tuple[str, ...]]
@@ -45,7 +44,7 @@ Splits: TypeAlias = dict[str, tuple[str, ...]]
 def parquet_paths(paths: Iterable[str]) -> list[str]:
     """Return the paths of Parquet files that are not hidden, in the order in which people count."""
     # A path that leads out of the folder stays: it is refused later on, by name.
-    found = [path for path in paths if path.endswith(PARQUET) and (".." in path or not is_hidden(path))]
+    found = [path for path in paths if path.endswith(PARQUET) and (".." in path or not store.is_hidden(path))]
     return sorted(found, key=natural_key)
 
 
@@ -96,25 +95,25 @@ def has_shards(paths: Iterable[str]) -> bool:
 
 def _is_shard_in_data(path: str) -> bool:
     folder, _, name = path.rpartition("/")
-    return folder == DATA_FOLDER and _SHARD.fullmatch(name) is not None
+    return folder == store.DATA_FOLDER and _SHARD.fullmatch(name) is not None
 
 
 def _split_of(path: str) -> tuple[str, str]:
     """Return the split that a path states, and the folder that says so or holds the file."""
     *folders, name = path.split("/")
     stem, parent = name.removesuffix(PARQUET), "/".join(folders)
-    for depth, folder in enumerate(folders if folders != [DATA_FOLDER] else ()):
+    for depth, folder in enumerate(folders if folders != [store.DATA_FOLDER] else ()):
         stated = _split_in(folder)
         if stated:
             return stated, "/".join(folders[: depth + 1])
     is_numbered = stem.isdigit()
-    if is_numbered and parent not in ("", DATA_FOLDER):
+    if is_numbered and parent not in ("", store.DATA_FOLDER):
         return folders[-1], parent  # as in the branch refs/convert/parquet of the Hub
     shard = _SHARD.fullmatch(name)
     stated = shard[1] if shard is not None else _split_in(stem)
     if stated:
         return stated, parent
-    if is_numbered or parent not in ("", DATA_FOLDER):
+    if is_numbered or parent not in ("", store.DATA_FOLDER):
         return USUAL_SPLIT, parent
     return re.split("[-.]", stem)[0], parent
 
@@ -248,7 +247,7 @@ def _patterns(data_files: Any, where: str) -> dict[str, list[str]]:
         if not all(isinstance(each, str) for each in patterns):
             raise _unreadable(where, "data_files", expected)
         for pattern in patterns:
-            if "://" in pattern or problem_of_name(pattern.replace("*", "x").removeprefix("./")):
+            if "://" in pattern or store.problem_of_name(pattern.replace("*", "x").removeprefix("./")):
                 raise InputError(
                     f"{CARD_FILE} of {where!r} names the files {pattern[:80]!r}; expected files in it",
                     next="do not use this data set, or ask who made it",
@@ -289,7 +288,7 @@ def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str
     if split not in splits:
         raise unknown_split(split, tuple(splits), where)
     chosen = splits[split]
-    names = [ShardName.parse(PurePosixPath(path).name) for path in chosen]
+    names = [store.ShardName.parse(PurePosixPath(path).name) for path in chosen]
     counts = {name.count for name in names if name is not None}
     expected = max(counts) if len(counts) == 1 and None not in names else len(chosen)
     if chosen and len(chosen) >= expected:

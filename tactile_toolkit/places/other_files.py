@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import PurePosixPath
 
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
-from tactile_toolkit.store.manifest import MANIFEST_FILE
 from tactile_toolkit.wording import counted
 
 _PARQUET_MARK = b"PAR1"
@@ -46,7 +45,7 @@ _MOST_SHOWN = 3
 _MOST_LOOKED_AT = 10_000
 
 
-def is_parquet_file(folder: DataFolder, path: str) -> bool:
+def is_parquet_file(folder: store.DataFolder, path: str) -> bool:
     """Return whether a file begins as Parquet files do; an empty or cut one is taken for one by its name."""
     if path.endswith(".parquet"):
         return True
@@ -54,7 +53,7 @@ def is_parquet_file(folder: DataFolder, path: str) -> bool:
         return stream.read(len(_PARQUET_MARK)) == _PARQUET_MARK
 
 
-def not_a_set(folder: DataFolder, name: str, path: str = "") -> InputError:
+def not_a_set(folder: store.DataFolder, name: str, path: str = "") -> InputError:
     """Return the error for a folder, or a file in it, that holds no data set; it names what is there."""
     found, next_step = _file_in_words(path) if path else _folder_in_words(folder)
     return InputError(f"{name!r} {found}; expected a data set, which is Parquet files", next=next_step)
@@ -65,7 +64,7 @@ def _file_in_words(path: str) -> tuple[str, str]:
     return f"is {one}", next_step
 
 
-def _folder_in_words(folder: DataFolder) -> tuple[str, str]:
+def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
     entries = folder.entries()
     if not entries:
         return "is empty", "make a data set there, or give another folder"
@@ -74,9 +73,9 @@ def _folder_in_words(folder: DataFolder) -> tuple[str, str]:
             return words
     if folder.exists("meta/info.json"):
         return "is a LeRobotDataset", "give the data set that it was exported from"
-    if PENDING_FOLDER in entries:
+    if store.PENDING_FOLDER in entries:
         return (
-            f"is the folder of a run that was interrupted, and its {MANIFEST_FILE} is missing",
+            f"is the folder of a run that was interrupted, and its {store.MANIFEST_FILE} is missing",
             "run the same command again, it continues",
         )
     sets = [name for name, size in entries.items() if size is None and _is_set(folder, name)]
@@ -86,11 +85,11 @@ def _folder_in_words(folder: DataFolder) -> tuple[str, str]:
     return _contents_in_words(folder)
 
 
-def _is_set(folder: DataFolder, name: str) -> bool:
-    return not name.startswith(".") and folder.exists(f"{name}/{MANIFEST_FILE}")
+def _is_set(folder: store.DataFolder, name: str) -> bool:
+    return not name.startswith(".") and folder.exists(f"{name}/{store.MANIFEST_FILE}")
 
 
-def _contents_in_words(folder: DataFolder) -> tuple[str, str]:
+def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:
     """Name the most frequent kind of file in a folder and one level below."""
     files: list[str] = []
     for name, size in folder.entries().items():

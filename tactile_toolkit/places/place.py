@@ -16,11 +16,9 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.hub.calls import hub_failures, not_cached
-from tactile_toolkit.hub.repository import HubRepository, open_repository
 from tactile_toolkit.kind import DatasetKind, is_for_others, kinds
-from tactile_toolkit.mesh.records import FACES
 from tactile_toolkit.places.layout import (
     CARD_FILE,
     PARQUET,
@@ -36,17 +34,6 @@ from tactile_toolkit.places.layout import (
 )
 from tactile_toolkit.places.other_files import is_parquet_file, not_a_set
 from tactile_toolkit.places.published import kind_of_published, named_on_hub, published_set
-from tactile_toolkit.read.columns import class_names, column_names
-from tactile_toolkit.read.parquet import Shard
-from tactile_toolkit.store.build import resume_promotion
-from tactile_toolkit.store.files import expanded, path_exists, readable
-from tactile_toolkit.store.folder import DataFolder, split_uri
-from tactile_toolkit.store.job import manifest_so_far
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, without_collecting
-from tactile_toolkit.store.names import is_hidden, is_remote, names_inside, normalize_uri, scheme_of
-from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.parquet import small_files
-from tactile_toolkit.store.shards import DATA_FOLDER
 from tactile_toolkit.wording import counted
 
 # Folders below that of a data set in which files are looked for, and how many at most.
@@ -81,13 +68,13 @@ class Place:
     """
 
     name: str
-    source: DataFolder | HubRepository | tuple[Place, ...]
+    source: store.DataFolder | hub.HubRepository | tuple[Place, ...]
     files: Mapping[str, tuple[str, ...]]
-    manifest: Manifest | None = None
+    manifest: store.Manifest | None = None
     complete: bool = True
     is_file: bool = False
     allow_incomplete: bool = False
-    _found: dict[tuple[str, bool], tuple[Shard, ...]] = field(
+    _found: dict[tuple[str, bool], tuple[read.Shard, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
 
@@ -97,14 +84,14 @@ class Place:
         return tuple(split for split, paths in self.files.items() if paths)
 
     @property
-    def folder(self) -> DataFolder | None:
+    def folder(self) -> store.DataFolder | None:
         """The folder, local or in an object store; None for files and repositories of the Hub."""
-        return self.source if isinstance(self.source, DataFolder) and not self.is_file else None
+        return self.source if isinstance(self.source, store.DataFolder) and not self.is_file else None
 
     @property
-    def repository(self) -> HubRepository | None:
+    def repository(self) -> hub.HubRepository | None:
         """The repository of the Hub; None for folders and files."""
-        return self.source if isinstance(self.source, HubRepository) else None
+        return self.source if isinstance(self.source, hub.HubRepository) else None
 
     @property
     def revision(self) -> str | None:
@@ -151,7 +138,7 @@ class Place:
             return next((each for each in kinds() if each.name == self.manifest.kind), None)
         return kind_of_published(self.repository.repo_id) if self.repository is not None else None
 
-    def _first_shard(self) -> Shard:
+    def _first_shard(self) -> read.Shard:
         found = next(iter(self._found.values()), None) or self.shards(self.splits[0])
         return found[0]
 
@@ -185,7 +172,7 @@ class Place:
     def _require_columns(self, kind: DatasetKind, command: str) -> None:
         """Refuse rows of no kind that have not what a kind needs; damaged files are left to their readers."""
         with suppress(IntegrityError):
-            names = column_names(self._first_shard().schema)
+            names = read.column_names(self._first_shard().schema)
             if not any(name in names for name in kind.needs):
                 shown = ", ".join(names[:_COLUMNS_SHOWN])
                 more = "" if len(names) <= _COLUMNS_SHOWN else " and others"
@@ -221,7 +208,7 @@ class Place:
             raise self._not_finished()
         return self
 
-    def require_manifest(self, kind: DatasetKind) -> Manifest:
+    def require_manifest(self, kind: DatasetKind) -> store.Manifest:
         """Return the manifest of a finished folder of a kind.
 
         Raises
@@ -233,7 +220,7 @@ class Place:
         """
         if self.manifest is None or self.folder is None:
             raise InputError(
-                f"no {MANIFEST_FILE} in {self.name!r}",
+                f"no {store.MANIFEST_FILE} in {self.name!r}",
                 next=f"give the folder of a data set, such as one made by `{kind.made_by}`",
             )
         self.require_complete()
@@ -246,7 +233,7 @@ class Place:
         return bool(records) and len(records) == records[0].shard.count
 
     def _not_finished(self) -> IntegrityError:
-        record = None if self.folder is None else read_record(self.folder)
+        record = None if self.folder is None else store.read_record(self.folder)
         again = "run the same command again" if record is None else f"download {record.repo_id} there again"
         return IntegrityError(
             f"the run that makes {self.name!r} is not finished ({self.unfinished})",
@@ -269,7 +256,7 @@ class Place:
 
     def shards(
         self, split: str | None = None, *, kind: DatasetKind | None = None, streaming: bool = False
-    ) -> tuple[Shard, ...]:
+    ) -> tuple[read.Shard, ...]:
         """Return the shards of one split, fetching them first where they are on the Hub.
 
         Parameters
@@ -301,7 +288,7 @@ class Place:
             self.require(kind)
         return found
 
-    def all_shards(self) -> dict[str, tuple[Shard, ...]]:
+    def all_shards(self) -> dict[str, tuple[read.Shard, ...]]:
         """Return the shards of all splits."""
         return {split: self.shards(split) for split in self.splits}
 
@@ -316,15 +303,15 @@ class Place:
             for shard in found
         }
 
-    def _find(self, split: str, streaming: bool) -> tuple[Shard, ...]:
+    def _find(self, split: str, streaming: bool) -> tuple[read.Shard, ...]:
         if isinstance(self.source, tuple):
             every = (place.shards(place.splits[0], streaming=streaming) for place in self.source)
             return tuple(shard for found in every for shard in found)
-        if isinstance(self.source, DataFolder):
+        if isinstance(self.source, store.DataFolder):
             if self.manifest is not None:
                 return self._recorded_shards(self.source, self.manifest, split)
             paths = self.paths_of(split)
-            return tuple(Shard(self.source.address(path)) for path in paths)
+            return tuple(read.Shard(self.source.address(path)) for path in paths)
         paths = self.paths_of(split)
         return _hub_shards(self.source, paths, streaming)
 
@@ -338,30 +325,32 @@ class Place:
         except (InputError, IntegrityError) as error:
             if self.repository is None or not self.repository.is_cache or self.manifest is not None:
                 raise
-            raise not_cached(self.repository.repo_id, f"split {split!r}") from error
+            raise hub.not_cached(self.repository.repo_id, f"split {split!r}") from error
 
-    @without_collecting()
-    def _recorded_shards(self, folder: DataFolder, manifest: Manifest, split: str) -> tuple[Shard, ...]:
+    @store.without_collecting()
+    def _recorded_shards(
+        self, folder: store.DataFolder, manifest: store.Manifest, split: str
+    ) -> tuple[read.Shard, ...]:
         root, records = folder.address(), manifest.shards_of(split)
         if not self._is_whole(split) and not (records and self.allow_incomplete):
             if not records and self.complete:
                 raise unknown_split(split, manifest.splits, self.name)
             if self.complete:
                 raise IntegrityError(
-                    f"{MANIFEST_FILE} of {self.name!r} lists {len(records)} of "
+                    f"{store.MANIFEST_FILE} of {self.name!r} lists {len(records)} of "
                     f"{counted(records[0].shard.count, 'shards')} of split {split!r}; expected all",
                     next="download or generate the data set again",
                 )
             raise self._not_finished()
-        small: dict[int, tuple[Shard, str]] = {}
-        for file in small_files(manifest, split):
+        small: dict[int, tuple[read.Shard, str]] = {}
+        for file in store.small_files(manifest, split):
             if file.path in (manifest.files or ()):
-                entry = (Shard(folder.address(file.path), file.rows), file.made_of)
+                entry = (read.Shard(folder.address(file.path), file.rows), file.made_of)
                 small |= {record.shard.index: entry for record in file.records}
         # Names were checked when the manifest was read: address(PATH) would do so again for each of 50,000.
         return tuple(
             [
-                Shard(
+                read.Shard(
                     f"{root}/{record.shard.data_path}",
                     record.rows,
                     small=small.get(record.shard.index),
@@ -372,24 +361,26 @@ class Place:
         )
 
 
-def _hub_shards(repository: HubRepository, paths: Sequence[str], streaming: bool) -> tuple[Shard, ...]:
+def _hub_shards(
+    repository: hub.HubRepository, paths: Sequence[str], streaming: bool
+) -> tuple[read.Shard, ...]:
     if not streaming:
-        return tuple(Shard(str(place)) for place in repository.local_paths(paths))
+        return tuple(read.Shard(str(place)) for place in repository.local_paths(paths))
     for path in paths:
         repository.file(path)  # a file that is not there is named now, not when it is read
-    failures = functools.partial(hub_failures, repository.repo_id, "streaming")
-    return tuple(Shard(repository.address(path), failures=failures) for path in paths)
+    failures = functools.partial(hub.hub_failures, repository.repo_id, "streaming")
+    return tuple(read.Shard(repository.address(path), failures=failures) for path in paths)
 
 
 def kind_of_rows(schema: Any) -> DatasetKind | None:
     """Return the kind of rows by a column that only it has, or else of meshes by their published classes."""
-    names = column_names(schema)
+    names = read.column_names(schema)
     for kind in kinds():
         if any(name.partition(".")[0] in kind.columns for name in names):
             return kind
-    if FACES not in names:
+    if mesh.FACES not in names:
         return None
-    classes = class_names(schema, ())
+    classes = read.class_names(schema, ())
     known = (kind for kind in kinds() if kind.published and kind.class_names)
     return next((kind for kind in known if kind.class_names == classes), None)
 
@@ -459,7 +450,7 @@ def open_place(
     return replace(found, allow_incomplete=allow_incomplete)
 
 
-def folder_place(folder: DataFolder) -> Place:
+def folder_place(folder: store.DataFolder) -> Place:
     """Say what a folder of a data set holds."""
     return _folder_place(folder.address(), folder, None)
 
@@ -477,7 +468,7 @@ def _several(names: Any, revision: str | None) -> Place:
                 "such as 'real-single-64x64', USER/NAME on the Hub, a folder, a Parquet file, or several of "
                 "these files"
             )
-    opened: dict[Any, HubRepository] = {}
+    opened: dict[Any, hub.HubRepository] = {}
     places = tuple(_of_one_commit(open_place(file, revision=revision), opened) for file in files)
     for place in places:
         if not place.is_file:
@@ -485,7 +476,7 @@ def _several(names: Any, revision: str | None) -> Place:
     return Place(", ".join(map(os.fsdecode, files)), places, {USUAL_SPLIT: ("",)}, is_file=True)
 
 
-def _of_one_commit(place: Place, opened: dict[Any, HubRepository]) -> Place:
+def _of_one_commit(place: Place, opened: dict[Any, hub.HubRepository]) -> Place:
     if place.repository is None:
         return place
     key = place.repository.repo_id, place.repository.revision
@@ -498,22 +489,22 @@ def _without_short_name(name: str) -> str:
     if "/" in name or published_set(name) is None:
         return name
     # Data, not any folder of that name: sources of the toolkit lie in one called ``mnist3d``.
-    place, patterns = Path(name), (MANIFEST_FILE, "*.parquet", f"{DATA_FOLDER}/*.parquet")
+    place, patterns = Path(name), (store.MANIFEST_FILE, "*.parquet", f"{store.DATA_FOLDER}/*.parquet")
     is_data = place.is_file() or any(next(place.glob(pattern), None) for pattern in patterns)
     return name if is_data else ""
 
 
-def _local(name: str) -> tuple[DataFolder, str] | None:
+def _local(name: str) -> tuple[store.DataFolder, str] | None:
     """Return a folder, or the folder of a file and its name, local or in an object store; None otherwise.
 
     Raises InputError for a folder of a store that is not there: nothing else can be meant.
     """
-    if not name or scheme_of(name) == "hf":
+    if not name or store.scheme_of(name) == "hf":
         return None
-    if is_remote(name):
+    if store.is_remote(name):
         if name.endswith(PARQUET):
-            return split_uri(normalize_uri(name))
-        folder = DataFolder(name)
+            return store.split_uri(store.normalize_uri(name))
+        folder = store.DataFolder(name)
         if not folder.exists():
             raise InputError(
                 f"{folder.missing_message('data set')}; expected the folder of a data set, or a Parquet file",
@@ -521,31 +512,31 @@ def _local(name: str) -> tuple[DataFolder, str] | None:
             )
         return folder, ""
     try:
-        place = expanded(normalize_uri(name))
+        place = store.expanded(store.normalize_uri(name))
     except InputError:  # an unknown user's home
         return None
-    with readable(name):
-        is_there = path_exists(place)
+    with store.readable(name):
+        is_there = store.path_exists(place)
     if is_there and place.is_dir():
-        return DataFolder(str(place)), ""
-    return (DataFolder(str(place.parent)), place.name) if is_there and place.is_file() else None
+        return store.DataFolder(str(place)), ""
+    return (store.DataFolder(str(place.parent)), place.name) if is_there and place.is_file() else None
 
 
-def folder_named(name: str) -> DataFolder | None:
+def folder_named(name: str) -> store.DataFolder | None:
     """Return the folder of that name, local or in an object store; None for a file or a name of the Hub."""
     folder, file = _local(name) or (None, "")
     return None if file else folder
 
 
-def _file_place(name: str, folder: DataFolder, file: str) -> Place:
+def _file_place(name: str, folder: store.DataFolder, file: str) -> Place:
     if folder.is_local and not is_parquet_file(folder, file):
         raise not_a_set(folder, name, file)
     return Place(name, folder, {split_of_file(file) or USUAL_SPLIT: (file,)}, is_file=True)
 
 
-def _folder_place(name: str, folder: DataFolder, config: str | None) -> Place:
-    resume_promotion(folder)  # files of two sets lie in one that is being replaced
-    manifest = manifest_so_far(folder)
+def _folder_place(name: str, folder: store.DataFolder, config: str | None) -> Place:
+    store.resume_promotion(folder)  # files of two sets lie in one that is being replaced
+    manifest = store.manifest_so_far(folder)
     if manifest is not None:
         splits = {split: _record_paths(manifest, split) for split in manifest.splits}
         return Place(name, folder, splits, manifest, manifest.complete)
@@ -553,18 +544,18 @@ def _folder_place(name: str, folder: DataFolder, config: str | None) -> Place:
     if folder.exists(CARD_FILE):
         found = splits_by_card(folder.read_bytes(CARD_FILE), _walked(folder), config, name)
     if found is None:
-        in_data = [f"{DATA_FOLDER}/{each}" for each in folder.names(DATA_FOLDER)]
+        in_data = [f"{store.DATA_FOLDER}/{each}" for each in folder.names(store.DATA_FOLDER)]
         found = splits_by_name(in_data if has_shards(in_data) else _walked(folder), name)
     if not any(found.values()):
         raise not_a_set(folder, name)
     return Place(name, folder, found)
 
 
-def _record_paths(manifest: Manifest, split: str) -> tuple[str, ...]:
+def _record_paths(manifest: store.Manifest, split: str) -> tuple[str, ...]:
     return tuple(record.shard.data_path for record in manifest.shards_of(split))
 
 
-def _walked(folder: DataFolder) -> list[str]:
+def _walked(folder: store.DataFolder) -> list[str]:
     """List the files in a folder and some levels below; InputError where there are too many folders."""
     files: list[str] = []
     waiting = [("", 0)]
@@ -575,20 +566,20 @@ def _walked(folder: DataFolder) -> list[str]:
                 next="give the folder of one data set",
             )
         entries = folder.entries(inside)
-        if inside and MANIFEST_FILE in entries:
+        if inside and store.MANIFEST_FILE in entries:
             continue  # a data set of its own
         for name, size in entries.items():
             path = f"{inside}/{name}" if inside else name
             if size is not None:
                 files.append(path)
-            elif depth < _DEPTH and not is_hidden(name):
+            elif depth < _DEPTH and not store.is_hidden(name):
                 waiting.append((path, depth + 1))
     return files
 
 
 def _hub_place(name: str, shown: str, revision: str | None, config: str | None) -> Place:
     named = named_on_hub(name, revision)
-    repository = open_repository(named.repo_id, named.revision)
+    repository = hub.open_repository(named.repo_id, named.revision)
     if named.path.endswith(PARQUET):
         file = {split_of_file(named.path.rpartition("/")[2]) or USUAL_SPLIT: (named.path,)}
         return Place(shown, repository, file, is_file=True)
@@ -596,7 +587,7 @@ def _hub_place(name: str, shown: str, revision: str | None, config: str | None) 
 
 
 def repository_place(
-    repository: HubRepository, name: str, path: str = "", config: str | None = None
+    repository: hub.HubRepository, name: str, path: str = "", config: str | None = None
 ) -> Place:
     """Say what a repository of the Hub, or a folder in it, holds.
 
@@ -607,7 +598,7 @@ def repository_place(
     """
     inside = f"{path}/" if path else ""
     paths = parquet_paths(each for each in repository.files() if each.startswith(inside))
-    names_inside(paths, f"Hub data set {repository.repo_id!r}")
+    store.names_inside(paths, f"Hub data set {repository.repo_id!r}")
     manifest = repository.manifest
     if manifest is not None:
         # An upload removes nothing that it was not asked to: shards of an older layout may lie next to these.
@@ -622,5 +613,5 @@ def repository_place(
         relative = splits_by_name((each.removeprefix(inside) for each in paths), name)
         found = {split: tuple(f"{inside}{each}" for each in held) for split, held in relative.items()}
     if not any(found.values()):
-        raise not_cached(repository.repo_id, "it") if repository.is_cache else unknown_split("", (), name)
+        raise hub.not_cached(repository.repo_id, "it") if repository.is_cache else unknown_split("", (), name)
     return Place(name, repository, found)

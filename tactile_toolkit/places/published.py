@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
 
+from tactile_toolkit import hub, run
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.hub.repository import HubName, HubRepository, find_cached, hub_name, open_repository
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
-from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.wording import did_you_mean
 
 _LONGEST_SHOWN = 200
@@ -27,7 +26,7 @@ def kind_of_published(name: str) -> DatasetKind | None:
     return next((kind for kind in kinds() if known in kind.published), None)
 
 
-def repository_named(name: str, revision: str | None = None) -> HubName:
+def repository_named(name: str, revision: str | None = None) -> hub.HubName:
     """Return the repository that a name, or the short name of a published set, means.
 
     Raises InputError for other names, and for a part of a repository.
@@ -41,9 +40,9 @@ def repository_named(name: str, revision: str | None = None) -> HubName:
     return named
 
 
-def named_on_hub(name: str, revision: str | None) -> HubName:
+def named_on_hub(name: str, revision: str | None) -> hub.HubName:
     """Return the repository, or the path in one, that a name means; InputError for any other name."""
-    named = hub_name(name, revision)
+    named = hub.hub_name(name, revision)
     if named is None:
         published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
         lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))
@@ -58,16 +57,16 @@ def named_on_hub(name: str, revision: str | None) -> HubName:
 
 def hub_states(
     sets: Iterable[PublishedSet],
-) -> Iterator[tuple[HubRepository | None, HubRepository | None]]:
+) -> Iterator[tuple[hub.HubRepository | None, hub.HubRepository | None]]:
     """Ask the Hub for all sets at once; yield what it says of each, and what its cache has.
 
     None where the Hub gives no answer, and where nothing of the commit last looked at is in the cache.
     """
 
-    def state(entry: PublishedSet) -> tuple[HubRepository | None, HubRepository | None]:
+    def state(entry: PublishedSet) -> tuple[hub.HubRepository | None, hub.HubRepository | None]:
         found = None
         with suppress(ToolkitError):
-            found = open_repository(entry.repo_id)
-        return None if found is None or found.is_cache else found, find_cached(entry.repo_id)
+            found = hub.open_repository(entry.repo_id)
+        return None if found is None or found.is_cache else found, hub.find_cached(entry.repo_id)
 
-    return in_threads(state, sets, _THREADS)
+    return run.in_threads(state, sets, _THREADS)

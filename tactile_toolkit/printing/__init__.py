@@ -8,3 +8,7 @@
 
 Whatever is written is read back from disk and has to be the same solid before it gets its name (objects.py).
 """
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -20,23 +20,27 @@ from typing import IO, TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 
-from tactile_toolkit.catalog.choose import choose_rows
+from tactile_toolkit import catalog, read, store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.files import FORMATS, merge_equal_vertices, pack_mesh, unpack_mesh
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import ManifoldCheck, require_solid
+from tactile_toolkit.mesh import (
+    FORMATS,
+    MM_PER_M,
+    ManifoldCheck,
+    Mesh,
+    merge_equal_vertices,
+    pack_mesh,
+    require_solid,
+    unpack_mesh,
+)
 from tactile_toolkit.printing.simulator import model_files
 from tactile_toolkit.printing.spec import MODELS, Physics
-from tactile_toolkit.run.processes import runner_for
-from tactile_toolkit.store.files import named_failures, remove_drafts, write_file
-from tactile_toolkit.store.folder import DataFolder, local_folder
+from tactile_toolkit.run import runner_for
 from tactile_toolkit.wording import class_name
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from tactile_toolkit.mesh.records import SolidRecord
-    from tactile_toolkit.read.dataset import RecordDataset
+    from tactile_toolkit.mesh import SolidRecord
 
 
 CHANGED = "changed"
@@ -119,20 +123,20 @@ def _write(path: Path, content: bytes) -> None:
         if Path(stream.name).read_bytes() != content:
             raise ItemError(CHANGED, "it reads back from disk with other bytes; the file was removed")
 
-    with named_failures(str(path)):
-        write_file(path, write)
+    with store.named_failures(str(path)):
+        store.write_file(path, write)
 
 
 def content_of(path: Path) -> bytes | None:
     """Return the content of a file; None where it is not there, StorageError where it cannot be read."""
-    with named_failures(str(path)), suppress(FileNotFoundError, NotADirectoryError):
+    with store.named_failures(str(path)), suppress(FileNotFoundError, NotADirectoryError):
         return path.read_bytes()
     return None
 
 
 def _before(folder: Path, product: Product[R]) -> set[Path]:
     """Return the files of a product that are there; InputError where a folder of it is a link."""
-    places = [DataFolder(str(folder)).place(pattern) for pattern in product.patterns]
+    places = [store.DataFolder(str(folder)).place(pattern) for pattern in product.patterns]
     return {path for place in places for path in place.parent.glob(place.name)}
 
 
@@ -169,7 +173,7 @@ def _exported(
 
 def _remove(paths: Iterable[Path]) -> None:
     for path in paths:
-        with named_failures(str(path)):
+        with store.named_failures(str(path)):
             path.unlink(missing_ok=True)
 
 
@@ -188,10 +192,10 @@ def export(
     files stand in the way, before anything is written, and StorageError where the folder cannot be written;
     finished files stay.
     """
-    folder = local_folder(out)
+    folder = store.local_folder(out)
     if not dry_run:
-        DataFolder(out).require_folder()
-        remove_drafts(folder)  # of killed exports
+        store.DataFolder(out).require_folder()
+        store.remove_drafts(folder)  # of killed exports
     found: dict[str, tuple[str, Any]] = {}
 
     def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
@@ -254,13 +258,15 @@ def place_on_plate(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
     return Mesh(vertices_m, faces)
 
 
-def choose(datasets: Iterable[tuple[str, RecordDataset[SolidRecord]]], **chosen: Any) -> list[PrintObject]:
+def choose(
+    datasets: Iterable[tuple[str, read.RecordDataset[SolidRecord]]], **chosen: Any
+) -> list[PrintObject]:
     """Choose objects as :func:`tactile_toolkit.catalog.choose.choose_rows` does; no mesh is read.
 
     Raises InputError as there, and where an id stands twice in a split.
     """
     objects: list[PrintObject] = []
-    for split, rows, found in choose_rows(datasets, **chosen):
+    for split, rows, found in catalog.choose_rows(datasets, **chosen):
         classes = rows.label_names
         columns = (found.tolist(), rows.ids[found].tolist(), rows.labels[found].tolist())
         for row, number, label in zip(*columns, strict=True):

@@ -17,9 +17,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from scipy import fft, ndimage
 
+from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.raster import highest_values, positions_in_runs
-from tactile_toolkit.mesh.solid_check import require_solid
 from tactile_toolkit.printing.objects import Failure, PrintObject, Progress, place_on_plate, require_scale
 from tactile_toolkit.printing.spec import Physics, PlateSpec
 
@@ -106,11 +105,11 @@ def cells_touched(rings: Rings, shape: tuple[int, int]) -> NDArray[np.bool_]:
     starts = np.concatenate(list(rings))
     # The middle of the first cell is at 0.5, that of the first pixel at 0.
     corners = np.vstack([starts.T - 0.5, np.zeros(len(starts))])
-    cells = np.isfinite(highest_values(corners, manifold3d.triangulate([*rings]), shape))
+    cells = np.isfinite(mesh.highest_values(corners, manifold3d.triangulate([*rings]), shape))
     steps = np.concatenate([np.roll(ring, -1, axis=0) for ring in rings]) - starts
     count = np.maximum(np.ceil(np.linalg.norm(steps, axis=1) * _SAMPLES_PER_CELL).astype(int), 1)
     edge = np.repeat(np.arange(len(count)), count)
-    share = positions_in_runs(count) / count[edge]
+    share = mesh.positions_in_runs(count) / count[edge]
     column, row = np.floor(starts[edge] + share[:, None] * steps[edge]).astype(int).T
     inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
     cells[row[inside], column[inside]] = True
@@ -185,7 +184,7 @@ def measure(
 
 
 def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
-    verdict = require_solid(place_on_plate(item.load(), scale))
+    verdict = mesh.require_solid(place_on_plate(item.load(), scale))
     outline = outline_of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
     footprint = outline.footprint()

@@ -19,11 +19,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import pictures, store
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
-from tactile_toolkit.mesh.solid_check import require_solid
-from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.pictures.sheets import PAPER, bar_length_mm, draw_text, png_bytes, text_size
+from tactile_toolkit.mesh import MM_PER_M, BuildItem, Mesh, read_build, require_solid, write_build
 from tactile_toolkit.printing.objects import (
     CHANGED,
     FileExport,
@@ -37,7 +35,6 @@ from tactile_toolkit.printing.objects import (
 )
 from tactile_toolkit.printing.packing import Layout, Outline, cells_touched
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf
-from tactile_toolkit.store.folder import local_folder
 from tactile_toolkit.wording import counted
 
 TABLE_FILE = "plates.csv"
@@ -94,7 +91,7 @@ def write_plates(
     Raises InputError where plates of another export stand in the folder, before anything is written, and
     StorageError where the folder cannot be written; finished files stay.
     """
-    unknown = _unknown_files(layout, local_folder(out))
+    unknown = _unknown_files(layout, store.local_folder(out))
     # The table first: it says most clearly whether these are the plates of another export.
     export([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
     plates = [
@@ -245,8 +242,8 @@ def draw_map(layout: Layout, number: int) -> bytes:
     longer_px = min(max(_LONGER_SIDE_PX, _LEAST_PX_PER_MM * longer_mm), _LONGEST_SIDE_PX)
     scale = longer_px / longer_mm
     width_px, depth_px = (round(side * scale) for side in spec.sides_mm)
-    sheet_px = max(width_px, round(text_size(title, _TITLE_PX)[0])) + 2 * _EDGE_PX
-    picture = Image.new("RGB", (sheet_px, depth_px + 2 * _EDGE_PX), PAPER)
+    sheet_px = max(width_px, round(pictures.text_size(title, _TITLE_PX)[0])) + 2 * _EDGE_PX
+    picture = Image.new("RGB", (sheet_px, depth_px + 2 * _EDGE_PX), pictures.PAPER)
     pen = ImageDraw.Draw(picture)
 
     def places(points_mm: Any) -> list[tuple[float, ...]]:
@@ -259,14 +256,14 @@ def draw_map(layout: Layout, number: int) -> bytes:
         pen.rectangle(places(corners), fill, colour, width)
 
     frame(0, _OUTLINE, 0, _PLATE)
-    step_mm = bar_length_mm(round(longer_px / _LINES_TO_A_BAR), scale)
+    step_mm = pictures.bar_length_mm(round(longer_px / _LINES_TO_A_BAR), scale)
     for axis, anchor, aside_px in ((0, "ma", (0, 16)), (1, "rm", (-16, 0))):
         for at_mm in np.arange(0, spec.sides_mm[axis] + 1e-6, step_mm).tolist():
             ends_mm = np.zeros((2, 2))
             ends_mm[:, axis], ends_mm[1, 1 - axis] = at_mm, spec.sides_mm[1 - axis]
             pen.line(places(ends_mm), _GRID, 2)
             x, y = np.add(places(ends_mm)[0], aside_px).tolist()
-            draw_text(pen, (x, y), f"{at_mm:g}", _NUMBER_PX, anchor=anchor)
+            pictures.draw_text(pen, (x, y), f"{at_mm:g}", _NUMBER_PX, anchor=anchor)
     frame(spec.margin_mm, _MARGIN, 2)
     if any(spec.corner_mm):
         pen.rectangle(places(((0, spec.corner_mm[1]), (spec.corner_mm[0], 0))), _MARGIN, _OUTLINE, 2)
@@ -290,18 +287,18 @@ def draw_map(layout: Layout, number: int) -> bytes:
         lines = [item.label, str(item.id), *split] if item.label else [item.name]
         spot_mm = np.add(_widest_spot(placed.outline, _SPOT_PX / scale), (placed.x_mm, placed.y_mm))
         middle = np.array(places([spot_mm])[0])
-        sides_px = max(text_size(line, _WORD_PX)[0] for line in lines), len(lines) * _LINE_PX
+        sides_px = max(pictures.text_size(line, _WORD_PX)[0] for line in lines), len(lines) * _LINE_PX
         box = np.array([middle - np.divide(sides_px, 2), middle + np.divide(sides_px, 2)])
         if all((box[1] < other[0]).any() or (box[0] > other[1]).any() for other in taken):
             taken.append(box)
             for row, line in enumerate(lines):
                 at_px = (float(middle[0]), float(box[0, 1]) + (row + 0.5) * _LINE_PX)
-                draw_text(pen, at_px, line, _WORD_PX, anchor="mm", halo_px=4)
+                pictures.draw_text(pen, at_px, line, _WORD_PX, anchor="mm", halo_px=4)
     left_out = f"; {len(plate) - len(taken):,} without words, for want of space: plates.csv lists them"
     words = f"front; numbers are mm{left_out if len(taken) < len(plate) else ''}"
-    draw_text(pen, (_EDGE_PX, depth_px + 2 * _EDGE_PX - 20), words, _NUMBER_PX, anchor="ls")
-    draw_text(pen, (_EDGE_PX, _EDGE_PX - 28), title, _TITLE_PX, anchor="ls")
-    return png_bytes(np.asarray(picture.reduce(_FINER)))
+    pictures.draw_text(pen, (_EDGE_PX, depth_px + 2 * _EDGE_PX - 20), words, _NUMBER_PX, anchor="ls")
+    pictures.draw_text(pen, (_EDGE_PX, _EDGE_PX - 28), title, _TITLE_PX, anchor="ls")
+    return pictures.png_bytes(np.asarray(picture.reduce(_FINER)))
 
 
 def _widest_spot(outline: Outline, cell_mm: float) -> tuple[float, float]:

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import require_solid
+from tactile_toolkit.mesh import Mesh, require_solid
 from tactile_toolkit.printing.spec import Physics
 
 _DIRECTIONS = [

@@ -27,6 +27,7 @@ from typing import IO, Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit import run
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import BusyError, IntegrityError, ToolkitError
@@ -41,12 +42,17 @@ from tactile_toolkit.read.columns import (
     table_bytes,
 )
 from tactile_toolkit.read.source import RowSource
-from tactile_toolkit.run.threads import in_threads
-from tactile_toolkit.store.files import resource_shortage
-from tactile_toolkit.store.folder import VERSION_KEYS, split_uri
-from tactile_toolkit.store.locks import locked
-from tactile_toolkit.store.parquet import SOURCE_DIGEST, named_damage, open_checked
-from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
+from tactile_toolkit.store import (
+    DATA_FOLDER,
+    SOURCE_DIGEST,
+    VERSION_KEYS,
+    ShardName,
+    locked,
+    named_damage,
+    open_checked,
+    resource_shortage,
+    split_uri,
+)
 
 _BLOCK_BYTES = 64 << 20
 # Unpacked sizes of Parquet's physical types; all others take four bytes at least, a number or an offset.
@@ -539,7 +545,7 @@ class ChosenGroups:
 
 def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource]) -> Iterator[T]:
     """Yield what a function gives for each shard, in order; many are read at once."""
-    return in_threads(function, shards, 1 if len(shards) < _FEW_SHARDS else _READERS)
+    return run.in_threads(function, shards, 1 if len(shards) < _FEW_SHARDS else _READERS)
 
 
 def _small_column(small: tuple[Shard, str] | None, shards: Sequence[RowSource], name: str) -> Any:

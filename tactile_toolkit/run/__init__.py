@@ -1,5 +1,5 @@
 """Where tasks run: the calling process, local processes, a Ray cluster."""
 
-from tactile_toolkit import on_first_use
+from lazy_loader import attach_stub
 
-__getattr__, __dir__, __all__ = on_first_use(__name__, __file__)
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

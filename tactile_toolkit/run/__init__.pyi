@@ -1,11 +1,21 @@
-"""The public names: type checkers read this list, and the package imports each on first use."""
+"""The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from tactile_toolkit.run.processes import (
+from .processes import (
     Check as Check,
     Finish as Finish,
     InlineRunner as InlineRunner,
     Part as Part,
     ProcessRunner as ProcessRunner,
     Runner as Runner,
+    part_of as part_of,
+    runner_for as runner_for,
 )
-from tactile_toolkit.run.ray import RayRunner as RayRunner
+from .ray import (
+    RayRunner as RayRunner,
+)
+from .threads import (
+    in_threads as in_threads,
+    limit_threads as limit_threads,
+    prepare_batch_process as prepare_batch_process,
+    skip_pandas as skip_pandas,
+)

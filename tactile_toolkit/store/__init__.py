@@ -1,1 +1,5 @@
 """A data set folder: shards, manifest, making it, resuming, replacing, verifying."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

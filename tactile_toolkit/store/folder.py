@@ -25,8 +25,8 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, ClassVar, TypeVar
 
+from tactile_toolkit import run
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
-from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import (
     expanded,
     make_folder,
@@ -221,7 +221,7 @@ class DataFolder:
                 return self.read_bytes(path)
             return None
 
-        return in_threads(read, paths, _READ_AT_ONCE)
+        return run.in_threads(read, paths, _READ_AT_ONCE)
 
     def write(self, path: str, fill: Callable[[IO[bytes]], T]) -> T:
         """Write a file in pieces, which appears when all is written, or never; return what ``fill`` returns.

@@ -14,14 +14,15 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from importlib.metadata import version
 from itertools import groupby
 from typing import Any
 
 import msgspec
 
-from tactile_toolkit import library_versions, toolkit_version
+from tactile_toolkit import __version__
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.run.processes import Check, Finish, Part, Runner
+from tactile_toolkit.run import Check, Finish, Part, Runner
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
@@ -111,12 +112,12 @@ class BuildPlan:
         """Return the manifest of a folder in which nothing is finished."""
         return Manifest(
             self.kind,
-            toolkit_version(),
+            __version__,
             self.spec,
             self.split_order,
             planned=Counter(task.shard.split for task in self.tasks),
             trees=self.extra_dirs,
-            libraries=library_versions(*self.libraries),
+            libraries={name: version(name) for name in self.libraries},
         )
 
 

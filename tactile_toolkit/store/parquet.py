@@ -13,8 +13,8 @@ from itertools import chain
 from pathlib import Path
 from typing import IO, Any
 
+from tactile_toolkit import run
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.files import readable
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import Manifest
@@ -418,7 +418,7 @@ def _small_table(folder: DataFolder, file: SmallFile) -> Any:
         return table
 
     workers = min(usable_cores(), _READERS) if folder.is_local else _READERS
-    tables = list(in_threads(read, file.records, workers))
+    tables = list(run.in_threads(read, file.records, workers))
     # Columns that differ between shards are read from the shards.
     every = [dict(zip(table.schema.names, table.schema.types, strict=True)) for table in tables]
     names = [

@@ -7,12 +7,7 @@ from typing import Any, Literal
 
 import pyarrow as pa
 
-from tactile_toolkit.read.columns import (
-    dtype_name,
-    feature_metadata,
-    label_feature,
-    list_depth,
-)
+from tactile_toolkit import read
 
 Kind = Literal["seq", "single"]
 MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
@@ -30,17 +25,17 @@ def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Sc
     Without ``label_names`` a class is a plain number; an empty list states that there are no classes.
     """
     features = {field.name: _feature(field.name, field.type, label_names) for field in schema}
-    return schema.with_metadata(feature_metadata(features))
+    return schema.with_metadata(read.feature_metadata(features))
 
 
 def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | None) -> Mapping[str, Any]:
     if name == "label" and label_names is not None:
-        return label_feature(label_names)
-    if list_depth(data_type)[0]:
+        return read.label_feature(label_names)
+    if read.list_depth(data_type)[0]:
         length = data_type.list_size if pa.types.is_fixed_size_list(data_type) else -1
         inner = _feature(name, data_type.value_type, label_names)
         # "Sequence" is the spelling that both old and new releases of `datasets` read as a list.
         return {"feature": inner, "length": length, "_type": "Sequence"}
     if name in MEDIA_COLUMN.values() or data_type == MEDIA_TYPE:
         return {"_type": "Video" if name == MEDIA_COLUMN["seq"] else "Image"}
-    return {"dtype": dtype_name(data_type), "_type": "Value"}
+    return {"dtype": read.dtype_name(data_type), "_type": "Value"}

@@ -17,9 +17,9 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from starstruck_gen.scene import draw_scene
-from tactile_toolkit.cards.card import check_card
-from tactile_toolkit.pictures.render import relief
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.cards import check_card
+from tactile_toolkit.pictures import relief
+from tactile_toolkit.store import DataFolder
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout

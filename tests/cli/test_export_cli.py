@@ -12,8 +12,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from tactile_toolkit.mesh.files import read_mesh
-from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh import check_manifold, read_mesh
 from tests import command_line
 from tests.tactile_toolkit.toy import folder_bytes
 

@@ -23,7 +23,7 @@ from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.opening import SHORT_NAMES
 from starstruck_gen.make import GenerateSpec as StarstruckSpec
 from tactile_toolkit.kind import kinds
-from tactile_toolkit.places.published import published_set, repository_named
+from tactile_toolkit.places import published_set, repository_named
 from tests import command_line
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, single_rows, write_set

@@ -12,7 +12,7 @@ from starstruck_gen.spec import SceneSpec
 from tactile_sim import GenerateSpec
 from tactile_sim.spec import PictureOptions, TrainConfig
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import DataFolder
 from tests.command_line import call
 
 

@@ -15,9 +15,8 @@ import pytest
 
 from realtouch import frames
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run.processes import Finish, Part
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import Finish, Part
+from tactile_toolkit.store import DataFolder, build
 from tests import command_line
 from tests.processes import start_held
 from tests.realtouch.factories import make_round, single_rows, write_set

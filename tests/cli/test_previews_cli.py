@@ -21,8 +21,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
 from starstruck_gen.make import GenerateSpec as SceneSetSpec, generate as generate_scenes
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.mesh.files import write_mesh
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh, write_mesh
 from tests.realtouch import factories
 
 

@@ -7,10 +7,9 @@ from pathlib import Path
 import pytest
 
 import realtouch
-from tactile_toolkit.hub.repository import HubRepository
-from tactile_toolkit.places.place import Place
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.hub import HubRepository
+from tactile_toolkit.places import Place
+from tactile_toolkit.store import DataFolder, read_manifest
 from tactile_toolkit.wording import counted
 from tests import command_line
 from tests.realtouch import factories

@@ -20,10 +20,10 @@ import realtouch
 import starstruck_gen
 import tactile_sim
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.exchange.download import plan_download
-from tactile_toolkit.hub.repository import hub_name
-from tactile_toolkit.mesh.files import read_mesh
-from tactile_toolkit.store.folder import DataFolder, split_uri
+from tactile_toolkit.exchange import plan_download
+from tactile_toolkit.hub import hub_name
+from tactile_toolkit.mesh import read_mesh
+from tactile_toolkit.store import DataFolder, split_uri
 from tests.command_line import call, program
 
 FORMS = (

@@ -10,9 +10,8 @@ from typer.testing import CliRunner
 import starstruck_gen
 from cli.output import Sink
 from cli.starstruck import app
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import DataFolder, read_manifest
 from tactile_toolkit.store.job import write_record
-from tactile_toolkit.store.manifest import read_manifest
 from tests.command_line import alone
 from tests.processes import start_held
 from tests.sealed import sealed

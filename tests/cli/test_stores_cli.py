@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import DataFolder
 from tests.command_line import call
 from tests.hub_server import hub
 from tests.tactile_toolkit.exchange.upload_client import logged_in

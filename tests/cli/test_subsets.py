@@ -10,10 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from tactile_toolkit.catalog.choose import choose_rows
+from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store import DataFolder, read_manifest
 from tests.command_line import call
 from tests.processes import start_held
 from tests.realtouch import factories

@@ -12,10 +12,8 @@ from cli.mnist3d import app
 from cli.realtouch import app as touches
 from tactile_toolkit import toolkit_version
 from tactile_toolkit.errors import StorageError
-from tactile_toolkit.run.processes import InlineRunner, Part
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest, write_manifest
+from tactile_toolkit.run import InlineRunner, Part
+from tactile_toolkit.store import DataFolder, Manifest, build, write_manifest
 from tests.command_line import call
 from tests.tactile_toolkit.toy import SPLITS, toy_plan
 

@@ -9,7 +9,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tactile_toolkit.mesh.records import MeshRow, mesh_schema
+from tactile_toolkit.mesh import MeshRow, mesh_schema
 from tests.mesh_columns import list_array
 from tests.realtouch import factories
 

@@ -8,7 +8,7 @@ from env_assets.meshes import MeshView, require_fitting_meshes
 from env_assets.provider import KINDS, inventory
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.shapes import box
 

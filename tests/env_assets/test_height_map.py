@@ -9,8 +9,7 @@ from hypothesis import given, strategies as st
 import tactile_toolkit.mesh.raster
 from env_assets.height_map import top_surface
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.raster import MOST_PIXELS
+from tactile_toolkit.mesh import MOST_PIXELS, Mesh
 from tests.env_assets.shapes import box, cylinder, joined, ramp, surfaces
 
 

@@ -12,8 +12,7 @@ import pytest
 import env_assets
 from starstruck_gen.make import SceneMaking
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store import DataFolder, read_manifest
 from tests.command_line import call
 from tests.forked import start_forked
 
@@ -127,14 +126,14 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
 
 DIE = """
 import dataclasses, os, signal, sys
-import starstruck_gen.make, tactile_toolkit.store.build, env_assets
+import starstruck_gen.make, tactile_toolkit.store.building, env_assets
 layout = starstruck_gen.make.SceneMaking.layout
 starstruck_gen.make.SceneMaking.layout = lambda making: dataclasses.replace(layout(making), smallest=2)
-write_record = tactile_toolkit.store.build.write_record
+write_record = tactile_toolkit.store.building.write_record
 def write_and_die(*arguments):
     write_record(*arguments)
     os.kill(os.getpid(), signal.SIGKILL)
-tactile_toolkit.store.build.write_record = write_and_die
+tactile_toolkit.store.building.write_record = write_and_die
 env_assets.AssetProvider(sys.argv[1], generate=True, per_class=2).meshes("starstruck", "train")
 """
 

@@ -12,7 +12,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.processes import fingerprint, seen_by_a_child
 from tests.env_assets.shapes import box

@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from mnist3d.lattice import signed_distance_px
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 from tests.real_input import SHARED
 
 DIGITS = SHARED / "digits" / "png"

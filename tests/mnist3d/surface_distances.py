@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from trimesh import triangles
 
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh import MM_PER_M, Mesh
 
 CANDIDATES = 8
 SAMPLES_PER_FACE = 8

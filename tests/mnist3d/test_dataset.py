@@ -12,7 +12,7 @@ from mnist3d.make import GenerateSpec, generate
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.records import RecordStream
+from tactile_toolkit.mesh import RecordStream
 from tests.processes import printed_by
 
 ROWS = 10
@@ -134,7 +134,7 @@ def test_notebook_picture(digits):
 
 
 def test_relief_shows_the_outline(digits):
-    from tactile_toolkit.pictures.render import relief
+    from tactile_toolkit.pictures import relief
 
     picture = relief(digits[0].vertices_m, digits[0].faces)
     inked_mm2 = (picture < 255).sum() * 0.04

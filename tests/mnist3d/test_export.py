@@ -10,11 +10,8 @@ import pytest
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.files import read_mesh
-from tactile_toolkit.mesh.printability import inspect
-from tactile_toolkit.printing.objects import PrintObject, choose, export_files
-from tactile_toolkit.printing.packing import arrange, measure
-from tactile_toolkit.printing.spec import PlateSpec
+from tactile_toolkit.mesh import inspect, read_mesh
+from tactile_toolkit.printing import PlateSpec, PrintObject, arrange, choose, export_files, measure
 
 
 @pytest.fixture(scope="module")

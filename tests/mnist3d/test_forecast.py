@@ -16,7 +16,7 @@ from mnist3d.splits import SplitSpec
 from mnist3d.validate import validate_paths
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.making import forecast
-from tactile_toolkit.run.processes import Check, Finish, Part
+from tactile_toolkit.run import Check, Finish, Part
 from tests.sealed import sealed
 
 

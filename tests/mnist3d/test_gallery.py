@@ -12,11 +12,10 @@ from mnist3d.gallery import plan_gallery
 from mnist3d.solid import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SplitSpec
-from tactile_toolkit.catalog.spec import Chosen
+from tactile_toolkit.catalog import Chosen
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.gallery.site import build_site
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.parquet import read_report
+from tactile_toolkit.gallery import build_site
+from tactile_toolkit.store import DataFolder, read_report
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, index_of
 from tests.tactile_toolkit.toy import folder_bytes

@@ -17,9 +17,8 @@ from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.splits import SPLITS, SplitSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.making import plan_build
-from tactile_toolkit.run.processes import ProcessRunner
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.run import ProcessRunner
+from tactile_toolkit.store import DataFolder, verify
 from tests.command_line import call
 from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
 from tests.processes import PATIENCE_S, start_held

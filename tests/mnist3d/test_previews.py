@@ -21,9 +21,8 @@ from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.spec import DigitPreviewSpec as PreviewSpec
 from mnist3d.splits import SplitSpec
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh.files import write_mesh
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.pictures.render import OBLIQUE, Body, draw_bodies, relief, relief_of
+from tactile_toolkit.mesh import Mesh, write_mesh
+from tactile_toolkit.pictures import OBLIQUE, Body, draw_bodies, relief, relief_of
 from tactile_toolkit.pictures.sheets import INK, bar_length_mm
 from tests.mnist3d import mnist_files
 

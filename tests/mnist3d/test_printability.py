@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.mesh.printability import (
     REPORT_COLUMNS,
     WARNINGS,

@@ -16,12 +16,10 @@ import pytest
 import mnist3d
 from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.mesh.files import write_mesh
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh, write_mesh
+from tactile_toolkit.printing import PlateSpec, write_plates
 from tactile_toolkit.printing.objects import choose, export_files, place_on_plate
 from tactile_toolkit.printing.packing import Placed, arrange, measure
-from tactile_toolkit.printing.plates import write_plates
-from tactile_toolkit.printing.spec import PlateSpec
 from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.printing.solids import box, named
 

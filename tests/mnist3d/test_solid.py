@@ -24,7 +24,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.spec import EROSIONS, PROFILES
 from mnist3d.surface import Surface
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh.printability import inspect
+from tactile_toolkit.mesh import inspect
 from tests.mnist3d.drawings import (
     DIGITS,
     ROWS,

@@ -15,8 +15,7 @@ from mnist3d.lattice import lattice_of, signed_distance_px, stack
 from mnist3d.literal import erode, erosion_radii_px, mirror
 from mnist3d.solid import SolidSpec, binarise, solidify
 from mnist3d.surface import Surface, decimate, isosurface, scale, smooth
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.printability import inspect
+from tactile_toolkit.mesh import Mesh, inspect
 from tests.mnist3d.drawings import six
 from tests.mnist3d.surface_distances import symmetric_distances_mm
 

@@ -11,9 +11,8 @@ import pytest
 import realtouch
 from realtouch.dataset import TouchStream
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tactile_toolkit.read import parquet as rowgroups
+from tactile_toolkit.read import all_blocks, parquet as rowgroups
 from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
-from tactile_toolkit.read.source import all_blocks
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 

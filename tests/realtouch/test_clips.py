@@ -18,7 +18,7 @@ from realtouch.contact import (
 from realtouch.media import TouchClip
 from realtouch.video import MAX_CLIP_FRAMES, Avi, write_avi
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tactile_toolkit.touch.jpeg import decode_image, encode_image
+from tactile_toolkit.touch import decode_image, encode_image
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 

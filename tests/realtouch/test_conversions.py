@@ -19,9 +19,9 @@ import realtouch
 from realtouch.convert.api import KeepTouches
 from realtouch.convert.plan import Conversion, RowChoice, Source, plan_conversion
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.run.processes import ProcessRunner
-from tactile_toolkit.store.parquet import sha256_hex
-from tactile_toolkit.touch.jpeg import decode_image, resized
+from tactile_toolkit.run import ProcessRunner
+from tactile_toolkit.store import sha256_hex
+from tactile_toolkit.touch import decode_image, resized
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth

@@ -15,9 +15,8 @@ import pytest
 import realtouch
 from realtouch.convert.file_names import file_stem, id_of_stem
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.run.processes import Check
-from tactile_toolkit.store.names import problem_of_name
-from tactile_toolkit.store.parquet import sha256_hex
+from tactile_toolkit.run import Check
+from tactile_toolkit.store import problem_of_name, sha256_hex
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.tactile_toolkit.toy import folder_bytes

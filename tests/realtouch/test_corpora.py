@@ -21,8 +21,8 @@ from PIL import Image
 import realtouch
 from realtouch.exchange import replay
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.run import Check, Finish, InlineRunner, Part
+from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout

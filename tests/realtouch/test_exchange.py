@@ -20,8 +20,8 @@ import realtouch
 from realtouch.convert import plan
 from realtouch.exchange import flat, lerobot
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.run import Check, Finish, InlineRunner, Part
+from tactile_toolkit.touch import decode_image
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.sealed import sealed

@@ -11,8 +11,8 @@ from hypothesis import given, strategies as st
 from PIL import Image
 
 import realtouch
-from tactile_toolkit.read.dataset import positions
-from tactile_toolkit.touch.jpeg import decode_image, encode_image, image_size
+from tactile_toolkit.read import positions
+from tactile_toolkit.touch import decode_image, encode_image, image_size
 from tests.realtouch.factories import encode_jpeg
 
 PICTURES = np.random.default_rng(0).integers(0, 255, (24, 32, 3), dtype=np.uint8)

@@ -16,11 +16,10 @@ from typer.testing import CliRunner
 import realtouch
 from cli.realtouch import app
 from realtouch.exchange.api import ImportLayout
-from tactile_toolkit.cards.card import check_card
+from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.touch.jpeg import MAX_IMAGE_BYTES
+from tactile_toolkit.store import DataFolder, Manifest
+from tactile_toolkit.touch import MAX_IMAGE_BYTES
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.images_of_others import COLUMNS, POSE, line, picture, write_table

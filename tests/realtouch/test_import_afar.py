@@ -9,7 +9,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import DataFolder
 from tests.tactile_toolkit.toy import folder_bytes
 
 pytestmark = pytest.mark.s3

@@ -16,7 +16,7 @@ import realtouch
 from realtouch.exchange import api
 from realtouch.exchange.items import Item
 from tactile_toolkit.errors import SpecMismatchError
-from tactile_toolkit.run.processes import Check
+from tactile_toolkit.run import Check
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
 

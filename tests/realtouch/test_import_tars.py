@@ -10,7 +10,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.build import Progress
+from tactile_toolkit.store import Progress
 from tests.command_line import call
 from tests.realtouch.images_of_others import picture, write_tar
 

@@ -16,7 +16,7 @@ import realtouch
 from realtouch.media import MAX_BATCH_PIXELS
 from realtouch.video import Avi, write_avi
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.touch import decode_image
 from tests.jpegs import jpeg_of_scans
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout

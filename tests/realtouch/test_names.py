@@ -13,7 +13,7 @@ import mnist3d
 import realtouch
 from realtouch.opening import SHORT_NAMES
 from tactile_toolkit.errors import HubError, InputError
-from tactile_toolkit.places.place import open_place
+from tactile_toolkit.places import open_place
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
 

@@ -11,7 +11,7 @@ import pytest
 import realtouch
 from realtouch.columns import TouchRow
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.columns import RowGroup
+from tactile_toolkit.read import RowGroup
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 

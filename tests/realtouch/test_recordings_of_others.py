@@ -16,7 +16,7 @@ from PIL import Image
 
 import realtouch
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.images_of_others import line, picture, write_table, write_tar

@@ -10,9 +10,9 @@ from PIL import Image
 
 import starstruck_gen
 from starstruck_gen.gallery import plan_gallery
-from tactile_toolkit.catalog.spec import Chosen
+from tactile_toolkit.catalog import Chosen
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.gallery.site import build_site
+from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, files_of, index_of
 

@@ -20,11 +20,8 @@ from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.making import plan_build
-from tactile_toolkit.run.processes import ProcessRunner
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import inspect_job, manifest_so_far
-from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.run import ProcessRunner
+from tactile_toolkit.store import DataFolder, inspect_job, manifest_so_far, read_manifest, verify
 from tests.command_line import call
 from tests.processes import start_held
 

@@ -13,7 +13,7 @@ from starstruck_gen import SceneSpec, sample_scene, scene_rng
 from starstruck_gen.make import GenerateSpec, generate
 from starstruck_gen.previews import plan_previews
 from starstruck_gen.scene import draw_scene
-from tactile_toolkit.catalog.spec import PreviewSpec
+from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import InputError
 
 
@@ -61,7 +61,7 @@ def test_digits_are_no_scenes(tmp_path):
     import pyarrow.parquet as pq
 
     from starstruck_gen.gallery import plan_gallery
-    from tactile_toolkit.read.columns import feature_metadata, label_feature, vectors_type
+    from tactile_toolkit.read import feature_metadata, label_feature, vectors_type
 
     columns = {
         "id": pa.array([1], pa.int64()),

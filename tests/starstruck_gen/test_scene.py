@@ -13,7 +13,7 @@ from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh import check_manifold
 from tests.starstruck_gen.strategies import placements, specs
 
 

@@ -19,8 +19,7 @@ from starstruck_gen.shapes import KINDS, OUTLINES, Crescent, Cross, Disc, Ring, 
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import check_scene
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh import Mesh, check_manifold
 from tactile_toolkit.rows import table_of
 from tests.starstruck_gen.strategies import DRAWN, shapes
 

@@ -15,12 +15,10 @@ from starstruck_gen.placement import Placement, build_meshes
 from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import check_scene, validate_folder
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import check_manifold
+from tactile_toolkit.mesh import Mesh, check_manifold
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import DataFolder, read_manifest, write_manifest
 from tactile_toolkit.store.job import write_record
-from tactile_toolkit.store.manifest import read_manifest, write_manifest
 
 PUBLISHED = ["id", "label", "mesh.vertices", "mesh.faces"]
 

@@ -19,12 +19,11 @@ from realtouch.previews import CONTACT, draw_grid
 from tactile_sim.card import sheet_png
 from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.pictures.sheets import png_bytes
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.read.parquet import ShardedTable
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.pictures import png_bytes
+from tactile_toolkit.places import open_place
+from tactile_toolkit.read import ShardedTable
+from tactile_toolkit.store import DataFolder, read_manifest
+from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.env_assets.factories import write_meshes
 from tests.realtouch.images_of_others import write_table

@@ -29,7 +29,7 @@ from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
 )
 from tactile_sim.optics import make_optics  # noqa: E402
 from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError  # noqa: E402
-from tactile_toolkit.store.folder import DataFolder  # noqa: E402
+from tactile_toolkit.store import DataFolder  # noqa: E402
 
 
 def _depths(size):

@@ -332,7 +332,7 @@ def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
 
 def test_one_look_at_a_mesh_file(tmp_path):
     from cli.tactile_sim import app
-    from tactile_toolkit.touch.jpeg import decode_image
+    from tactile_toolkit.touch import decode_image
 
     block((0.02, 0.006, 0.004)).apply_scale(1000).export(tmp_path / "part.stl")
     out = tmp_path / "touch.png"

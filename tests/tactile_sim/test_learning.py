@@ -32,7 +32,7 @@ from tactile_toolkit.errors import (
     StorageError,
     ToolkitError,
 )
-from tactile_toolkit.store.folder import PENDING_FOLDER
+from tactile_toolkit.store import PENDING_FOLDER
 from tests.tactile_sim.sets import NOISE
 from tests.tactile_sim.training import CONFIG, SPEC, losses_of_steps, make_sources
 from tests.unchanged.record import numbers_of, recorded
@@ -67,7 +67,7 @@ from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
 )
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.spec import TrainConfig  # noqa: E402
-from tactile_toolkit.store.folder import DataFolder  # noqa: E402
+from tactile_toolkit.store import DataFolder  # noqa: E402
 from tests.sealed import edit  # noqa: E402
 
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import tactile_sim
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
 
 pytestmark = [pytest.mark.env, pytest.mark.sim]

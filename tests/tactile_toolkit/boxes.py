@@ -7,15 +7,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.cards.card import Card
+from tactile_toolkit.cards import Card
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.making import Layout, Making, Recipe
-from tactile_toolkit.mesh.records import MeshRow, SolidDataset, mesh_schema, open_solids
-from tactile_toolkit.places.place import open_place
+from tactile_toolkit.mesh import MeshRow, SolidDataset, mesh_schema, open_solids
+from tactile_toolkit.places import open_place
 from tactile_toolkit.rows import column, meanings, row
-from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.shards import Skipped
+from tactile_toolkit.store import ParquetStyle, Skipped
 
 KIND = DatasetKind(
     name="boxes",

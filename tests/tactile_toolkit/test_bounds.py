@@ -20,10 +20,8 @@ from mnist3d.sources.hwdplus import open_npy
 from mnist3d.sources.mnist import IMAGES_MAGIC, read_idx
 from tactile_toolkit.bounds import UNPACKED_VARIABLE, require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.files import read_mesh
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.threemf import BuildItem, write_build
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.mesh import BuildItem, Mesh, read_mesh, write_build
+from tactile_toolkit.read import Shard, ShardedTable
 from tests.forked import run_forked
 from tests.processes import printed_by
 

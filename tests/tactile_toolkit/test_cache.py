@@ -24,7 +24,7 @@ from tactile_toolkit.cache import (
     prune_cache,
 )
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import DataFolder
 from tests.forked import run_forked, start_forked
 
 

@@ -11,9 +11,8 @@ import pytest
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.exchange.upload import check_folder, collect
 from tactile_toolkit.making import forecast, generate
-from tactile_toolkit.run.processes import Finish, Part
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.run import Finish, Part
+from tactile_toolkit.store import DataFolder, read_manifest
 from tests.tactile_toolkit import boxes
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -72,7 +71,7 @@ def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Pa
 
 
 def test_a_forecast_says_that_the_first_items_give_no_row(tmp_path: Path) -> None:
-    from tactile_toolkit.store.shards import Skipped
+    from tactile_toolkit.store import Skipped
 
     class Reluctant(boxes.BoxMaking):
         least = 10

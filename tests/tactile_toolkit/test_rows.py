@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from tactile_toolkit.read.columns import vectors_type
+from tactile_toolkit.read import vectors_type
 from tactile_toolkit.rows import column, meanings, plain_schema, row, table_of
 
 OBJECTS = pa.list_(pa.struct([("name", pa.string()), ("x_m", pa.float64())]))

@@ -12,8 +12,8 @@ import pytest
 from cli.options import process_count
 from tactile_toolkit import cache
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import ProcessRunner
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import ProcessRunner
+from tactile_toolkit.store import DataFolder
 from tactile_toolkit.system import usable_cores
 
 

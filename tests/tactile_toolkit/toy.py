@@ -11,10 +11,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit.store.job import BuildPlan
-from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.shards import ShardName, Skipped
-from tactile_toolkit.store.task import ShardContent
+from tactile_toolkit.store import BuildPlan, ParquetStyle, ShardContent, ShardName, Skipped
 from tests.mesh_columns import list_array
 
 SPLITS = ("train", "test")

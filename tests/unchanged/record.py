@@ -33,11 +33,10 @@ import starstruck_gen.previews
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.spec import TouchPreviewSpec
 from tactile_sim.pairs import make_pairs
-from tactile_toolkit.catalog.spec import PreviewSpec
+from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError
-from tactile_toolkit.printing.packing import arrange, measure
+from tactile_toolkit.printing import PlateSpec, arrange, measure
 from tactile_toolkit.printing.plates import draw_map
-from tactile_toolkit.printing.spec import PlateSpec
 from tests.env_assets.factories import write_assets
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set

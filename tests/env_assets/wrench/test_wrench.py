@@ -20,10 +20,9 @@ from env_assets.wrench.spec import (
     next_smaller_mm,
     width_across_flats_mm,
 )
-from tactile_toolkit.cards.card import check_card
+from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.store import DataFolder, verify
 
 
 def middles_mm(spec: WrenchSpec) -> tuple[tuple[float, float, float], ...]:

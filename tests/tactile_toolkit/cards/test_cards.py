@@ -34,8 +34,7 @@ from tactile_toolkit.cards.card import (
 )
 from tactile_toolkit.cards.facts import folder_facts, size_category, with_head, yaml_features
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.store import DataFolder, verify
 
 
 def head_of(folder: Path) -> dict:

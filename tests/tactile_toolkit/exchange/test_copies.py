@@ -15,10 +15,9 @@ import realtouch
 import starstruck_gen
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.exchange.copies import divide, merge_sets, plan_tables, write_part
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.store.build import Progress, build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.exchange import divide, merge_sets, plan_tables, write_part
+from tactile_toolkit.places import open_place
+from tactile_toolkit.store import DataFolder, Progress, build
 from tests.realtouch import factories
 
 ALL = {"ids": None, "labels": None, "limit": None, "per_class": None}

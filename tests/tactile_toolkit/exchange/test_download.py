@@ -13,12 +13,10 @@ import pytest
 from huggingface_hub import constants
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.exchange.download import download, plan_download
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.exchange import plan_download, run_download
+from tactile_toolkit.places import open_place
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import DataFolder, build, verify
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.exchange.upload_client import logged_in
@@ -83,7 +81,7 @@ def client_here(server, tmp_path, monkeypatch) -> Iterator[None]:
 def test_progress_ends_with_all_bytes_that_were_missing(server, tmp_path, client_here, to_folder):
     plan = plan_download(NAME, ["test"], out=str(tmp_path / "out") if to_folder else None)
     reported: list[tuple[int, int]] = []
-    download(plan, lambda *counts: reported.append(counts))
+    run_download(plan, lambda *counts: reported.append(counts))
     assert reported == sorted(reported)
     assert reported[-1] == (plan.missing_bytes, plan.missing_bytes)
     assert plan.missing_bytes == sum(file.size_bytes for file in plan.missing) > 0
@@ -98,9 +96,9 @@ def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, 
     server.faults.stall(f"*/{at_work}-00000-of-*", after=10)
     first, second = plans.pop(at_work), plans.popitem()[1]
     with ThreadPoolExecutor(2) as threads:
-        done = [threads.submit(download, first)]
+        done = [threads.submit(run_download, first)]
         assert server.faults.stalled.wait(PATIENCE_S)
-        done.append(threads.submit(download, second))
+        done.append(threads.submit(run_download, second))
         while not said and not done[1].done():
             wait([done[1]], 0.05)
         server.faults.released.set()
@@ -118,7 +116,7 @@ def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, 
 )
 def test_nothing_is_written_through_links_in_the_folder(server, tmp_path, client_here, link):
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
-    download(plan_download(NAME, ["train"], out=str(out)))
+    run_download(plan_download(NAME, ["train"], out=str(out)))
     elsewhere.mkdir()
     target = elsewhere / "target"
     if (out / link).exists():
@@ -128,7 +126,7 @@ def test_nothing_is_written_through_links_in_the_folder(server, tmp_path, client
     (out / link).symlink_to(target)
     before = folder_bytes(elsewhere)
     with pytest.raises(InputError, match=r"is a symbolic link|a file of your own"):
-        download(plan_download(NAME, ["test"], out=str(out)))
+        run_download(plan_download(NAME, ["test"], out=str(out)))
     assert folder_bytes(elsewhere) == before
     assert (out / link).is_symlink()
 

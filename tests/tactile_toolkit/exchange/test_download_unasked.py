@@ -7,9 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.origin import read_record
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.store import DataFolder, read_record, verify
 from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub.sets import NAME, big_parquet, fetch, script, two_sets
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes

@@ -16,8 +16,7 @@ import pytest
 from starstruck_gen.make import GenerateSpec, generate
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.upload import UploadOptions, local_copy, prepare_upload, run_upload
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
+from tactile_toolkit.store import DataFolder, read_manifest
 from tests.hub_server import Fault, HubServer
 from tests.tactile_toolkit.hub.client import run_here, settings, start_here
 from tests.tactile_toolkit.toy import folder_bytes

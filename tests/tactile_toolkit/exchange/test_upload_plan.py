@@ -10,12 +10,10 @@ import pytest
 from hypothesis import given, strategies as st
 
 from starstruck_gen.make import GenerateSpec, generate
-from tactile_toolkit.cards.facts import configs, folder_facts
+from tactile_toolkit.cards import configs, folder_facts
 from tactile_toolkit.exchange.upload import LocalFile, collect, compare
-from tactile_toolkit.hub.repository import HubRepository
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.store.origin import HubFile
+from tactile_toolkit.hub import HubRepository
+from tactile_toolkit.store import DataFolder, HubFile, read_manifest
 
 
 @pytest.fixture

@@ -12,11 +12,10 @@ import yaml
 import mnist3d
 from mnist3d.make import GenerateSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.cards.card import check_card
+from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.store import DataFolder, verify
 from tests.command_line import call
 from tests.hub_server import HubServer, hub
 from tests.realtouch.factories import make_round, seq_rows, write_set
@@ -126,9 +125,9 @@ def test_a_copy_of_the_repository_is_whole_with_and_without_it(sent, made, tmp_p
 
 
 DOWNLOAD = """
-from tactile_toolkit.exchange.download import download, plan_download
+from tactile_toolkit.exchange.download import plan_download, run_download
 plan = plan_download("someone/digits", {splits}, out={out!r})
-download(plan)
+run_download(plan)
 again = plan_download("someone/digits", {splits}, out={out!r})
 print(len([file for path in plan.record.files if path.startswith("viewer/")]), again.is_done)
 """

@@ -19,8 +19,7 @@ from tactile_toolkit.errors import (
     StorageError,
     ToolkitError,
 )
-from tactile_toolkit.gallery import site as site_module
-from tactile_toolkit.gallery.items import Gallery
+from tactile_toolkit.gallery import Gallery, site as site_module
 from tactile_toolkit.gallery.site import (
     ASSETS,
     MOST_ITEMS,
@@ -30,7 +29,7 @@ from tactile_toolkit.gallery.site import (
     build_site,
     site_folder,
 )
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
+from tactile_toolkit.run import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
 from tests.gallery_files import files_of, index_of
 from tests.gallery_toy import HOSTILE, ToyTask, toy_gallery

@@ -11,9 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_toolkit.gallery.items import Item, packed_mesh
-from tactile_toolkit.gallery.site import build_site
-from tactile_toolkit.run.processes import InlineRunner
+from tactile_toolkit.gallery import Item, build_site, packed_mesh
+from tactile_toolkit.run import InlineRunner
 from tests.gallery_browser import Opened, browser, opened
 from tests.gallery_files import files_of
 from tests.gallery_toy import CORNERS_M, FACES, HOSTILE, ToyTask, toy_gallery

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.catalog.choose import choose_rows, short_name
+from tactile_toolkit.catalog import choose_rows, short_name
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.gallery.items import (
     STEP_MM,

@@ -15,9 +15,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import DataFolder, build
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
@@ -63,11 +62,11 @@ FULL = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (1000000, res
 
 SCRIPT = """
 import json
-from tactile_toolkit.exchange.download import download, plan_download
+from tactile_toolkit.exchange.download import plan_download, run_download
 from tactile_toolkit.errors import ToolkitError
 try:
     plan = plan_download({name!r}, {splits!r}, revision={revision!r}, out={out!r})
-    place = download(plan)
+    place = run_download(plan)
     print(json.dumps([place, [file.path for file in plan.missing], plan.leftover, plan.is_done]))
 except ToolkitError as error:
     print(json.dumps([error.exit_code, type(error).__name__, str(error)]))

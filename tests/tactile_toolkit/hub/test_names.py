@@ -9,10 +9,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.hub.repository import HubName, hub_name
-from tactile_toolkit.places.layout import splits_by_name
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.places.published import repository_named
+from tactile_toolkit.hub import HubName, hub_name
+from tactile_toolkit.places import open_place, repository_named, splits_by_name
 
 
 @pytest.mark.parametrize(

@@ -18,10 +18,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 from starstruck_gen.placement import build_meshes
 from starstruck_gen.sampling import sample_scene
 from starstruck_gen.spec import SceneSpec
-from tactile_toolkit.mesh import solid_check
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.printability import inspect
-from tactile_toolkit.mesh.solid_check import self_crossing
+from tactile_toolkit.mesh import Mesh, inspect, self_crossing, solid_check
 
 Surface = tuple[np.ndarray, np.ndarray]
 

@@ -20,10 +20,8 @@ import pytest
 import trimesh
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.files import pack_mesh, read_mesh, unpack_mesh
+from tactile_toolkit.mesh import Mesh, inspect, pack_mesh, read_mesh, unpack_mesh
 from tactile_toolkit.mesh.gltf import read_glb
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.printability import inspect
 from tactile_toolkit.mesh.readers import cut_polygons
 from tests.real_input import SHARED
 

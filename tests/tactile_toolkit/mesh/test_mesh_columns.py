@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.records import require_mesh_columns
+from tactile_toolkit.mesh import require_mesh_columns
 from tactile_toolkit.read.columns import (
     RaggedColumn,
     class_names,

@@ -10,10 +10,17 @@ import numpy as np
 import pytest
 
 from tactile_toolkit.errors import InputError, StorageError
-from tactile_toolkit.mesh.files import FORMATS, merge_equal_vertices, read_mesh, unpack_mesh, write_mesh
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.printability import inspect
-from tactile_toolkit.mesh.threemf import BuildItem, write_build
+from tactile_toolkit.mesh import (
+    FORMATS,
+    BuildItem,
+    Mesh,
+    inspect,
+    merge_equal_vertices,
+    read_mesh,
+    unpack_mesh,
+    write_build,
+    write_mesh,
+)
 
 CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
 

@@ -14,9 +14,8 @@ from hypothesis import given, settings, strategies as st
 from PIL import Image, ImageDraw
 
 from mnist3d.solid import solidify
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh, PrintReport, inspect
 from tactile_toolkit.mesh.nearness import thinnest_wall_mm
-from tactile_toolkit.mesh.printability import PrintReport, inspect
 from tests.real_input import SHARED, needs_shared
 
 Solid = manifold3d.Manifold

@@ -11,7 +11,7 @@ from hypothesis import given, strategies as st
 from PIL import Image
 
 from tactile_toolkit.errors import InputError, MissingExtraError
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures.sheets import (
     ACCENTS,
     INK,
@@ -27,7 +27,7 @@ from tactile_toolkit.pictures.sheets import (
     with_scale_bar,
     write_pictures,
 )
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import DataFolder
 
 
 def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:

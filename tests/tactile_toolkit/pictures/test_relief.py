@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures.render import (
     Body,
     View,

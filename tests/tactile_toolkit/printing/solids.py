@@ -7,8 +7,8 @@ from typing import Any
 import manifold3d
 import numpy as np
 
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.printing.objects import PrintObject
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.printing import PrintObject
 
 
 def mesh_of(manifold: Any) -> Mesh:

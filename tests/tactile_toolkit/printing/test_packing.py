@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from tactile_toolkit.printing import PlateSpec
 from tactile_toolkit.printing.packing import Spot, cells_of, cells_touched, outline_of, pack
-from tactile_toolkit.printing.spec import PlateSpec
 from tests.tactile_toolkit.printing.solids import box, ell, ring
 
 PLATE = (24, 30)

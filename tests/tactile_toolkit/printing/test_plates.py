@@ -19,10 +19,8 @@ from hypothesis import given, settings, strategies as st
 from PIL import Image
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import check_manifold
-from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.pictures.sheets import draw_text, text_size
+from tactile_toolkit.mesh import BuildItem, Mesh, check_manifold, read_build, write_build
+from tactile_toolkit.pictures import draw_text, text_size
 from tactile_toolkit.printing import plates
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate
 from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure

@@ -13,11 +13,8 @@ import trimesh
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.printing.objects import export_files
-from tactile_toolkit.printing.packing import arrange, measure
-from tactile_toolkit.printing.plates import write_plates
-from tactile_toolkit.printing.spec import Physics, PlateSpec
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.printing import Physics, PlateSpec, arrange, export_files, measure, write_plates
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 

@@ -12,9 +12,7 @@ import pytest
 
 from tactile_toolkit.catalog.spec import id_range, id_text, parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
-from tactile_toolkit.mesh.files import FORMATS, read_mesh
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.solid_check import check_manifold, require_solid
+from tactile_toolkit.mesh import FORMATS, Mesh, check_manifold, read_mesh, require_solid
 from tactile_toolkit.printing.objects import (
     export_files,
     place_on_plate,

@@ -17,8 +17,7 @@ from realtouch.verification import has_page_checksums
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError, ToolkitError
 from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable, map_block, write_block
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.parquet import ParquetStyle, encode_parquet
+from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
 

@@ -11,7 +11,7 @@ import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.files import readable
+from tactile_toolkit.store import readable
 from tests.forked import run_forked
 
 CODE = """

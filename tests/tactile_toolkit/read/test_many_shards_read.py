@@ -9,7 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read import RecordDataset
 from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
 
 SHARDS, MAPS = 100, 16

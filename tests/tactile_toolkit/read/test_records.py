@@ -14,13 +14,12 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.places.place import open_place
+from tactile_toolkit.places import open_place
+from tactile_toolkit.read import Record, RecordDataset
 from tactile_toolkit.read.columns import ragged_column
-from tactile_toolkit.read.dataset import Record, RecordDataset
 from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import DataFolder, build
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
 from tests.tactile_toolkit.toy import points, toy_plan

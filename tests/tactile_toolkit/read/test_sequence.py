@@ -21,9 +21,7 @@ import realtouch
 import starstruck_gen
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.columns import RowGroup
-from tactile_toolkit.read.dataset import Record, RecordDataset, Row
-from tactile_toolkit.read.parquet import Shard, ShardedTable
+from tactile_toolkit.read import Record, RecordDataset, Row, RowGroup, Shard, ShardedTable
 from tests.realtouch import factories
 
 LABELS = np.repeat([0, 1, 2], [50, 30, 20])

@@ -15,11 +15,8 @@ import starstruck_gen
 from realtouch.dataset import TouchSingleDataset
 from starstruck_gen.loader import MadeScenes
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.mesh.records import RecordStream
-from tactile_toolkit.read.columns import RowGroup
-from tactile_toolkit.read.dataset import Row
-from tactile_toolkit.read.parquet import ChosenGroups, Shard, ShardedTable
-from tactile_toolkit.read.source import RowSource, all_blocks
+from tactile_toolkit.mesh import RecordStream
+from tactile_toolkit.read import ChosenGroups, Row, RowGroup, RowSource, Shard, ShardedTable, all_blocks
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 

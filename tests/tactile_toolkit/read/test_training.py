@@ -25,9 +25,8 @@ import starstruck_gen
 from tactile_toolkit.bounds import CACHE_LIMIT_VARIABLE
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
 from tactile_toolkit.read.order import GlobalOrder
-from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tests.processes import PATIENCE_S
 from tests.realtouch import factories
 
@@ -36,7 +35,7 @@ stateful = pytest.importorskip(
     "torchdata.stateful_dataloader", reason="torchdata (extra `torch`) is not installed"
 )
 
-from tactile_toolkit.read.torch import TrainingBatches  # noqa: E402
+from tactile_toolkit.read import TrainingBatches  # noqa: E402
 
 pytestmark = [pytest.mark.torch, pytest.mark.filterwarnings("ignore")]
 

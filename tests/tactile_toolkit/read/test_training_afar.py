@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import starstruck_gen
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import DataFolder
 from tests.tactile_toolkit.toy import folder_bytes
 
 pytestmark = [pytest.mark.s3, pytest.mark.torch]
@@ -17,7 +17,7 @@ pytest.importorskip("moto")
 
 from starstruck_gen.make import SceneMaking  # noqa: E402
 from starstruck_gen.torch import SceneTensors  # noqa: E402
-from tactile_toolkit.read.torch import TrainingBatches  # noqa: E402
+from tactile_toolkit.read import TrainingBatches  # noqa: E402
 
 
 def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, monkeypatch):

@@ -17,7 +17,7 @@ import realtouch
 import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.columns import plain_table, plain_type, whole_number, whole_numbers
-from tactile_toolkit.touch.jpeg import decode_image
+from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.mesh_columns import list_array
 from tests.real_input import SHARED, needs_shared

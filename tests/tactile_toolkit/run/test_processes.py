@@ -29,8 +29,8 @@ from tactile_toolkit.errors import (
     MissingExtraError,
     ToolkitError,
 )
+from tactile_toolkit.run import skip_pandas
 from tactile_toolkit.run.processes import ProcessRunner, unpack_result
-from tactile_toolkit.run.threads import skip_pandas
 from tests.processes import PATIENCE_S, alive, printed_by
 
 REPOSITORY = Path(__file__).resolve().parents[3]

@@ -23,9 +23,7 @@ import pytest
 import starstruck_gen
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.run import InlineRunner, RayRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import BuildPlan
+from tactile_toolkit.store import BuildPlan, DataFolder, build
 from tests.processes import alive, children, printed_by, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
@@ -71,7 +69,7 @@ import signal, sys
 from dataclasses import replace
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.run import RayRunner
-from tactile_toolkit.store.build import build
+from tactile_toolkit.store.building import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.run.test_ray import plan_of
 
@@ -241,7 +239,7 @@ from dataclasses import replace
 from pathlib import Path
 from tactile_toolkit.errors import ItemError, MissingExtraError
 from tactile_toolkit.run import RayRunner
-from tactile_toolkit.store.build import build
+from tactile_toolkit.store.building import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.toy import toy_plan
 
@@ -349,7 +347,7 @@ REFUSED = """
 import sys
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import RayRunner
-from tactile_toolkit.store.build import build
+from tactile_toolkit.store.building import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.toy import toy_plan
 try:

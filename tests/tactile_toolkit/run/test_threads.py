@@ -10,12 +10,9 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from tactile_toolkit.mesh.files import write_mesh
-from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.printability import inspect
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.mesh import Mesh, inspect, write_mesh
+from tactile_toolkit.run import InlineRunner, ProcessRunner
+from tactile_toolkit.store import DataFolder, build
 from tests.tactile_toolkit.toy import toy_plan
 
 SCRIPT = """

@@ -8,8 +8,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import is_remote, normalize_uri
+from tactile_toolkit.store import DataFolder, is_remote, normalize_uri
 from tests.processes import printed_by
 
 

@@ -18,12 +18,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
-from tactile_toolkit.run.processes import Check, InlineRunner, Part, ProcessRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import inspect_job
-from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.run import Check, InlineRunner, Part, ProcessRunner
+from tactile_toolkit.store import DataFolder, build, inspect_job, read_manifest, verify
 from tests.processes import children, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -200,7 +196,7 @@ def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, sh
     make(tmp_path / "whole")
     script = """
         import sys
-        from tactile_toolkit.store.build import build
+        from tactile_toolkit.store.building import build
         from tactile_toolkit.run.processes import ProcessRunner
         from tactile_toolkit.store.folder import DataFolder
         from tests.tactile_toolkit.toy import toy_plan
@@ -233,7 +229,7 @@ def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
     """A real limit on file size stands for a full disk: the kernel refuses the write half way."""
     script = """
         import resource, signal, sys
-        from tactile_toolkit.store.build import build
+        from tactile_toolkit.store.building import build
         from tactile_toolkit.run.processes import InlineRunner
         from tactile_toolkit.store.folder import DataFolder
         from tactile_toolkit.errors import StorageError
@@ -333,7 +329,7 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
     script = f"""
         import sys
         from dataclasses import replace
-        from tactile_toolkit.store.build import build
+        from tactile_toolkit.store.building import build
         from tactile_toolkit.run.processes import runner_for
         from tactile_toolkit.store.folder import DataFolder
         from tests.tactile_toolkit.toy import toy_plan
@@ -369,7 +365,7 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
 def test_workers_leave_with_a_killed_parent(tmp_path):
     script = """
         import sys
-        from tactile_toolkit.store.build import build
+        from tactile_toolkit.store.building import build
         from tactile_toolkit.run.processes import ProcessRunner
         from tactile_toolkit.store.folder import DataFolder
         from tests.tactile_toolkit.toy import toy_plan
@@ -405,9 +401,7 @@ def test_other_versions_of_libraries_are_not_mixed(tmp_path, monkeypatch):
     plan = replace(toy_plan(), libraries=("numpy", "pyarrow"))
     made = make(tmp_path / "set", plan)
     assert made.libraries == {name: importlib.metadata.version(name) for name in plan.libraries}
-    monkeypatch.setattr(
-        "tactile_toolkit.store.job.library_versions", lambda *names: dict.fromkeys(names, "9")
-    )
+    monkeypatch.setattr("tactile_toolkit.store.job.version", lambda name: "9")
     before = folder_bytes(tmp_path / "set")
     make(tmp_path / "set", plan)  # nothing is left to make, so nothing is mixed
     assert folder_bytes(tmp_path / "set") == before

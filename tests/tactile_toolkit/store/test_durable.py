@@ -8,9 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.run.processes import Finish, Part
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import Finish, Part
+from tactile_toolkit.store import DataFolder, build
 from tests.tactile_toolkit.toy import toy_plan
 
 LINKS = Path("/proc/self/fd")

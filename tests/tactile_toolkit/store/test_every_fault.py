@@ -21,13 +21,8 @@ import pytest
 from hypothesis import settings
 
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
-from tactile_toolkit.run.processes import Finish, InlineRunner, Part
-from tactile_toolkit.store import locks
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.store.shards import ShardName
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.run import Finish, InlineRunner, Part
+from tactile_toolkit.store import DataFolder, ShardName, build, locks, read_manifest, verify
 from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, toy_plan
 
 SAMPLED = 20

@@ -17,12 +17,9 @@ import pytest
 
 from tactile_toolkit.cache import LOCKS, cache_folder
 from tactile_toolkit.errors import BusyError
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store import locks
-from tactile_toolkit.store.build import Progress, build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.locks import LOCK_FILE, locked
+from tactile_toolkit.places import open_place
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import LOCK_FILE, DataFolder, Progress, build, locked, locks
 from tests.processes import records_so_far
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 

@@ -7,17 +7,13 @@ from dataclasses import replace
 
 import pytest
 
-from tactile_toolkit.cards.card import check_card
+from tactile_toolkit.cards import check_card
 from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, card_head, configs, folder_facts, head_text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.places import open_place
 from tactile_toolkit.places.layout import parquet_paths
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import inspect_job
-from tactile_toolkit.store.manifest import write_manifest
-from tactile_toolkit.store.shards import ShardName, ShardRecord
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import DataFolder, ShardName, ShardRecord, build, inspect_job, write_manifest
 from tests.tactile_toolkit.toy import ToyTask, toy_plan
 
 COUNT = 100_001

@@ -11,15 +11,12 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 import pytest
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.cards.card import check_card
+from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import is_hidden, names_inside, problem_of_name
+from tactile_toolkit.places import open_place
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import DataFolder, build, is_hidden, names_inside, problem_of_name, verify
 from tactile_toolkit.store.origin import RECORD_FILE, read_record
-from tactile_toolkit.store.verify import verify
 from tests.sealed import sealed
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 

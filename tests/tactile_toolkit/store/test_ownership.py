@@ -15,10 +15,8 @@ import pytest
 from hypothesis import settings
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.run import InlineRunner, ProcessRunner
+from tactile_toolkit.store import DataFolder, build, verify
 from tests.command_line import call
 from tests.processes import printed_by, start_held
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
@@ -131,7 +129,7 @@ from pathlib import Path
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store import locks
-from tactile_toolkit.store.build import build
+from tactile_toolkit.store.building import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.store.test_ownership import seeded
 from tests.tactile_toolkit.toy import folder_bytes
@@ -255,7 +253,7 @@ import os, shutil, sys
 from pathlib import Path
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
+from tactile_toolkit.store.building import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.store.test_ownership import seeded
 from tests.tactile_toolkit.toy import folder_bytes

@@ -9,12 +9,9 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
-from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part, ProcessRunner, part_of
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import Check, Finish, InlineRunner, Part, ProcessRunner, part_of
+from tactile_toolkit.store import DataFolder, build, read_manifest, verify
 from tactile_toolkit.store.job import BuildPlan, MissingPartsError, array_text, manifest_so_far
-from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.store.verify import verify
 from tests.processes import printed_by
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -376,7 +373,7 @@ import os, shutil, signal, sys
 from pathlib import Path
 from tactile_toolkit.run.processes import Check, Finish, Part
 from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
+from tactile_toolkit.store.building import build
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import MissingPartsError
 from tests.tactile_toolkit.store.test_parts import few_shards

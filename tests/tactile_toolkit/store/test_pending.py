@@ -5,12 +5,16 @@ from dataclasses import replace
 import pytest
 
 from tactile_toolkit.errors import InputError, StorageError
-from tactile_toolkit.run.processes import Finish, InlineRunner, Part
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import inspect_job, manifest_so_far
-from tactile_toolkit.store.manifest import read_manifest, write_manifest
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.run import Finish, InlineRunner, Part
+from tactile_toolkit.store import (
+    DataFolder,
+    build,
+    inspect_job,
+    manifest_so_far,
+    read_manifest,
+    verify,
+    write_manifest,
+)
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 

@@ -16,14 +16,17 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, SpecMismatchError
-from tactile_toolkit.run.processes import Check, Finish, InlineRunner, Part, ProcessRunner
-from tactile_toolkit.store import parquet, remote
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import MissingPartsError
-from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.store.parquet import ParquetStyle
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.run import Check, Finish, InlineRunner, Part, ProcessRunner
+from tactile_toolkit.store import (
+    DataFolder,
+    MissingPartsError,
+    ParquetStyle,
+    build,
+    parquet,
+    read_manifest,
+    remote,
+    verify,
+)
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 pytestmark = pytest.mark.s3
@@ -432,7 +435,7 @@ def test_a_store_that_takes_connections_and_says_nothing_is_named(s3, monkeypatc
 _KILLED = """
 import os, signal, sys
 from tactile_toolkit.run.processes import ProcessRunner
-from tactile_toolkit.store.build import build
+from tactile_toolkit.store.building import build
 from tactile_toolkit.store.folder import DataFolder
 from tests.tactile_toolkit.toy import toy_plan
 def die(progress):

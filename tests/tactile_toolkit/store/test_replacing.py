@@ -9,12 +9,9 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError, ToolkitError
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.run.processes import Finish, InlineRunner, Part, ProcessRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import read_manifest
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.places import open_place
+from tactile_toolkit.run import Finish, InlineRunner, Part, ProcessRunner
+from tactile_toolkit.store import DataFolder, build, read_manifest, verify
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 FAILURE = InputError("no place for the third object")

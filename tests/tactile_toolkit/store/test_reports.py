@@ -10,10 +10,8 @@ import msgspec
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store import parquet
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import DataFolder, build, parquet
 from tactile_toolkit.store.parquet import ParquetStyle, merge_reports, read_report
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 

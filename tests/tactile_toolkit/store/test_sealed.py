@@ -9,11 +9,9 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run.processes import Finish, InlineRunner, Part
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import Finish, InlineRunner, Part
+from tactile_toolkit.store import MANIFEST_FILE, DataFolder, Manifest, build, read_manifest
 from tactile_toolkit.store.job import pending_records
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
 from tactile_toolkit.store.names import require_seal, seal
 from tactile_toolkit.store.origin import RECORD_FILE, DownloadRecord, HubFile, read_record, write_record
 from tests.sealed import edit

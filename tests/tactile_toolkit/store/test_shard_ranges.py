@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.store.shards import ShardName, shard_ranges
+from tactile_toolkit.store import ShardName, shard_ranges
 
 DIGITS = {"smallest": 50, "largest": 128, "wanted": 16}
 

@@ -7,8 +7,7 @@ import json
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.names import decode
-from tactile_toolkit.store.shards import ShardName, ShardRecord, Skipped
+from tactile_toolkit.store import ShardName, ShardRecord, Skipped, decode
 
 SKIPPED = (Skipped(3, "nine", "it ends"),)
 WHOLE = ShardRecord.of(

@@ -10,15 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import StorageError
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.read.dataset import RecordDataset
-from tactile_toolkit.read.parquet import Shard, ShardedTable
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store import parquet
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.places import open_place
+from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
+from tactile_toolkit.run import InlineRunner, ProcessRunner
+from tactile_toolkit.store import DataFolder, Manifest, build, parquet, verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 FILES = [f"reports/columns-train-{number:05d}-of-00002.parquet" for number in range(2)]

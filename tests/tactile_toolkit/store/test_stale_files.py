@@ -9,11 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.files import remove_drafts, write_file
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.verify import verify
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import DataFolder, build, remove_drafts, verify, write_file
 from tests.tactile_toolkit.toy import SCHEMA, toy_plan
 
 NAME = "train-00001-of-00004.parquet"

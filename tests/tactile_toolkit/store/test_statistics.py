@@ -3,8 +3,7 @@ from __future__ import annotations
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.manifest import Manifest
-from tactile_toolkit.store.shards import ShardName, ShardRecord, add_up
+from tactile_toolkit.store import Manifest, ShardName, ShardRecord, add_up
 
 
 def record(split, index, statistics, skipped=()):

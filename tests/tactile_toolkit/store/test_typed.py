@@ -13,13 +13,10 @@ from typing import Any
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.places.place import open_place
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest
+from tactile_toolkit.places import open_place
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import MANIFEST_FILE, DataFolder, Manifest, build, read_manifest, verify
 from tactile_toolkit.store.origin import RECORD_FILE, read_record
-from tactile_toolkit.store.verify import verify
 from tests.sealed import sealed
 from tests.tactile_toolkit.toy import toy_plan
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.run.processes import InlineRunner, ProcessRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import InlineRunner, ProcessRunner
+from tactile_toolkit.store import DataFolder, build
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 IMPOSSIBLE = InputError("no place for the third object")

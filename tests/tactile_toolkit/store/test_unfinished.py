@@ -5,13 +5,11 @@ from dataclasses import replace
 import pytest
 
 from mnist3d.kind import KIND
-from tactile_toolkit.catalog.choose import shards_to_check
+from tactile_toolkit.catalog import shards_to_check
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import DataFolder, build, read_manifest, write_manifest
 from tactile_toolkit.store.job import write_record
-from tactile_toolkit.store.manifest import read_manifest, write_manifest
 from tests.tactile_toolkit.toy import toy_plan
 
 

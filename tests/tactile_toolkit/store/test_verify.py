@@ -10,12 +10,9 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.build import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.origin import DownloadRecord, HubFile, write_record
+from tactile_toolkit.run import InlineRunner
+from tactile_toolkit.store import DataFolder, DownloadRecord, HubFile, build, verify, write_record
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
-from tactile_toolkit.store.verify import verify
 from tests.sealed import edit
 from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
 

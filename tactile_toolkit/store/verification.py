@@ -12,8 +12,8 @@ from functools import partial
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from tactile_toolkit import run
 from tactile_toolkit.errors import InputError, IntegrityError, UnfinishedError
-from tactile_toolkit.run.threads import in_threads
 from tactile_toolkit.store.folder import DataFolder
 from tactile_toolkit.store.job import manifest_so_far
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
@@ -110,7 +110,7 @@ def verify(
             yield file
 
     check = partial(_check_file, folder, schema, shards)
-    checked = dict(zip(files, in_threads(check, announced(), workers), strict=True))
+    checked = dict(zip(files, run.in_threads(check, announced(), workers), strict=True))
     findings += [finding for found in checked.values() for finding in found.findings]
     # Ids of other people's data sets are their own, and may be the same in several splits.
     findings += _repeated_ids({path: checked[path].ids for path in shards})

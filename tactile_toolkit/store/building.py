@@ -17,8 +17,8 @@ from typing import Any, TypedDict
 
 import msgspec
 
+from tactile_toolkit import run
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, StorageError, ToolkitError
-from tactile_toolkit.run.processes import Check, Finish, Part, Runner, runner_for
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import (
     BuildPlan,
@@ -80,7 +80,7 @@ class RunOptions(TypedDict, total=False):
         Called with the :class:`Progress` before the work and after each shard.
     """
 
-    workers: int | Runner
+    workers: int | run.Runner
     overwrite: bool
     on_progress: Callable[[Progress], None]
 
@@ -126,7 +126,7 @@ class _WriteShard:
 def build(
     folder: DataFolder,
     plan: BuildPlan,
-    workers: int | Runner = 1,
+    workers: int | run.Runner = 1,
     *,
     overwrite: bool = False,
     on_progress: Callable[[Progress], None] = lambda _: None,
@@ -148,9 +148,9 @@ def build(
     MissingPartsError
         The set cannot be finished yet, or the runner has not made all shards; those that it made stay.
     """
-    runner = runner_for(workers)
-    kind = runner.workers if isinstance(runner, Check) else runner
-    is_part = isinstance(kind, Part)
+    runner = run.runner_for(workers)
+    kind = runner.workers if isinstance(runner, run.Check) else runner
+    is_part = isinstance(kind, run.Part)
     if overwrite:
         refuse_overwriting_parts(folder, kind)
     existed = folder.exists()
@@ -167,7 +167,7 @@ def build(
             job = begin_job(target, plan, runner)
         # By names and sizes alone; manifests are written last.
         is_finished = not job.remaining and job.manifest.complete and not folder.names(PENDING_FOLDER)
-        if is_finished and not folder.is_local and not isinstance(runner, Check):
+        if is_finished and not folder.is_local and not isinstance(runner, run.Check):
             return job.manifest
         records = [*job.finished, *_work(job, runner, on_progress)]
         if is_part:
@@ -183,7 +183,7 @@ def build(
         patience_s = 0.0 if isinstance(error, BusyError) else None
         # What ended the run is what is reported, even where the disk does not let us remove anything.
         with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
-            if not isinstance(kind, (Part, Finish)):
+            if not isinstance(kind, (run.Part, run.Finish)):
                 _undo(target, plan, had_manifest)
             held.close()
             if not existed:
@@ -193,7 +193,7 @@ def build(
         held.close()
 
 
-def _work(job: Job, runner: Runner, on_progress: Callable[[Progress], None]) -> Iterator[ShardRecord]:
+def _work(job: Job, runner: run.Runner, on_progress: Callable[[Progress], None]) -> Iterator[ShardRecord]:
     tasks = job.remaining
     sizes = {task.shard: task.size for task in tasks}
     done, total = 0, sum(sizes.values())
@@ -336,9 +336,9 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
     return found
 
 
-def refuse_overwriting_parts(folder: DataFolder, runner: Runner | int) -> None:
+def refuse_overwriting_parts(folder: DataFolder, runner: run.Runner | int) -> None:
     """Raise InputError for what makes or ends parts: one must not remove what the others made."""
-    if isinstance(runner, (Part, Finish)):
+    if isinstance(runner, (run.Part, run.Finish)):
         raise InputError(
             "--overwrite was given with --part or --finish: each part would remove what the others made; "
             "nothing was changed",

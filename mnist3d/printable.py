@@ -1,0 +1,10 @@
+"""Meshes, their files and the report on how they print: of the toolkit, named here for users of digits."""
+
+from tactile_toolkit.mesh import (
+    Mesh as Mesh,
+    PrintProfile as PrintProfile,
+    PrintReport as PrintReport,
+    inspect as inspect,
+    read_mesh as read_mesh,
+    write_mesh as write_mesh,
+)

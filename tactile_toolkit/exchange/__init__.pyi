@@ -1,0 +1,24 @@
+"""The public names of this package; type checkers read this list, and each name is imported on first use."""
+
+from .copies import (
+    divide as divide,
+    merge_sets as merge_sets,
+    plan_tables as plan_tables,
+    write_part as write_part,
+)
+from .download import (
+    DownloadPlan as DownloadPlan,
+    plan_download as plan_download,
+    run_download as run_download,
+)
+from .options import (
+    MAIN_BRANCH as MAIN_BRANCH,
+    UploadOptions as UploadOptions,
+)
+from .upload import (
+    PreparedUpload as PreparedUpload,
+    UploadResult as UploadResult,
+    check_folder as check_folder,
+    prepare_upload as prepare_upload,
+    run_upload as run_upload,
+)

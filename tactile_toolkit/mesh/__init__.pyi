@@ -1,0 +1,76 @@
+"""The public names of this package; type checkers read this list, and each name is imported on first use."""
+
+from .files import (
+    FORMATS as FORMATS,
+    file_ending as file_ending,
+    merge_equal_vertices as merge_equal_vertices,
+    pack_mesh as pack_mesh,
+    read_mesh as read_mesh,
+    unpack_mesh as unpack_mesh,
+    write_mesh as write_mesh,
+)
+from .mesh import (
+    MM_PER_M as MM_PER_M,
+    Mesh as Mesh,
+    MeshLike as MeshLike,
+    as_mesh as as_mesh,
+    joined as joined,
+)
+from .nearness import (
+    compiled as compiled,
+    connected as connected,
+)
+from .printability import (
+    PrintProfile as PrintProfile,
+    PrintReport as PrintReport,
+    REPORT_COLUMNS as REPORT_COLUMNS,
+    UNREADABLE as UNREADABLE,
+    WARNINGS as WARNINGS,
+    inspect as inspect,
+    unreadable as unreadable,
+)
+from .raster import (
+    MOST_PIXELS as MOST_PIXELS,
+    highest_faces as highest_faces,
+    highest_values as highest_values,
+    positions_in_runs as positions_in_runs,
+)
+from .records import (
+    FACES as FACES,
+    MESH as MESH,
+    MeshRow as MeshRow,
+    RecordStream as RecordStream,
+    SIZES as SIZES,
+    SolidDataset as SolidDataset,
+    SolidRecord as SolidRecord,
+    VERTICES as VERTICES,
+    flat_table as flat_table,
+    mesh_schema as mesh_schema,
+    open_solids as open_solids,
+    require_mesh_columns as require_mesh_columns,
+)
+from .solid_check import (
+    ManifoldCheck as ManifoldCheck,
+    array_problem as array_problem,
+    check_manifold as check_manifold,
+    require_solid as require_solid,
+    self_crossing as self_crossing,
+)
+from .threemf import (
+    BuildItem as BuildItem,
+    read_build as read_build,
+    write_build as write_build,
+)
+from .torch import (
+    MeshBatch as MeshBatch,
+    MeshItem as MeshItem,
+    REPRESENTATIONS as REPRESENTATIONS,
+    SolidTensors as SolidTensors,
+    TARGETS as TARGETS,
+    collate_meshes as collate_meshes,
+)
+from .units import (
+    UNIT as UNIT,
+    refuse_unit as refuse_unit,
+    require_unit as require_unit,
+)

@@ -1,0 +1,116 @@
+"""The public names of this package; type checkers read this list, and each name is imported on first use."""
+
+from . import remote as remote
+from .building import (
+    Progress as Progress,
+    RunOptions as RunOptions,
+    build as build,
+    refuse_overwriting_parts as refuse_overwriting_parts,
+    require_replaceable as require_replaceable,
+    require_rows as require_rows,
+    resume_promotion as resume_promotion,
+)
+from .files import (
+    DRAFT as DRAFT,
+    draft_of as draft_of,
+    expanded as expanded,
+    named_failures as named_failures,
+    open_regular as open_regular,
+    path_exists as path_exists,
+    readable as readable,
+    remove_drafts as remove_drafts,
+    resource_shortage as resource_shortage,
+    scratch_folder as scratch_folder,
+    write_file as write_file,
+)
+from .folder import (
+    DataFolder as DataFolder,
+    PENDING_FOLDER as PENDING_FOLDER,
+    VERSION_KEYS as VERSION_KEYS,
+    local_folder as local_folder,
+    split_uri as split_uri,
+)
+from .inside import (
+    open_inside as open_inside,
+    size_inside as size_inside,
+)
+from .job import (
+    BuildPlan as BuildPlan,
+    Job as Job,
+    MissingPartsError as MissingPartsError,
+    inspect_job as inspect_job,
+    manifest_so_far as manifest_so_far,
+    refuse_unknown_files as refuse_unknown_files,
+)
+from .locks import (
+    LOCK_FILE as LOCK_FILE,
+    locked as locked,
+)
+from .manifest import (
+    MANIFEST_FILE as MANIFEST_FILE,
+    Manifest as Manifest,
+    read_manifest as read_manifest,
+    without_collecting as without_collecting,
+    write_manifest as write_manifest,
+)
+from .names import (
+    Count as Count,
+    LARGEST as LARGEST,
+    damaged as damaged,
+    decode as decode,
+    is_hidden as is_hidden,
+    is_remote as is_remote,
+    names_inside as names_inside,
+    normalize_uri as normalize_uri,
+    problem_of_name as problem_of_name,
+    scheme_of as scheme_of,
+    typed as typed,
+)
+from .origin import (
+    DIGEST as DIGEST,
+    DownloadRecord as DownloadRecord,
+    HubFile as HubFile,
+    digest_like as digest_like,
+    has_digest as has_digest,
+    read_record as read_record,
+    write_record as write_record,
+)
+from .parquet import (
+    ParquetStyle as ParquetStyle,
+    SOURCE_DIGEST as SOURCE_DIGEST,
+    encode_parquet as encode_parquet,
+    is_unchanged as is_unchanged,
+    named_damage as named_damage,
+    open_checked as open_checked,
+    open_parquet as open_parquet,
+    read_report as read_report,
+    sha256_hex as sha256_hex,
+    small_files as small_files,
+)
+from .remote import (
+    Failure as Failure,
+    cause_chain as cause_chain,
+    in_time as in_time,
+    with_retry as with_retry,
+)
+from .shards import (
+    DAMAGED as DAMAGED,
+    DATA_FOLDER as DATA_FOLDER,
+    Finding as Finding,
+    ShardName as ShardName,
+    ShardRecord as ShardRecord,
+    Skipped as Skipped,
+    VIEWER_FOLDER as VIEWER_FOLDER,
+    add_up as add_up,
+    rows_per_shard as rows_per_shard,
+    shard_ranges as shard_ranges,
+)
+from .task import (
+    ShardContent as ShardContent,
+    ShardTask as ShardTask,
+)
+from .verification import (
+    problem_of_place as problem_of_place,
+    require_finished as require_finished,
+    verify as verify,
+)

@@ -1,0 +1,29 @@
+"""The public names of this package; type checkers read this list, and each name is imported on first use."""
+
+from .contact import (
+    PRESS_DEPTH_M as PRESS_DEPTH_M,
+    RENDERED_CONTACT_M as RENDERED_CONTACT_M,
+    contact_height_option as contact_height_option,
+    height_text as height_text,
+    missed_text as missed_text,
+    size_option as size_option,
+)
+from .jpeg import (
+    IMAGE_SUFFIX as IMAGE_SUFFIX,
+    ImageFormat as ImageFormat,
+    MAX_IMAGE_BYTES as MAX_IMAGE_BYTES,
+    MAX_IMAGE_PIXELS as MAX_IMAGE_PIXELS,
+    Pixels as Pixels,
+    decode_image as decode_image,
+    encode_image as encode_image,
+    image_size as image_size,
+    require_bounded_jpeg as require_bounded_jpeg,
+    resized as resized,
+)
+from .schema import (
+    CLASS_NAMES as CLASS_NAMES,
+    Kind as Kind,
+    MEDIA_COLUMN as MEDIA_COLUMN,
+    MEDIA_TYPE as MEDIA_TYPE,
+    with_features as with_features,
+)
