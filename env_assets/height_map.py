@@ -11,8 +11,8 @@ from numbers import Real
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import Bool, Float32, Float64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MOST_PIXELS, as_mesh, highest_values
 
@@ -40,27 +40,27 @@ class HeightMap:
         Side of a pixel, metres.
     """
 
-    heights_m: NDArray[np.float32]
+    heights_m: Float32
     first_column: int
     first_row: int
     pitch_m: float
 
     @property
-    def x_m(self) -> NDArray[np.float64]:
+    def x_m(self) -> Float64:
         """Centre of each column along x, shape (columns,), metres."""
         return _centres_m(self.first_column, self.heights_m.shape[1], self.pitch_m)
 
     @property
-    def y_m(self) -> NDArray[np.float64]:
+    def y_m(self) -> Float64:
         """Centre of each row along y, shape (rows,), metres."""
         return _centres_m(self.first_row, self.heights_m.shape[0], self.pitch_m)
 
     @property
-    def covered(self) -> NDArray[np.bool_]:
+    def covered(self) -> Bool:
         """Which pixel centres lie under the mesh, shape (rows, columns)."""
         return ~np.isnan(self.heights_m)
 
-    def filled(self, outside_m: float = 0.0) -> NDArray[np.float32]:
+    def filled(self, outside_m: float = 0.0) -> Float32:
         """Return the heights with a number in place of NaN, such as the plate's; a new array."""
         return np.where(self.covered, self.heights_m, np.float32(outside_m))
 
@@ -133,5 +133,5 @@ def _is_length(value: object) -> bool:
     return isinstance(value, (Real, np.number)) and 0 < float(value) < np.inf
 
 
-def _centres_m(first: int, count: int, pitch_m: float) -> NDArray[np.float64]:
+def _centres_m(first: int, count: int, pitch_m: float) -> Float64:
     return np.asarray((np.arange(first, first + count) + 0.5) * pitch_m)

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import store
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, Int32
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
@@ -46,12 +46,12 @@ class LazyMesh:
         return _MESHES.get_or_make(self, self.read)
 
     @property
-    def vertices_m(self) -> NDArray[np.float32]:
+    def vertices_m(self) -> Float32:
         """Vertices, shape (V, 3), metres."""
         return np.asarray(self.mesh.vertices, np.float32)
 
     @property
-    def faces(self) -> NDArray[np.int32]:
+    def faces(self) -> Int32:
         """Triangles, shape (F, 3), counter-clockwise seen from outside."""
         return np.asarray(self.mesh.faces, np.int32)
 
@@ -118,14 +118,14 @@ class MeshView(Sequence[Any]):
         chosen = [self.records[row] for row in positions(key, len(self)).tolist()]
         return MeshView(chosen, self.label_names, self.flat)
 
-    def column(self, name: str) -> NDArray[Any]:
+    def column(self, name: str) -> AnyArray:
         """Return one value of each record, shape (n,); of a data set no mesh is read."""
         if isinstance(self.records, RecordDataset):
             return self.records.column(name)
         return np.array([getattr(record, name) for record in self.records])
 
     @cached_property
-    def volumes_m3(self) -> NDArray[np.float64]:
+    def volumes_m3(self) -> Float64:
         """Volume of each mesh, shape (n,), cubic metres; negative where the triangles face inwards."""
         if isinstance(self.records, RecordDataset):
             with contextlib.suppress(InputError):  # the published data sets store no volumes
@@ -133,13 +133,13 @@ class MeshView(Sequence[Any]):
         return np.array([_volume_m3(record) for record in self.records], np.float64)
 
     @cached_property
-    def bounds_m(self) -> NDArray[np.float64]:
+    def bounds_m(self) -> Float64:
         """Lowest and highest corner of each mesh before it is turned, shape (n, 2, 3), metres."""
         bounds = [mesh_bounds_m(record.vertices_m, f"mesh {record.id}") for record in self.records]
         return np.array(bounds, np.float64).reshape(-1, 2, 3)
 
 
-def mesh_bounds_m(vertices_m: NDArray[np.floating[Any]], where: str) -> NDArray[np.float64]:
+def mesh_bounds_m(vertices_m: Floating, where: str) -> Float64:
     """Return lowest and highest corner of some vertices, shape (2, 3), metres; InputError without any."""
     if not len(vertices_m):
         raise InputError(
@@ -162,7 +162,7 @@ def _volume_m3(record: Any) -> float:
     return Mesh(vertices_m, faces).volume_m3
 
 
-def flat_turn(mesh: Any) -> NDArray[np.float64]:
+def flat_turn(mesh: Any) -> Float64:
     """Return the rotation, shape (3, 3), that turns the shortest side of the box around a mesh upright.
 
     Of the other two sides, the one that lies more along x becomes x; what was above stays above. The package

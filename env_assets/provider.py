@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
 from env_assets.height_map import HeightMap, top_surface
 from env_assets.meshes import MeshView, mesh_bounds_m, mesh_files
@@ -22,6 +21,7 @@ from mnist3d.loader import MeshDataset
 from starstruck_gen.kind import KIND as SCENES
 from starstruck_gen.loader import SceneMeshDataset
 from tactile_toolkit import hub, mesh, read, store
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
@@ -217,7 +217,7 @@ class AssetProvider:
         found: TouchSeqDataset | TouchSingleDataset = opened
         return found
 
-    def volumes_m3(self, name: str, split: str = "train") -> NDArray[np.float64]:
+    def volumes_m3(self, name: str, split: str = "train") -> Float64:
         """Return the volume of each mesh of a split, in the order of :meth:`meshes`; makes no record.
 
         Returns
@@ -251,7 +251,7 @@ class AssetProvider:
         """
         return top_surface(record, pitch_m)
 
-    def bounds(self, record: Any) -> NDArray[np.float64]:
+    def bounds(self, record: Any) -> Float64:
         """Return lowest and highest corner of a mesh, shape (2, 3), metres, in its own frame.
 
         Raises

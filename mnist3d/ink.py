@@ -8,18 +8,14 @@ built from the mask can be held to them.
 from __future__ import annotations
 
 import math
-from typing import Any, NoReturn, TypeAlias
+from typing import Any, NoReturn
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d.spec import SolidSpec
 from tactile_toolkit import mesh
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
-
-Mask: TypeAlias = NDArray[np.bool_]
-Levels: TypeAlias = NDArray[np.uint8]
-Places: TypeAlias = NDArray[np.intp]
 
 MIN_SIDE_PX = 8
 """Smaller images cannot show a digit."""
@@ -87,7 +83,7 @@ def refuse(reason: str, *found: Any, sentence: str = "") -> NoReturn:
     raise ItemError(reason, _SENTENCES[key].format(*found), next=_NEXT.get(key, "").format(*found))
 
 
-def ink_of_levels(levels: Levels, threshold: float | None = None) -> Mask:
+def ink_of_levels(levels: UInt8, threshold: float | None = None) -> Bool:
     """Return ink (True) from paper, in grey levels from 0 (ink) to 255 (paper).
 
     Pixels up to the threshold are ink; by default that is Otsu's of the image. Raises ItemError ``no-ink`` or
@@ -106,7 +102,7 @@ def ink_of_levels(levels: Levels, threshold: float | None = None) -> Mask:
     return mask
 
 
-def require_paper_around(mask: Mask) -> None:
+def require_paper_around(mask: Bool) -> None:
     """Refuse ink that covers more than half of an image, or touches a twentieth of its border.
 
     Raises ItemError ``all-ink`` or ``cut-off``.
@@ -120,7 +116,7 @@ def require_paper_around(mask: Mask) -> None:
         refuse("cut-off", touched, MOST_BORDER, sentence="border")
 
 
-def margin(values: NDArray[Any]) -> NDArray[Any]:
+def margin(values: AnyArray) -> AnyArray:
     """Return the pixels along the edge of an image, a fiftieth of the shorter side wide."""
     wide = max(1, min(values.shape) // 50)
     middle = values[wide:-wide]
@@ -128,7 +124,7 @@ def margin(values: NDArray[Any]) -> NDArray[Any]:
     return np.concatenate([part.ravel() for part in parts])
 
 
-def paper_is_dark(levels: Levels, threshold: int, where: str) -> bool:
+def paper_is_dark(levels: UInt8, threshold: int, where: str) -> bool:
     """Return whether the margin, which is paper, is dark; `where` names the image.
 
     Raises ItemError ``unclear-ink`` when less than three quarters of it are on one side of the threshold.
@@ -139,7 +135,7 @@ def paper_is_dark(levels: Levels, threshold: int, where: str) -> bool:
     return light <= 1 - PAPER_SHARE
 
 
-def levels_and_threshold(pixels: NDArray[Any], ink: str) -> tuple[Levels, int | None]:
+def levels_and_threshold(pixels: AnyArray, ink: str) -> tuple[UInt8, int | None]:
     """Turn an image of any number type into grey levels from 0 (ink) to 255 (paper).
 
     Integers are levels from 0 to 255, floats run from 0 to 1 or to 255, bool has two levels. With ``"auto"``
@@ -153,7 +149,7 @@ def levels_and_threshold(pixels: NDArray[Any], ink: str) -> tuple[Levels, int | 
     return levels, threshold
 
 
-def as_levels(pixels: NDArray[Any]) -> Levels:
+def as_levels(pixels: AnyArray) -> UInt8:
     """Turn an image of any number type into grey levels from 0 to 255; ItemError where it has none."""
     image = np.asarray(pixels)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE_PX:
@@ -173,7 +169,7 @@ def as_levels(pixels: NDArray[Any]) -> Levels:
     return np.round(image).astype(np.uint8)
 
 
-def otsu_threshold(levels: Levels) -> int:
+def otsu_threshold(levels: UInt8) -> int:
     """Return the highest level of the darker of the two groups that differ most (Otsu 1979)."""
     # scikit-image finds the same, but importing it costs every process up to a second.
     # Most of a page is white: the rest is counted.
@@ -186,7 +182,7 @@ def otsu_threshold(levels: Levels) -> int:
     return int(np.nanargmax(np.where(np.isfinite(spread), spread, -1.0)))
 
 
-def clean(mask: Mask, spec: SolidSpec) -> Mask:
+def clean(mask: Bool, spec: SolidSpec) -> Bool:
     """Take away specks and pinholes and settle contacts at corners, so that 4- and 8-connectivity agree.
 
     Specks go also where they touch a stroke by a few pixels: they would become fins that no printer makes.
@@ -212,7 +208,7 @@ def clean(mask: Mask, spec: SolidSpec) -> Mask:
     return cleaned
 
 
-def repair_corners(mask: Mask) -> Mask:
+def repair_corners(mask: Bool) -> Bool:
     """Fill one pixel wherever two pixels of ink touch at a corner alone; ink is only ever added."""
     mask = mask.copy()
     while True:
@@ -226,7 +222,7 @@ def repair_corners(mask: Mask) -> Mask:
         mask[1:, 1:] |= rising
 
 
-def _without_small(mask: Mask, min_px: float, *, first_stays: bool = False) -> Mask:
+def _without_small(mask: Bool, min_px: float, *, first_stays: bool = False) -> Bool:
     """Drop the pieces smaller than a limit; the first one may stay whatever its size."""
     runs, piece = _pieces(mask)
     small = np.bincount(piece, runs[:, 2] - runs[:, 1])[piece] < min_px
@@ -239,7 +235,7 @@ def _without_small(mask: Mask, min_px: float, *, first_stays: bool = False) -> M
     return mask
 
 
-def _pieces(mask: Mask) -> tuple[Places, Places]:
+def _pieces(mask: Bool) -> tuple[Int64, Int64]:
     """Return the runs of marked pixels, (row, begin, end) each, and the first run of the piece of each."""
     from mnist3d import kernels
 
@@ -247,7 +243,7 @@ def _pieces(mask: Mask) -> tuple[Places, Places]:
     return runs, mesh.connected(touching[:, 0], touching[:, 1], len(runs))
 
 
-def _without_attached_specks(mask: Mask, min_px: float) -> Mask:
+def _without_attached_specks(mask: Bool, min_px: float) -> Bool:
     """Drop what would be a speck but for a few pixels by which it touches the side of wider ink.
 
     A thin stroke of the pen reaches further than a round speck of the limit is wide, and stays; so does a
@@ -274,7 +270,7 @@ def _without_attached_specks(mask: Mask, min_px: float) -> Mask:
     return repair_corners(cleaned)
 
 
-def _opened(mask: Mask, radius_px: int) -> Mask:
+def _opened(mask: Bool, radius_px: int) -> Bool:
     """Keep what octagons within the mask cover; they are ``2 * radius_px + 1`` pixels wide."""
     # Shifts of the whole mask take a twelfth of the time of scipy's opening (0.5 and 5.6 ms at radius 6).
     # With and without corners in turn, squares and diamonds add up to octagons.
@@ -287,7 +283,7 @@ def _opened(mask: Mask, radius_px: int) -> Mask:
     return ink
 
 
-def grown(mask: Mask, *, corners: bool = True) -> Mask:
+def grown(mask: Bool, *, corners: bool = True) -> Bool:
     """Widen what is marked by a pixel to all sides, and where corners connect also to those."""
     wider = mask.copy()
     wider[1:] |= mask[:-1]
@@ -298,7 +294,7 @@ def grown(mask: Mask, *, corners: bool = True) -> Mask:
     return wider
 
 
-def count_bodies_and_holes(mask: Mask) -> tuple[int, int]:
+def count_bodies_and_holes(mask: Bool) -> tuple[int, int]:
     """Count the pieces of clean ink and the spots of paper that ink encloses; outside the mask is paper."""
     runs, piece = _pieces(mask)
     bodies = int(np.count_nonzero(piece == np.arange(len(runs))))
@@ -309,7 +305,7 @@ def count_bodies_and_holes(mask: Mask) -> tuple[int, int]:
     return bodies, bodies - int(euler)
 
 
-def join_bodies(mask: Mask, width_px: float) -> Mask:
+def join_bodies(mask: Bool, width_px: float) -> Bool:
     """Join pieces of clean ink by straight bars until one is left, so that the digit prints in one piece.
 
     Each round joins the first piece to the one nearest to it, where the two come closest. A bar reaches into
@@ -332,9 +328,7 @@ def join_bodies(mask: Mask, width_px: float) -> Mask:
         mask = repair_corners(mask | _bar(mask.shape, here[middle], there[nearest[middle]], width_px))
 
 
-def _bar(
-    shape: tuple[int, ...], start: NDArray[np.float64], end: NDArray[np.float64], width_px: float
-) -> Mask:
+def _bar(shape: tuple[int, ...], start: Float64, end: Float64, width_px: float) -> Bool:
     length = float(np.hypot(*(end - start)))
     along = (end - start) / length
     rows, columns = np.ogrid[: shape[0], : shape[1]]

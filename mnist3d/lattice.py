@@ -17,20 +17,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, TypeAlias, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.ink import Mask, Places
 from mnist3d.spec import SolidSpec
-
-Singles: TypeAlias = NDArray[np.float32]
-Doubles: TypeAlias = NDArray[np.float64]
-Floats = NDArray[np.floating[Any]]
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 
 
-def erosion_radius_px(z_px: Floats, spec: SolidSpec) -> Floats:
+def erosion_radius_px(z_px: Floating, spec: SolidSpec) -> Floating:
     """Return how far the outline draws in at heights from 0 to the half thickness; grows with the height."""
     half_px = spec.half_thickness_px
     if spec.profile == "flat":
@@ -46,7 +42,7 @@ def disc_offset_px(spec: SolidSpec) -> np.float32:
     return np.float32(0.5 if spec.erosion == "disc" else 0)
 
 
-def half_height_px(s_px: Floats, spec: SolidSpec) -> Floats:
+def half_height_px(s_px: Floating, spec: SolidSpec) -> Floating:
     """Return how high the solid stands above the mid-plane; 0 outside the ink."""
     half_px = spec.half_thickness_px
     depth = np.where(s_px > 0, np.clip(s_px + disc_offset_px(spec), 0, half_px), 0)
@@ -56,7 +52,7 @@ def half_height_px(s_px: Floats, spec: SolidSpec) -> Floats:
     return depth if spec.profile == "linear" else np.where(s_px > 0, np.float32(half_px), np.float32(0))
 
 
-def depth_px(s_px: Floats, z_px: Floats, spec: SolidSpec) -> Floats:
+def depth_px(s_px: Floating, z_px: Floating, spec: SolidSpec) -> Floating:
     """Return how deep points lie in the solid, positive inside; the two shapes broadcast.
 
     The values are true distances wherever one side of the solid is nearest, so that their zero is found
@@ -141,21 +137,21 @@ class Lattice:
         Distance from the outline at the nodes.
     """
 
-    ink: Mask
+    ink: Bool
     corner_px: tuple[int, int]
-    distance_px: Singles
-    narrow: Places
-    rows_px: Doubles
-    columns_px: Doubles
+    distance_px: Float32
+    narrow: Int64
+    rows_px: Float64
+    columns_px: Float64
     pitch_px: float
-    s_px: Singles
+    s_px: Float32
 
     @property
     def least_px(self) -> np.float32:
         """Least depth of a node: it keeps the vertices on the edges around a node apart."""
         return np.float32(MIN_NODE_DEPTH * self.pitch_px)
 
-    def heights_px(self, spec: SolidSpec) -> Singles:
+    def heights_px(self, spec: SolidSpec) -> Float32:
         """Return the heights of the layers above the mid-plane, to beyond the top of the solid, shape (L, 1).
 
         Each an array of its own: numpy squares single numbers by another function, to another last bit.
@@ -163,7 +159,7 @@ class Lattice:
         top_px = spec.half_thickness_px + 2 * self.pitch_px
         return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None]
 
-    def finer(self, inside: Mask) -> Lattice | None:
+    def finer(self, inside: Bool) -> Lattice | None:
         """Return a lattice with more nodes where bodies or holes are lost; None where each pixel has one.
 
         That is where nodes ``inside`` the mid-plane touch at a corner alone, or else where the lattice shows
@@ -188,7 +184,7 @@ class Lattice:
                 return lattice
             lattice = lattice._with_nodes_at(missed)
 
-    def _with_nodes_at(self, missed: Places) -> Lattice:
+    def _with_nodes_at(self, missed: Int64) -> Lattice:
         rows, columns = map(_refined, (self.rows_px, self.columns_px), missed, self.ink.shape)
         # Where nothing more can be added line by line, every pixel becomes a node; that is the finest.
         if (len(rows), len(columns)) == self.s_px.shape:
@@ -196,7 +192,7 @@ class Lattice:
         s_px = _sampled(self.distance_px, rows, columns, self.pitch_px)
         return replace(self, rows_px=rows, columns_px=columns, s_px=s_px)
 
-    def _corner_contacts(self, inside: Mask) -> Places:
+    def _corner_contacts(self, inside: Bool) -> Int64:
         """Return the pixels, shape (2, N), between nodes of which two touch at a corner alone.
 
         The surface may join them, or what lies across.
@@ -209,7 +205,7 @@ class Lattice:
         )
         return np.stack(np.nonzero(contacts[np.ix_(*cells)]))
 
-    def _between_nodes(self, rows: Places, columns: Places) -> Doubles:
+    def _between_nodes(self, rows: Int64, columns: Int64) -> Float64:
         """Return what the lattice shows at pixels, linear between its nodes; exact as :func:`_blurred`."""
         s = _on_grid(self.s_px, _FACTOR_GRAIN_PX).astype(np.float64)
         row, above, below = _linear(self.rows_px, rows)
@@ -224,10 +220,10 @@ class Lattice:
 class Mirrored(NamedTuple):
     """Layers from the mid-plane up, shape (R, C, L), that stand for a lower half too."""
 
-    upper: Singles
+    upper: Float32
 
 
-def lattice_of(ink: Mask, spec: SolidSpec) -> Lattice:
+def lattice_of(ink: Bool, spec: SolidSpec) -> Lattice:
     """Lay a lattice over clean ink (:func:`mnist3d.ink.clean`) that shows all that is narrow."""
     from mnist3d import kernels
 
@@ -246,7 +242,7 @@ def lattice_of(ink: Mask, spec: SolidSpec) -> Lattice:
     return Lattice(crop, corner_px, distance, narrow, rows, columns, pitch_px, s_px).fitted()
 
 
-def erode(lattice: Lattice, height_px: Singles, spec: SolidSpec) -> Singles:
+def erode(lattice: Lattice, height_px: Float32, spec: SolidSpec) -> Float32:
     """Erode the ink with the kernel that belongs to a height: one layer, shape (R, C), of how deep nodes lie.
 
     Positive where the binary erosion of that kernel leaves the node, and 0 on the surface: lengths in pixels.
@@ -258,12 +254,12 @@ def erode(lattice: Lattice, height_px: Singles, spec: SolidSpec) -> Singles:
     return np.where(np.abs(depth) < lattice.least_px, nudged, depth)
 
 
-def stack(layers: Sequence[NDArray[Any]]) -> NDArray[Any]:
+def stack(layers: Sequence[AnyArray]) -> AnyArray:
     """Put layers of shape (H, W) on top of one another, from the mid-plane up."""
     return np.stack(layers, axis=2)
 
 
-def mirror(upper: Singles) -> Mirrored:
+def mirror(upper: Float32) -> Mirrored:
     """Let the layers above the mid-plane stand for those below it as well.
 
     Marching cubes and smoothing of the upper half alone give what they give of the whole; the surface is
@@ -272,7 +268,7 @@ def mirror(upper: Singles) -> Mirrored:
     return Mirrored(upper)
 
 
-def signed_distance_px(mask: Mask, inside_px: float, outside_px: float) -> Singles:
+def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float32:
     """Measure how far each pixel centre lies from the outline of the ink, positive inside, up to two reaches.
 
     The outline runs between pixels, half a pixel from the centres on either side of it. What lies beyond the
@@ -285,7 +281,7 @@ def signed_distance_px(mask: Mask, inside_px: float, outside_px: float) -> Singl
     return np.asarray(kernels.signed_distance_px(mask, inside_px + 0.5, outside_px + 0.5))
 
 
-def _first_pitch_px(distance: Singles, spec: SolidSpec) -> float:
+def _first_pitch_px(distance: Float32, spec: SolidSpec) -> float:
     """Return the pitch asked for, or the one at which marching cubes will meet the vertex budget.
 
     A vertex lies on every edge of the lattice that passes through the surface, so their number is known
@@ -301,7 +297,7 @@ def _first_pitch_px(distance: Singles, spec: SolidSpec) -> float:
     return pitch
 
 
-def _crossed_edges(s_px: Singles, pitch_px: float, spec: SolidSpec) -> int:
+def _crossed_edges(s_px: Float32, pitch_px: float, spec: SolidSpec) -> int:
     """Count the edges that pass through the whole surface: next to and above the nodes, the rim only once."""
     layers = np.ceil(half_height_px(s_px, spec) / np.float32(pitch_px)).astype(np.int32)
     beside = np.abs(np.diff(layers, axis=0)).sum() + np.abs(np.diff(layers, axis=1)).sum()
@@ -310,7 +306,7 @@ def _crossed_edges(s_px: Singles, pitch_px: float, spec: SolidSpec) -> int:
     return int(2 * (beside + np.count_nonzero(inked)) - rim)
 
 
-def _refined(nodes: Doubles, lines: Places, count: int) -> Doubles:
+def _refined(nodes: Float64, lines: Int64, count: int) -> Float64:
     """Put nodes on every pixel of the lines in which something is missed, and on those next to them."""
     missed = np.zeros(count, dtype=bool)
     missed[lines] = True
@@ -326,14 +322,14 @@ def _refined(nodes: Doubles, lines: Places, count: int) -> Doubles:
     return np.unique(np.concatenate([others, wanted]))
 
 
-def _sampled(distance: Singles, rows: Doubles, columns: Doubles, pitch_px: float) -> Singles:
+def _sampled(distance: Float32, rows: Float64, columns: Float64, pitch_px: float) -> Float32:
     """Return the distances from the outline at nodes; those near a ridge are blurred more."""
     s, ridge = (_blurred(distance, rows, columns, blur) for blur in (BLUR_PER_PITCH, RIDGE_BLUR_PER_PITCH))
     share = np.clip(s / np.float32(RIDGE_DEPTH_PER_PITCH * pitch_px) - 1, 0, 1)
     return np.asarray(s + share * (ridge - s))
 
 
-def _blurred(values: Singles, rows: Doubles, columns: Doubles, sigma_per_pitch: float) -> Singles:
+def _blurred(values: Float32, rows: Float64, columns: Float64, sigma_per_pitch: float) -> Float32:
     """Return what a blur as wide as the nodes lie apart leaves of values at the nodes.
 
     Values and weights lie on grids so coarse that every product and every sum of them is exact in double
@@ -352,7 +348,7 @@ def _on_grid(values: NDArray[F], grain: float) -> NDArray[F]:
     return np.asarray(np.round(values * values.dtype.type(1 / grain)) * values.dtype.type(grain))
 
 
-def _linear(nodes: Doubles, pixels: Places) -> tuple[NDArray[Any], ...]:
+def _linear(nodes: Float64, pixels: Int64) -> tuple[AnyArray, ...]:
     """Return the nodes before pixels and the weights of these and the next ones."""
     before = np.searchsorted(nodes[1:-1], pixels, side="right")
     share = np.clip((pixels - nodes[before]) / (nodes[before + 1] - nodes[before]), 0, 1)

@@ -9,16 +9,16 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d.ink import count_bodies_and_holes, refuse
 from mnist3d.lattice import erosion_radius_px, stack
 from mnist3d.spec import SolidSpec
 from mnist3d.surface import Surface, bodies_and_holes, decimate, isosurface, scale, smooth
+from tactile_toolkit.array_types import AnyArray, Bool, Float64
 from tactile_toolkit.mesh import Mesh
 
 
-def literal_solid(ink: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool = True) -> Mesh:
+def literal_solid(ink: Bool, spec: SolidSpec, *, decimated: bool = True) -> Mesh:
     """Build the solid of clean ink; left as fine as its pixels with ``decimated=False``.
 
     Raises ItemError ``topology`` where the surface has not the bodies and holes of the ink,
@@ -36,7 +36,7 @@ def literal_solid(ink: NDArray[np.bool_], spec: SolidSpec, *, decimated: bool = 
     return decimate(mesh, spec.target_vertices) if decimated else mesh
 
 
-def erosion_radii_px(spec: SolidSpec) -> NDArray[np.float64]:
+def erosion_radii_px(spec: SolidSpec) -> Float64:
     """List the erosion radius of each layer above the mid-plane, in increasing order.
 
     Layer k is one pixel thick and its middle lies k + 0.5 px up.
@@ -45,7 +45,7 @@ def erosion_radii_px(spec: SolidSpec) -> NDArray[np.float64]:
     return np.asarray(erosion_radius_px(heights, spec), dtype=np.float64)
 
 
-def erode(ink: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
+def erode(ink: Bool, radius_px: float) -> Bool:
     """Let the ink draw in from its outline by a radius; beyond the image is paper.
 
     The outline lies half a pixel outside the outermost centres, so this is binary erosion with a disc of the
@@ -59,6 +59,6 @@ def erode(ink: NDArray[np.bool_], radius_px: float) -> NDArray[np.bool_]:
     return np.asarray(ink & (distance[1:-1, 1:-1] >= radius_px + 0.5))
 
 
-def mirror(volume: NDArray[Any]) -> NDArray[Any]:
+def mirror(volume: AnyArray) -> AnyArray:
     """Add the lower half to the layers above the mid-plane."""
     return np.concatenate([volume[:, :, ::-1], volume], axis=2)

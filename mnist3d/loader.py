@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Literal, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d.kind import KIND
 from mnist3d.sources import NO_WRITER
 from tactile_toolkit import mesh, pictures, places
+from tactile_toolkit.array_types import Int64
 
 
 class MeshRecord(mesh.SolidRecord):
@@ -58,7 +58,7 @@ class MeshDataset(mesh.SolidDataset[MeshRecord]):
     things = "digits"
 
     @property
-    def writers(self) -> NDArray[np.int64]:
+    def writers(self) -> Int64:
         """Writer of each row, shape (len,), int64, -1 where unknown; loads no mesh."""
         return self._integers(
             "writer", lambda: np.full(len(self), NO_WRITER, np.int64), lambda digit: digit.writer

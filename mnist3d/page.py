@@ -6,9 +6,8 @@ Grey levels stay integers: their means and interpolations are the same on every 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mnist3d.ink import Levels, Mask
+from tactile_toolkit.array_types import Bool, Float32, UInt8
 
 _COARSE_PX = 175
 """Longer side at which the page and its light are looked for."""
@@ -33,14 +32,14 @@ def _factor(shape: tuple[int, ...]) -> int:
     return max(1, round(max(shape) / _COARSE_PX))
 
 
-def coarse(view: Levels) -> Levels:
+def coarse(view: UInt8) -> UInt8:
     """Reduce a view, shape (H, W), to some 175 pixels on its longer side, by means of squares of pixels."""
     from PIL import Image
 
     return np.asarray(Image.fromarray(view).reduce(_factor(view.shape)))
 
 
-def fine(values: Levels, shape: tuple[int, ...]) -> Levels:
+def fine(values: UInt8, shape: tuple[int, ...]) -> UInt8:
     """Interpolate what :func:`coarse` gave at the pixels of a view of that shape."""
     from PIL import Image
 
@@ -49,12 +48,12 @@ def fine(values: Levels, shape: tuple[int, ...]) -> Levels:
     return np.asarray(larger)[: shape[0], : shape[1]]
 
 
-def fine_mask(mask: Mask, shape: tuple[int, ...]) -> Mask:
+def fine_mask(mask: Bool, shape: tuple[int, ...]) -> Bool:
     """Return which pixels of a view of that shape are in a mask of coarse pixels."""
     return fine(np.where(mask, np.uint8(255), np.uint8(0)), shape) > 127
 
 
-def paper(values: Levels, widest: float = WIDEST_STROKE) -> Levels:
+def paper(values: UInt8, widest: float = WIDEST_STROKE) -> UInt8:
     """Return the paper around each coarse pixel: what a closing leaves that is wider than any stroke."""
     from scipy import ndimage
 
@@ -65,14 +64,14 @@ def paper(values: Levels, widest: float = WIDEST_STROKE) -> Levels:
     return np.maximum(closed[side:-side, side:-side], 1)
 
 
-def eroded(mask: Mask, steps: int) -> Mask:
+def eroded(mask: Bool, steps: int) -> Bool:
     """Draw in a page by so many coarse pixels, except where the picture ends and the page continues."""
     from scipy import ndimage
 
     return np.asarray(ndimage.binary_erosion(mask, iterations=steps, border_value=1))
 
 
-def find_page(darkest: Levels) -> Mask:
+def find_page(darkest: UInt8) -> Bool:
     """Return where the page is, in coarse pixels; everywhere where nothing else is seen.
 
     The page is the convex bright part whose outline is a sharp step almost everywhere: shadows are soft.
@@ -110,7 +109,7 @@ def find_page(darkest: Levels) -> Mask:
     return page
 
 
-def _step_at_outline(tone_px: NDArray[np.float32], part: Mask) -> tuple[float, float]:
+def _step_at_outline(tone_px: Float32, part: Bool) -> tuple[float, float]:
     """Return the step that four fifths of an outline reach, and which share of it is within a few pixels.
 
     Ink that crosses the outline, and what lies on the desk, are seen along a small part of it.

@@ -11,17 +11,16 @@ import contextlib
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d import page as pages
-from mnist3d.ink import SMALL_PX, Levels, Mask, margin, refuse
+from mnist3d.ink import SMALL_PX, margin, refuse
 from mnist3d.printed_lines import without_lines
+from tactile_toolkit.array_types import Bool, Float32, UInt8
 from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
-Floats = NDArray[np.float32]
 
 CLEAN_LEVELS = 2
 """Paper of a clean image is within so many grey levels of the paper of its margin."""
@@ -63,7 +62,7 @@ _NEAR_PX, _GAIN = 2, 2
 """How far the greys of edges reach, and how much steeper they are made."""
 
 
-def is_clean(levels: Levels) -> bool:
+def is_clean(levels: UInt8) -> bool:
     """Return whether an image needs no evening out: margin and most of the image have one level.
 
     Images whose shorter side has less than 64 px are never photographs. A sheet on a desk of one level is not
@@ -82,7 +81,7 @@ def is_clean(levels: Levels) -> bool:
     return not ndimage.minimum_filter(few, max(2, int(_SHEET * min(few.shape))), mode="constant").any()
 
 
-def even_out(picture: NDArray[np.uint8], ink: str = "auto") -> Levels:
+def even_out(picture: UInt8, ink: str = "auto") -> UInt8:
     """Return the ink of the one digit in a photograph or scan as grey levels from 0 (ink) to 255 (paper).
 
     Everything else is 255: what surrounds the page, the borders of scans, specks, and printed lines that
@@ -119,7 +118,7 @@ def even_out(picture: NDArray[np.uint8], ink: str = "auto") -> Levels:
     return levels
 
 
-def _views(picture: Image) -> Levels:
+def _views(picture: Image) -> UInt8:
     """Return grey, and of a coloured picture red, green and blue, shape (N, H, W)."""
     grey = np.asarray(picture.convert("L"))
     if picture.mode == "L":
@@ -127,7 +126,7 @@ def _views(picture: Image) -> Levels:
     return np.stack([grey, *np.moveaxis(np.asarray(picture), -1, 0)])
 
 
-def _even_out(views: Levels, ink: str) -> Levels:
+def _even_out(views: UInt8, ink: str) -> UInt8:
     page = pages.find_page(views.min(axis=0))
     if ink == "light" or (ink == "auto" and _ink_is_light(pages.coarse(views[0]), page)):
         views = 255 - views
@@ -142,7 +141,7 @@ def _even_out(views: Levels, ink: str) -> Levels:
         raise
 
 
-def _across_shadow(views: Levels, page: Mask) -> Levels | None:
+def _across_shadow(views: UInt8, page: Bool) -> UInt8 | None:
     """Look again without the edge of the page that ink reaches over: it may be that of a shadow.
 
     None where the edge is now taken for ink.
@@ -152,7 +151,7 @@ def _across_shadow(views: Levels, page: Mask) -> Levels | None:
     return levels if (levels[outline] < 128).mean() < _CROSSED else None
 
 
-def _under_fingers(views: Levels, page: Mask) -> Levels | None:
+def _under_fingers(views: UInt8, page: Bool) -> UInt8 | None:
     """Look again with a paper that also follows narrow shadows; None where it follows wide strokes, too."""
     levels = _ink_on(views, page, _NARROW * pages.WIDEST_STROKE)
     inside = pages.fine_mask(pages.eroded(page, 2), levels.shape)
@@ -161,7 +160,7 @@ def _under_fingers(views: Levels, page: Mask) -> Levels | None:
     return levels if (levels[core] < 128).mean() > _KEPT else None
 
 
-def _ink_on(views: Levels, page: Mask, widest: float = pages.WIDEST_STROKE) -> Levels:
+def _ink_on(views: UInt8, page: Bool, widest: float = pages.WIDEST_STROKE) -> UInt8:
     """Return the levels of the one digit on a page."""
     from scipy import ndimage
 
@@ -176,7 +175,7 @@ def _ink_on(views: Levels, page: Mask, widest: float = pages.WIDEST_STROKE) -> L
     return np.where(digit, np.clip(levels, 0, 127), shown).astype(np.uint8)
 
 
-def _ink_is_light(coarse: Levels, page: Mask) -> bool:
+def _ink_is_light(coarse: UInt8, page: Bool) -> bool:
     """Return whether the few pixels that differ from the page around them are lighter than it."""
     from scipy import ndimage
 
@@ -195,12 +194,12 @@ def _ink_is_light(coarse: Levels, page: Mask) -> bool:
     return bool(lightest > -1.5 * darkest)
 
 
-def _deviation(values: Floats) -> float:
+def _deviation(values: Float32) -> float:
     """Return the standard deviation of most values, by their median distance from the median."""
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
-def _reflectance(views: Levels, page: Mask, widest: float) -> Floats:
+def _reflectance(views: UInt8, page: Bool, widest: float) -> Float32:
     """Divide the view that shows ink best by the paper around each pixel; paper becomes 1."""
     inside = pages.eroded(page, 2)
     if not inside.any():
@@ -221,13 +220,13 @@ def _reflectance(views: Levels, page: Mask, widest: float) -> Floats:
 
 
 class _Ink(NamedTuple):
-    mask: Mask
+    mask: Bool
     ink: float
     """Reflectance of ink, where that of paper is 1."""
-    reflectance: Floats
+    reflectance: Float32
 
 
-def _find_ink(reflectance: Floats, inside: Mask) -> _Ink:
+def _find_ink(reflectance: Float32, inside: Bool) -> _Ink:
     """Return what is nearer to ink than to paper."""
     values = reflectance[inside]
     ink = float(np.percentile(values, 0.3))
@@ -239,7 +238,7 @@ def _find_ink(reflectance: Floats, inside: Mask) -> _Ink:
     return _Ink((reflectance < (1 + ink) / 2) & inside, ink, reflectance)
 
 
-def _without_shadows(found: _Ink) -> Mask:
+def _without_shadows(found: _Ink) -> Bool:
     """Take away what is between ink and paper, such as shadows of fingers, but for the edges of ink."""
     from scipy import ndimage
 
@@ -251,7 +250,7 @@ def _without_shadows(found: _Ink) -> Mask:
     return found.mask & ~(middle & ndimage.maximum_filter(wide, 4 * steps + 1))
 
 
-def _one_digit(mask: Mask, inside: Mask, found: _Ink) -> Mask:
+def _one_digit(mask: Bool, inside: Bool, found: _Ink) -> Bool:
     """Return the ink of the one digit; refuses none, several, and what is cut off or looks like no digit."""
     from scipy import ndimage
 
@@ -290,7 +289,7 @@ def _one_digit(mask: Mask, inside: Mask, found: _Ink) -> Mask:
     return digit
 
 
-def _check(digit: Mask, depth_px: float, inside: Mask) -> None:
+def _check(digit: Bool, depth_px: float, inside: Bool) -> None:
     """Refuse ink that is too small, too wide or a blob."""
     height, width = (int(np.ptp(np.flatnonzero(digit.any(axis=axis)))) + 1 for axis in (1, 0))
     small = max(height, width) / min(int(inside.any(axis=axis).sum()) for axis in (0, 1))

@@ -7,10 +7,9 @@ from dataclasses import replace
 from functools import partial
 from os import fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d.kind import KIND
 from mnist3d.lattice import Lattice, Mirrored
@@ -21,6 +20,7 @@ from mnist3d.spec import DigitPreviewSpec, SolidSpec
 from mnist3d.surface import Surface, scale
 from tactile_toolkit import catalog, pictures, store
 from tactile_toolkit.arithmetic import inverse_affine
+from tactile_toolkit.array_types import AnyArray, Bool, UInt8
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import FORMATS, MM_PER_M, Mesh, check_manifold, read_mesh, refuse_unit
 from tactile_toolkit.places import Name, Place
@@ -75,7 +75,7 @@ def is_picture_or_mesh(name: str) -> bool:
     return path.suffix.lower() in (*FORMATS, *ENDINGS) and path.is_file()
 
 
-def _draw_pages(path: Path) -> list[Callable[[], pictures.Pixels]]:
+def _draw_pages(path: Path) -> list[Callable[[], UInt8]]:
     """Read the pages of a picture; each is a digit."""
     from mnist3d.sources.canvas import fit
     from mnist3d.sources.pictures import pages_of, read_picture
@@ -90,7 +90,7 @@ def _draw_pages(path: Path) -> list[Callable[[], pictures.Pixels]]:
 
 
 def _plan_file(
-    kind: str, name: str, spec: catalog.PreviewSpec, *draws: Callable[[], pictures.Pixels]
+    kind: str, name: str, spec: catalog.PreviewSpec, *draws: Callable[[], UInt8]
 ) -> pictures.PicturePlan:
     """Plan the pictures that a single file allows; InputError where anything else was asked for."""
     asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
@@ -115,7 +115,7 @@ def _plan_set(name: Name | Place, spec: catalog.PreviewSpec) -> pictures.Picture
     refuse_unit(spec.unit if isinstance(spec, DigitPreviewSpec) else None, opened.name)
     names = opened.chosen[0][1].label_names
 
-    def sheet_of(rows: MeshDataset, title: str) -> pictures.Pixels:
+    def sheet_of(rows: MeshDataset, title: str) -> UInt8:
         return draw_sheet(list(rows), spec.per_class, title, names)
 
     def plan_steps() -> list[pictures.PlannedPicture]:
@@ -128,7 +128,7 @@ def _plan_set(name: Name | Place, spec: catalog.PreviewSpec) -> pictures.Picture
             source = source_again(opened.made_by["source"], **places)
             solid = SolidSpec.from_dict(opened.made_by["solid"])
 
-        def draw(number: int, title: str) -> pictures.Pixels:
+        def draw(number: int, title: str) -> UInt8:
             return draw_steps(source.image(number).pixels, solid, title)
 
         # Digits whose ids were asked for, or else the first.
@@ -150,9 +150,7 @@ def _plan_set(name: Name | Place, spec: catalog.PreviewSpec) -> pictures.Picture
     )
 
 
-def draw_sheet(
-    records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]
-) -> pictures.Pixels:
+def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> UInt8:
     """Draw digits from above at one scale; ``names`` are those of the classes."""
     meshes = [Mesh(record.vertices_m, record.faces) for record in records]
     px_per_mm = _TILE_PX / (MM_PER_M * max(float(np.ptp(mesh.vertices_m[:, :2], 0).max()) for mesh in meshes))
@@ -164,7 +162,7 @@ def draw_sheet(
     return pictures.draw_by_class(tiles, per_row, title, words, px_per_mm)
 
 
-def draw_mesh(mesh: Mesh, title: str) -> pictures.Pixels:
+def draw_mesh(mesh: Mesh, title: str) -> UInt8:
     """Draw a mesh from above, with a scale bar and its measures."""
     px_per_mm = _VIEW_PX / max(MM_PER_M * float(np.ptp(mesh.vertices_m[:, :2], axis=0).max()), 1e-6)
     drawn = pictures.sheet(
@@ -185,7 +183,7 @@ def object_facts(mesh: Mesh) -> tuple[str, ...]:
     return (f"{size}; volume {found.volume_mm3:,.0f} mm³; {parts}; {bodies}",)
 
 
-def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> pictures.Pixels:
+def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
     """Draw how an image, (H, W), 0 ink and 255 paper, becomes the solid that a data set stores.
 
     ItemError, which names the picture by its title, where the image is not a usable digit.
@@ -230,9 +228,7 @@ def draw_steps(pixels: NDArray[Any], spec: SolidSpec, title: str) -> pictures.Pi
     return pictures.sheet(tiles, 3, title, words)
 
 
-def _layers_px(
-    lattice: Lattice, inside: NDArray[np.bool_], window: tuple[slice, slice]
-) -> list[NDArray[np.bool_]]:
+def _layers_px(lattice: Lattice, inside: Bool, window: tuple[slice, slice]) -> list[Bool]:
     """Return the layers that are not empty, each pixel of a window as the node that is nearest to it."""
     nodes_px = (lattice.rows_px, lattice.columns_px)
     rows, columns = (
@@ -243,7 +239,7 @@ def _layers_px(
     return [layer for layer in layers if layer.any()]
 
 
-def layer_map(layers: Sequence[NDArray[np.bool_]]) -> NDArray[np.uint8]:
+def layer_map(layers: Sequence[Bool]) -> UInt8:
     """Draw layers one on top of the other, the higher the darker: shape (H, W, 3)."""
     picture = np.full((*layers[0].shape, 3), 255, np.uint8)
     for number, layer in enumerate(layers):
@@ -251,7 +247,7 @@ def layer_map(layers: Sequence[NDArray[np.bool_]]) -> NDArray[np.uint8]:
     return picture
 
 
-def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
+def _window(mask: Bool) -> tuple[slice, slice]:
     """Return the square around the ink, with a margin; cut at the edges of the image."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     half = (max(np.ptp(rows), np.ptp(columns)) + 1) // 2 + _MARGIN_PX
@@ -262,9 +258,7 @@ def _window(mask: NDArray[np.bool_]) -> tuple[slice, slice]:
     return spans[0], spans[1]
 
 
-def _stack_view(
-    layers: Sequence[NDArray[np.bool_]], pitch_px: float, spec: SolidSpec, px_per_mm: float
-) -> NDArray[np.uint8]:
+def _stack_view(layers: Sequence[Bool], pitch_px: float, spec: SolidSpec, px_per_mm: float) -> UInt8:
     """Draw the stack obliquely, its layers apart."""
     from PIL import Image
 
@@ -300,7 +294,7 @@ def _tint(share: float) -> tuple[int, int, int]:
     return red, green, blue
 
 
-def _square(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def _square(pixels: UInt8) -> UInt8:
     """Return a picture in the size of a panel, its pixels kept square, on paper."""
     from PIL import Image
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mnist3d.ink import Mask
+from tactile_toolkit.array_types import Bool, Int32, Int64
 
 _THICKEST = 1 / 88
 """Of the longer side of the picture."""
@@ -23,11 +22,11 @@ _REACH_PX = 2
 
 
 class _Lines(NamedTuple):
-    mask: Mask
+    mask: Bool
     thickness_px: float
 
 
-def without_lines(mask: Mask, page: Mask) -> Mask:
+def without_lines(mask: Bool, page: Bool) -> Bool:
     """Take printed lines away from ink.
 
     Where a stroke crosses a line its ink stays; stumps of the line at the stroke go, if the strokes are
@@ -57,7 +56,7 @@ def without_lines(mask: Mask, page: Mask) -> Mask:
     return left & (opened | ~ndimage.binary_dilation(lines, iterations=int(2 * thickness_px)))
 
 
-def _level_lines(mask: Mask, page: Mask) -> _Lines:
+def _level_lines(mask: Bool, page: Bool) -> _Lines:
     """Find the lines that are level, or nearly."""
     from skimage.transform import hough_line, hough_line_peaks
 
@@ -92,13 +91,13 @@ def _level_lines(mask: Mask, page: Mask) -> _Lines:
     return _Lines(lines, thickness_px)
 
 
-def _band(rows: NDArray[np.intp], reach_px: int, mask: Mask) -> NDArray[np.intp]:
+def _band(rows: Int64, reach_px: int, mask: Bool) -> Int64:
     """Return the rows around a line, one line for each."""
     beside = np.arange(-reach_px, reach_px + 1)[:, None]
     return np.asarray(np.clip(rows + beside, 0, mask.shape[0] - 1))
 
 
-def _runs_down(mask: Mask) -> NDArray[np.int32]:
+def _runs_down(mask: Bool) -> Int32:
     """Return the length of the run of ink, down its column, that each pixel is in."""
     flat = np.pad(mask, ((1, 1), (0, 0))).T.ravel()
     ends = np.flatnonzero(np.diff(flat.view(np.int8))) + 1

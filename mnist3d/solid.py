@@ -10,13 +10,10 @@ and :func:`~mnist3d.lattice.mirror`, in a continuous form that :mod:`mnist3d.lat
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Literal
-
-from numpy.typing import NDArray
+from typing import Literal
 
 from mnist3d.ink import (
     SMALL_PX,
-    Mask,
     as_levels,
     clean,
     count_bodies_and_holes,
@@ -30,12 +27,13 @@ from mnist3d.literal import literal_solid
 from mnist3d.photograph import even_out, is_clean
 from mnist3d.spec import SolidSpec
 from mnist3d.surface import BUDGET_SLACK, Surface, bodies_and_holes, decimate, marching_cubes, scale, smooth
+from tactile_toolkit.array_types import AnyArray, Bool
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 
 
 def solidify(
-    pixels: NDArray[Any],
+    pixels: AnyArray,
     spec: SolidSpec | None = None,
     *,
     method: Literal["fast", "literal"] = "fast",
@@ -94,7 +92,7 @@ def solidify(
 
 
 def _smoothed(
-    image: Mask, spec: SolidSpec, on_surface: Callable[[Lattice, Mirrored, Surface], None]
+    image: Bool, spec: SolidSpec, on_surface: Callable[[Lattice, Mirrored, Surface], None]
 ) -> Surface:
     """Take the steps from ink to a smooth surface, on finer lattices until all bodies and holes are there."""
     lattice = lattice_of(image, spec)
@@ -115,12 +113,12 @@ def _smoothed(
 
 
 def binarise(
-    pixels: NDArray[Any],
+    pixels: AnyArray,
     spec: SolidSpec,
     *,
     ink: Literal["auto", "dark", "light"] = "auto",
     resample: bool = False,
-) -> Mask:
+) -> Bool:
     """Find the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
 
     Parameters and errors as of :func:`solidify`.

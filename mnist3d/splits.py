@@ -7,13 +7,13 @@ table prints the name of the last one as ``printed_train`` a second time).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitCatalog
 from mnist3d.spec import PUBLISHED_SIZES, SPLITS, SplitSpec
+from tactile_toolkit.array_types import Int64, Integers
 from tactile_toolkit.errors import InputError
 
 _PER_CLASS = sum(PUBLISHED_SIZES.values())
@@ -27,10 +27,10 @@ class SplitPlan:
     They are in row order, a seeded shuffle that mixes the classes.
     """
 
-    ids: dict[str, NDArray[np.int64]]
-    labels: dict[str, NDArray[np.int64]]
+    ids: dict[str, Int64]
+    labels: dict[str, Int64]
 
-    def rows(self, split: str, per_class: int | None = None, limit: int | None = None) -> NDArray[np.int64]:
+    def rows(self, split: str, per_class: int | None = None, limit: int | None = None) -> Int64:
         """Return the ids to make of a split: the first ``per_class`` of each class, then ``limit`` rows."""
         ids, labels = self.ids[split], self.labels[split]
         if per_class is not None:
@@ -75,7 +75,7 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
     return plan
 
 
-def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
+def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
     """Return the index of each digit's split, -1 where it is in none."""
     split_of = np.full(len(catalog), -1)
     for label in range(_CLASSES):
@@ -120,7 +120,7 @@ def _published_sizes(available: int) -> dict[str, int]:
     return sizes
 
 
-def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
+def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
     """Return the index of each digit's split, all digits of a writer in the same; sizes are then near."""
     sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
     shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
@@ -143,7 +143,7 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> NDArray[np.int64]:
     return split_of[inverse]
 
 
-def _keys(ids: NDArray[np.integer[Any]], seed: int, stream: int) -> NDArray[np.uint64]:
+def _keys(ids: Integers, seed: int, stream: int) -> NDArray[np.uint64]:
     """Return a pseudo-random sort key per id.
 
     A bijective mixer of 64 bits (SplitMix64's finaliser) has no collisions between ids, so the order never

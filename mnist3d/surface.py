@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mnist3d.ink import Mask, Places, refuse
+from mnist3d.ink import refuse
 from mnist3d.lattice import Lattice, Mirrored
 from mnist3d.spec import SolidSpec
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Int32, Int64
 from tactile_toolkit.mesh import MM_PER_M, Mesh, self_crossing
-
-Vertices: TypeAlias = NDArray[np.float32]
-Faces: TypeAlias = NDArray[np.int32]
 
 TAUBIN_RATIO = -1.06
 """Step outward over step inward that lets smoothing keep the volume (Taubin 1995: slightly above one)."""
@@ -50,11 +47,11 @@ class Surface:
         Least height of the other vertices.
     """
 
-    vertices_px: Vertices
-    faces: Faces
+    vertices_px: Float32
+    faces: Int32
     corner_px: tuple[int, int, int] = (0, 0, 0)
-    rim: Places = field(default_factory=lambda: np.zeros(0, np.intp))
-    still: Places = field(default_factory=lambda: np.zeros(0, np.intp))
+    rim: Int64 = field(default_factory=lambda: np.zeros(0, np.intp))
+    still: Int64 = field(default_factory=lambda: np.zeros(0, np.intp))
     least_px: float = -math.inf
 
 
@@ -70,7 +67,7 @@ def marching_cubes(volume: Mirrored, lattice: Lattice) -> Surface:
     return Surface(vertices, _in_storage_order(faces), corner_px, rim, still, least_px)
 
 
-def isosurface(volume: NDArray[Any], level: float) -> tuple[Vertices, Faces]:
+def isosurface(volume: AnyArray, level: float) -> tuple[Float32, Int32]:
     """Return vertices and faces of the surface at which a volume, larger inside the solid, passes a level.
 
     Coordinates are in the order of the axes, in steps between nodes from 0 at the first.
@@ -128,7 +125,7 @@ def scale(surface: Surface, shape: tuple[int, int], spec: SolidSpec) -> Mesh:
     return Mesh((vertices_mm / MM_PER_M).astype(np.float32), faces)
 
 
-def _in_storage_order(faces: Faces) -> Faces:
+def _in_storage_order(faces: Int32) -> Int32:
     """Begin each triangle at its lowest vertex and sort the triangles; the winding stays.
 
     Neighbouring rows then hold nearly equal numbers, which halves what zstd makes of them.
@@ -146,7 +143,7 @@ def _in_storage_order(faces: Faces) -> Faces:
     return np.stack([first, second, third], axis=1).astype(np.int32)
 
 
-def _beside_thin_parts(vertices: Vertices, plane: Mask) -> Places:
+def _beside_thin_parts(vertices: Float32, plane: Bool) -> Int64:
     """Return the vertices at walls and gaps of one node, whose sides smoothing might push past each other.
 
     ``plane`` says which nodes of the mid-plane are inside. Vertices count in pitches; each lies on an edge of
@@ -218,7 +215,7 @@ def _is_held(solid: Any, counts: tuple[int, int]) -> bool:
     return len(solid.slice((low + high) / 2).to_polygons()) == sum(counts)
 
 
-def bodies_and_holes(vertices: int, faces: NDArray[Any], rim: int = 0) -> tuple[int, int]:
+def bodies_and_holes(vertices: int, faces: AnyArray, rim: int = 0) -> tuple[int, int]:
     """Count the bodies of a closed surface and the holes through them.
 
     With a ``rim``, the number of vertices in the mid-plane, the surface is the upper half of one.

@@ -18,9 +18,10 @@ from realtouch.media import contact_sheet, evenly_spaced
 from realtouch.rounds import Touch, TouchSeqRound, TouchSingleRound
 from realtouch.schema import media_kind, origin_of
 from tactile_toolkit import cards, read, store
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.pictures import png_bytes
-from tactile_toolkit.touch import Kind, Pixels, decode_image, missed_text
+from tactile_toolkit.touch import Kind, decode_image, missed_text
 
 WORDS = "touch_words.toml"
 """File of ``data_cards`` with the words of all cards of touches."""
@@ -42,7 +43,7 @@ class _Content:
     words: dict[str, Any]
     columns: dict[str, cards.Column]
     nouns: str
-    pictures: Iterable[Pixels | None]
+    pictures: Iterable[UInt8 | None]
     values: dict[str, str]
     limits: list[str]
     figures: dict[str, list[str]]
@@ -128,7 +129,7 @@ def _plain_content(
     return _Content(of_layout, words["columns"]["plain"], nouns, pictures, texts, missed_text(None, 0), {})
 
 
-def _plain_pictures(folder: store.DataFolder, facts: cards.FolderFacts) -> Iterator[Pixels | None]:
+def _plain_pictures(folder: store.DataFolder, facts: cards.FolderFacts) -> Iterator[UInt8 | None]:
     """Decode the first pictures of an index of files or of a column of images; of tars there are none."""
     names = read.column_names(facts.schema)
     if "image.bytes" in names:
@@ -188,7 +189,7 @@ def _text(form: str, figure: float | None) -> str:
     return "-" if figure is None else form.format(figure)
 
 
-def _stored_pictures(facts: cards.FolderFacts, kind: Kind) -> list[Pixels | None]:
+def _stored_pictures(facts: cards.FolderFacts, kind: Kind) -> list[UInt8 | None]:
     """Decode pictures of the first round of which one can be read; of clips, the end of contact."""
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
@@ -198,7 +199,7 @@ def _stored_pictures(facts: cards.FolderFacts, kind: Kind) -> list[Pixels | None
     return []
 
 
-def _sheet(pictures: Iterable[Pixels | None]) -> bytes | None:
+def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:
     intact = [image for image in pictures if image is not None]
     return png_bytes(contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
 

@@ -20,6 +20,7 @@ from realtouch.contact import PLATE_COLUMN, ContactHeight
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN
 from realtouch.video import MAX_CLIP_FRAMES
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read import (
     NestedColumn,
@@ -60,7 +61,7 @@ def rows_of(blocks: Iterable[RowGroup]) -> Iterator[TouchRow]:
     return (TouchRow(block, row) for block in blocks for row in range(len(block.table)))
 
 
-def _as_timedelta(values: NDArray[Any]) -> NDArray[np.timedelta64]:
+def _as_timedelta(values: AnyArray) -> NDArray[np.timedelta64]:
     """Return times as ``timedelta64``: numbers count seconds and are rounded to nanoseconds."""
     if values.dtype.kind == "m":
         return values
@@ -73,15 +74,15 @@ def _as_timedelta(values: NDArray[Any]) -> NDArray[np.timedelta64]:
     return times
 
 
-def _as_seconds(values: NDArray[Any]) -> NDArray[np.float64]:
+def _as_seconds(values: AnyArray) -> Float64:
     """Return times (an array, or one of its values) in seconds, float64; unknown ones are NaN."""
     if values.dtype.kind == "m":
-        seconds: NDArray[np.float64] = values / _SECOND
+        seconds: Float64 = values / _SECOND
         return seconds
     return np.asarray(values, np.float64)
 
 
-def _padded(column: NestedColumn, first: int, last: int, width: int) -> NDArray[Any] | None:
+def _padded(column: NestedColumn, first: int, last: int, width: int) -> AnyArray | None:
     """View all touches as one array (T, N, width), where they all have N frames of ``width`` values."""
     touches = last - first
     start, stop = column.inside(1, first, last)
@@ -209,9 +210,7 @@ class TouchRow(Row):
             if self.has(name):
                 self.entries_of(name)
 
-    def _require_each(
-        self, name: str, good: NDArray[np.bool_], touch: int | None, problem: str, *found: NDArray[Any]
-    ) -> None:
+    def _require_each(self, name: str, good: Bool, touch: int | None, problem: str, *found: AnyArray) -> None:
         """Refuse entries of touches that are not all good; IntegrityError for the first that is not.
 
         ``touch`` is the number of the first entry; what was ``found`` in its place is put into ``problem``.
@@ -220,13 +219,13 @@ class TouchRow(Row):
             wrong = int(np.argmin(good))
             raise self.damaged(name, problem.format(*(each[wrong] for each in found)), (touch or 0) + wrong)
 
-    def per_touch(self, name: str, touch: int | None = None) -> NDArray[Any]:
+    def per_touch(self, name: str, touch: int | None = None) -> AnyArray:
         """Return one value per touch, shape (T,), or one alone, (1,); IntegrityError unless there are T."""
         column, start, stop = self.entries_of(name, touch)
-        values: NDArray[Any] = column.values[start:stop]
+        values: AnyArray = column.values[start:stop]
         return values
 
-    def vectors(self, name: str, width: int, touch: int | None = None) -> NDArray[np.floating]:
+    def vectors(self, name: str, width: int, touch: int | None = None) -> Floating:
         """Return one vector per touch, shape (T, width), or that of one alone, (1, width), a view.
 
         Raises IntegrityError for other numbers of values.
@@ -241,7 +240,7 @@ class TouchRow(Row):
             raise self.damaged(name, problem, touch)
         return values.reshape(touches, width)
 
-    def intended_positions(self, touch: int | None = None) -> NDArray[np.floating]:
+    def intended_positions(self, touch: int | None = None) -> Floating:
         """Return where each touch was meant to be, shape (T, 2), or one alone, (1, 2), a view.
 
         Metres, cell frame. Raises IntegrityError, which names the touch, for a position that is missing or
@@ -250,13 +249,11 @@ class TouchRow(Row):
         positions = self.vectors("pos_in_cell", 2, touch)
         # One sum shows any value that is not finite, and costs a tenth of looking at each.
         if not np.isfinite(positions.sum()):
-            finite = np.isfinite(positions).all(axis=1)
+            finite = np.asarray(np.isfinite(positions).all(axis=1))
             self._require_each("pos_in_cell", finite, touch, "a position {}; expected metres", positions)
         return positions
 
-    def readable(
-        self, read: Callable[[int | None], NDArray[Any]], shape: tuple[int, ...] = ()
-    ) -> NDArray[np.float64]:
+    def readable(self, read: Callable[[int | None], AnyArray], shape: tuple[int, ...] = ()) -> Float64:
         """Return what is read of all touches, shape (T, ...), float64; NaN where a touch is damaged."""
         try:
             return read(None).astype(np.float64)
@@ -268,7 +265,7 @@ class TouchRow(Row):
                 known[touch] = read(touch)[0]
         return known
 
-    def clip_lengths(self) -> NDArray[np.int64]:
+    def clip_lengths(self) -> Int64:
         """Return the number of frames of each clip, shape (T,).
 
         Raises IntegrityError for lengths that are missing, negative or beyond the limit.
@@ -291,7 +288,7 @@ class TouchRow(Row):
         """Return the time stamps of the frames of each touch: T arrays of ``timedelta64``, shapes (N_i,)."""
         return tuple(_as_timedelta(times) for times in self.cut("time_stamp_rel_seq", 0))
 
-    def stamps_s(self, touch: int | None = None) -> list[NDArray[np.float64]] | None:
+    def stamps_s(self, touch: int | None = None) -> list[Float64] | None:
         """Return the time stamps of each touch, or of one alone: shapes (N_i,), float64, seconds.
 
         None in data sets without. Raises IntegrityError for stamps that are missing or run backwards.
@@ -317,7 +314,7 @@ class TouchRow(Row):
         self._require_each(name, ~np.isnat(times), None, _NO_TIME)
         return times
 
-    def times_of_touches(self, touch: int | None = None) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def times_of_touches(self, touch: int | None = None) -> tuple[Float64, Float64]:
         """Return the times of first and last contact of all touches, (T,), or of one alone, (1,), seconds.
 
         Raises IntegrityError when a time is missing, or the end lies before the start.
@@ -330,7 +327,7 @@ class TouchRow(Row):
         self._require_each(_CONTACT_END, start_s <= end_s, touch, problem, start_s, end_s)
         return start_s, end_s
 
-    def cut(self, name: str, width: int, touch: int | None = None) -> tuple[NDArray[Any], ...]:
+    def cut(self, name: str, width: int, touch: int | None = None) -> tuple[AnyArray, ...]:
         """Return a sequence per touch, or of one alone, cut to the length of its clip: shapes (N_i, width).
 
         A width of 0 means scalars, and shapes (N_i,). Raises IntegrityError when there are not T sequences,
@@ -346,7 +343,7 @@ class TouchRow(Row):
             return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
         return tuple(self._cut_touch(name, each, width) for each in range(last - first))
 
-    def _cut_touch(self, name: str, touch: int, width: int) -> NDArray[Any]:
+    def _cut_touch(self, name: str, touch: int, width: int) -> AnyArray:
         # Counted for a single touch, too: else it would be given the next round's for what is lacking.
         column, first, _ = self.entries_of(name)
         start, stop = column.inside(1, first + touch, first + touch + 1)
@@ -396,7 +393,7 @@ class TouchRow(Row):
                     raise self.damaged(_POSE_SEQUENCE, f"frame {wrong[0]}: {wrong[1]}", number)
         return PoseSequences(positions, quaternions)
 
-    def contact_z_m(self, kind: Kind, touch: int | None = None) -> NDArray[np.float64]:
+    def contact_z_m(self, kind: Kind, touch: int | None = None) -> Float64:
         """Return the height of the gel at the deepest press of each touch, shape (T,), or of one alone, (1,).
 
         Metres, cell frame; of a ``single`` round, that is the height of its one pose per touch. Raises

@@ -17,11 +17,11 @@ from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import RENDERED_CONTACT_M, Pixels, height_text
+from tactile_toolkit.touch import RENDERED_CONTACT_M, height_text
 
 ContactMethod = Literal["contact_start", "contact_end", "peak", "best"]
 CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
@@ -45,7 +45,7 @@ def require_method(method: str) -> ContactMethod:
     raise InputError(f"unknown frame method {method!r}; expected one of {', '.join(CONTACT_METHODS)}")
 
 
-def contact_window(time_s: NDArray[np.float64], start_s: float, end_s: float) -> slice:
+def contact_window(time_s: Float64, start_s: float, end_s: float) -> slice:
     """Return the frames between the first and the last registered contact, both included.
 
     ``time_s``, shape (N,), rises. ``start`` is the first frame at or after ``start_s``, ``stop`` one more
@@ -61,9 +61,7 @@ def contact_window(time_s: NDArray[np.float64], start_s: float, end_s: float) ->
     return slice(nearest, min(nearest + 1, len(time_s)))
 
 
-def contact_heights_m(
-    z_m: NDArray[np.floating], recalibrate_z: bool = True, plate_z_m: float = math.nan
-) -> NDArray[np.float64]:
+def contact_heights_m(z_m: Floating, recalibrate_z: bool = True, plate_z_m: float = math.nan) -> Float64:
     """Return how high above the plate the gel stopped in each touch of one round, shape (T,), metres.
 
     ``z_m`` is the height of the gel at the deepest press of each touch, cell frame; NaN where it is not
@@ -77,7 +75,7 @@ def contact_heights_m(
     return heights - (np.fmin.reduce(heights) if math.isnan(plate_z_m) else plate_z_m)
 
 
-def median_in_memory(pictures: Pixels) -> Pixels:
+def median_in_memory(pictures: UInt8) -> UInt8:
     """Return the median picture of some in memory, shape (n, H, W, 3), n at least 1; as :func:`median_of`.
 
     Bit by bit and a few pixels at a time, which takes an eighth of the time of counting every value.
@@ -89,7 +87,7 @@ def median_in_memory(pictures: Pixels) -> Pixels:
     return np.concatenate(found).reshape(pictures.shape[1:])
 
 
-def median_of(batches: Callable[[], Iterable[Pixels]]) -> Pixels | None:
+def median_of(batches: Callable[[], Iterable[UInt8]]) -> UInt8 | None:
     """Return the median picture of batches, shape (n, H, W, 3), that can be read twice; None without any.
 
     Exact; of an even number of pictures the mean of the two in the middle, rounded down.
@@ -98,16 +96,16 @@ def median_of(batches: Callable[[], Iterable[Pixels]]) -> Pixels | None:
     return _values_in_the_middle((batches() for _ in range(2)), 4)
 
 
-def _values_in_the_middle(passes: Iterable[Iterable[Pixels]], bits: int) -> Pixels | None:
+def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8 | None:
     """Return the median of each pixel: some of its bits by each pass over all pictures, the highest first.
 
     The value of a rank is the greatest that no more pictures than that lie below.
     """
-    found: list[NDArray[np.uint8]] = []  # of the one rank in the middle, or of both
+    found: list[UInt8] = []  # of the one rank in the middle, or of both
     for number, batches in enumerate(passes, 1):
         steps = (np.arange(1, 1 << bits) << (8 - number * bits)).astype(np.uint8)
         total = 0
-        below: NDArray[Any] = np.zeros(0, np.int32)
+        below: AnyArray = np.zeros(0, np.int32)
         for batch in batches:
             if not found:
                 found = [np.zeros(batch.shape[1:], np.uint8)]
@@ -135,7 +133,7 @@ def _values_in_the_middle(passes: Iterable[Iterable[Pixels]], bits: int) -> Pixe
     return ((found[0].astype(np.int64) + found[-1]) // 2).astype(np.uint8)
 
 
-def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> Pixels:
+def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> UInt8:
     """Return an array of so many dimensions, three channels and uint8; InputError for any other."""
     found = np.asarray(pictures)
     if found.dtype != np.uint8 or found.ndim not in dimensions or found.shape[-1] != 3:
@@ -147,7 +145,7 @@ def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> Pixels:
     return found
 
 
-def _with_background(pictures: Any, background: Any) -> tuple[Pixels, Pixels]:
+def _with_background(pictures: Any, background: Any) -> tuple[UInt8, UInt8]:
     """Return one picture or several, and a background of their size; InputError for any other."""
     found, base = as_pictures(pictures, (3, 4)), as_pictures(background, (3,))
     if found.shape[-3:] != base.shape:
@@ -157,9 +155,7 @@ def _with_background(pictures: Any, background: Any) -> tuple[Pixels, Pixels]:
     return found, base
 
 
-def difference(
-    pictures: Pixels, background: Pixels, representation: Representation = "signed"
-) -> NDArray[Any]:
+def difference(pictures: UInt8, background: UInt8, representation: Representation = "signed") -> AnyArray:
     """Return the difference from a background.
 
     Parameters
@@ -251,7 +247,7 @@ class ContactScore:
         return np.rint(self.area_px * self.intensity)
 
 
-def contact_score(pictures: Pixels, background: Pixels, rule: ContactRule | None = None) -> ContactScore:
+def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None = None) -> ContactScore:
     """Score how clearly pictures show contact.
 
     Parameters
@@ -279,7 +275,7 @@ def contact_score(pictures: Pixels, background: Pixels, rule: ContactRule | None
     return score if found.ndim == 4 else ContactScore(int(score.area_px[0]), float(score.intensity[0]))
 
 
-def _score(pictures: Pixels, base: Pixels, min_change: int) -> ContactScore:
+def _score(pictures: UInt8, base: UInt8, min_change: int) -> ContactScore:
     area, total = np.zeros(len(pictures), np.int64), np.zeros(len(pictures), np.int64)
     for number, picture in enumerate(pictures):
         # The greater less the smaller stays within eight bits.
@@ -291,7 +287,7 @@ def _score(pictures: Pixels, base: Pixels, min_change: int) -> ContactScore:
 
 
 def best_of(
-    frames: Pixels, rule: ContactRule | None = None, base: Pixels | None = None
+    frames: UInt8, rule: ContactRule | None = None, base: UInt8 | None = None
 ) -> tuple[int, ContactScore]:
     """Return the frame of a clip, shape (N, H, W, 3), of the greatest total change, and its score.
 

@@ -11,7 +11,6 @@ from operator import itemgetter
 from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realtouch.columns import Damage, TouchRow, rows_of, stored_rows
 from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
@@ -27,9 +26,10 @@ from realtouch.rounds import (
 )
 from realtouch.schema import POSE_COLUMN, flat_row, is_per_touch, media_kind
 from tactile_toolkit import read
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, PRESS_DEPTH_M, Kind, Pixels
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 from tactile_toolkit.wording import counted, is_integer, plain_number
 
 _INDEX = "touch_index"
@@ -56,7 +56,7 @@ class TouchDataset(read.RecordDataset[R]):
     def __init__(
         self,
         table: read.ShardedTable,
-        rows: range | NDArray[np.int64] | None = None,
+        rows: range | Int64 | None = None,
         label_names: Sequence[str] = (),
         skipped: Sequence[tuple[int | None, Damage]] = (),
     ) -> None:
@@ -92,27 +92,27 @@ class TouchDataset(read.RecordDataset[R]):
         return joined
 
     @property
-    def touch_counts(self) -> NDArray[np.int64]:
+    def touch_counts(self) -> Int64:
         """T of each round, shape (len,), int64; reads at most the column of intended positions."""
         return self._stored_counts[self._row_numbers]
 
     @property
-    def _stored_counts(self) -> NDArray[np.int64]:
+    def _stored_counts(self) -> Int64:
         return self._table.per_shard("touches", lambda source: [stored_touch_counts(source)])
 
     @property
-    def touch_starts(self) -> NDArray[np.int64]:
+    def touch_starts(self) -> Int64:
         """Where the touches of each stored row begin among those of all, shape (stored rows + 1,), int64."""
         return np.concatenate([[0], np.cumsum(self._stored_counts)])
 
-    def known_heights_m(self, recalibrate_z: bool = True) -> NDArray[np.float64]:
+    def known_heights_m(self, recalibrate_z: bool = True) -> Float64:
         """Read the height of every stored touch; see :func:`realtouch.contact.contact_heights_m`.
 
         Shape (touches of all stored rows,), metres above the plate, NaN where it cannot be read. Where the
         height of the plate is known, it is always taken.
         """
 
-        def heights_m(row: TouchRow, rule: ContactHeight) -> NDArray[np.float64]:
+        def heights_m(row: TouchRow, rule: ContactHeight) -> Float64:
             z_m = row.readable(partial(row.contact_z_m, self.kind))
             plate_m = PRESS_DEPTH_M if rule.plate == "known" else row.stored_plate_z_m()
             return contact_heights_m(z_m, recalibrate_z or rule.plate == "known", plate_m)
@@ -120,13 +120,13 @@ class TouchDataset(read.RecordDataset[R]):
         columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
         return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
 
-    def known_positions_m(self) -> NDArray[np.float64]:
+    def known_positions_m(self) -> Float64:
         """Read where every stored touch was meant to be, NaN where that cannot be read.
 
         Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
         """
 
-        def positions_m(row: TouchRow, _rule: ContactHeight) -> NDArray[np.float64]:
+        def positions_m(row: TouchRow, _rule: ContactHeight) -> Float64:
             return row.readable(row.intended_positions, (2,))
 
         return self._per_touch("positions", ["pos_in_cell"], positions_m)
@@ -135,11 +135,11 @@ class TouchDataset(read.RecordDataset[R]):
         self,
         key: str,
         columns: Sequence[str],
-        known: Callable[[TouchRow, ContactHeight], NDArray[np.float64]],
-    ) -> NDArray[np.float64]:
+        known: Callable[[TouchRow, ContactHeight], Float64],
+    ) -> Float64:
         """Join what is known of the touches of each stored row, of a few columns."""
 
-        def of_source(source: read.RowSource) -> list[NDArray[np.float64]]:
+        def of_source(source: read.RowSource) -> list[Float64]:
             rule = ContactHeight.of(read.column_types(source.schema))
             return [known(row, rule) for row in stored_rows([source], columns)]
 
@@ -213,7 +213,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     things = "touches"
 
-    def __init__(self, dataset: TouchDataset[R], chosen: NDArray[np.int64] | None = None) -> None:
+    def __init__(self, dataset: TouchDataset[R], chosen: Int64 | None = None) -> None:
         self.dataset = dataset
         counts = dataset.touch_counts
         self._starts = np.concatenate([[0], np.cumsum(counts)])
@@ -248,29 +248,29 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return place, flat - int(self._starts[place])
 
     @property
-    def round_positions(self) -> NDArray[np.int64]:
+    def round_positions(self) -> Int64:
         """Number of the round of each touch in the data set, shape (len,), int64."""
         return np.searchsorted(self._starts, self._row_numbers, side="right") - 1
 
     @property
-    def touch_indices(self) -> NDArray[np.int64]:
+    def touch_indices(self) -> Int64:
         """Number of each touch in its round, shape (len,), int64."""
-        indices: NDArray[np.int64] = self._row_numbers - self._starts[self.round_positions]
+        indices: Int64 = self._row_numbers - self._starts[self.round_positions]
         return indices
 
     @property
-    def _stored_places(self) -> NDArray[np.int64]:
+    def _stored_places(self) -> Int64:
         """Number of each touch among all that are stored, shape (len,), int64."""
         rows = self.dataset._row_numbers[self.round_positions]
-        places: NDArray[np.int64] = self.dataset.touch_starts[rows] + self.touch_indices
+        places: Int64 = self.dataset.touch_starts[rows] + self.touch_indices
         return places
 
-    def int_column(self, name: str) -> NDArray[np.int64]:
+    def int_column(self, name: str) -> Int64:
         """Read one column of integers of the rounds, shape (len,), int64."""
         return self.dataset.int_column(name)[self.round_positions]
 
     @property
-    def ids(self) -> NDArray[Any]:
+    def ids(self) -> AnyArray:
         """Id of each touch, as :attr:`Touch.id`, shape (len,); reads the ids of the rounds only."""
         pairs = zip(self.dataset.ids[self.round_positions].tolist(), self.touch_indices.tolist(), strict=True)
         return np.array([touch_id(*pair) for pair in pairs], object)
@@ -285,7 +285,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         where = _POSITION if self.dataset.has_column("pos_in_cell") else ()
         return (*self.dataset._plain_columns, _INDEX, *where)
 
-    def column(self, name: str) -> NDArray[Any]:
+    def column(self, name: str) -> AnyArray:
         """Read one plain column, shape (len,): one of the rounds, ``touch_index``, or ``x_m`` or ``y_m``.
 
         The last two are the intended position, metres, cell frame, NaN where none can be read.
@@ -298,7 +298,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         if name == _INDEX:
             return self.touch_indices
         if name in _POSITION:
-            of_view: NDArray[Any] = self.dataset.known_positions_m()[self._stored_places]
+            of_view: AnyArray = self.dataset.known_positions_m()[self._stored_places]
             return of_view[:, _POSITION.index(name)]
         return self.dataset.column(name)[self.round_positions]
 
@@ -347,11 +347,11 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return whole.select(starts[np.searchsorted(rounds, places)] + self.touch_indices)
 
     @property
-    def object_ids(self) -> NDArray[np.int64]:
+    def object_ids(self) -> Int64:
         """Object of each touch, shape (len,), int64; reads that column only."""
         return self.int_column("object_id")
 
-    def heights_m(self, recalibrate_z: bool = True) -> NDArray[np.float64]:
+    def heights_m(self, recalibrate_z: bool = True) -> Float64:
         """Return how high above the plate the gel stopped in each touch, shape (len,), metres.
 
         Reads the poses only. See :func:`realtouch.contact.contact_heights_m`; all touches of a round take
@@ -375,7 +375,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         """Return the touches in which the gel stopped on an object; see :meth:`in_contact`."""
         return self[self.in_contact(min_height_m, recalibrate_z)]
 
-    def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> NDArray[np.bool_]:
+    def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Bool:
         """Return of each touch whether the gel stopped on an object, shape (len,).
 
         Parameters
@@ -418,7 +418,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         seed: int = 0,
         *,
         no_contact_fraction: float | None = None,
-        contact: NDArray[np.bool_] | None = None,
+        contact: Bool | None = None,
     ) -> Self:
         """Return touches drawn at random without repetition, or those with contact and a share of the rest.
 
@@ -455,7 +455,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         pairs = zip(rows, self.touch_indices.tolist(), strict=True)
         return self[np.array([pair not in gone for pair in pairs], bool)]
 
-    def images(self, index: Any = slice(None), *, threads: int = 1, out: Pixels | None = None) -> Pixels:
+    def images(self, index: Any = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
         """Decode the images of several touches of a ``single`` set into one array.
 
         Parameters
@@ -533,7 +533,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         order = np.lexsort((self.touch_indices, turns))
         return read.StoredParts(np.unique(np.searchsorted(turns[order], rounds.starts)), order)
 
-    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[read.RowSource, int]]:
+    def _row_groups(self, chosen: Int64) -> list[tuple[read.RowSource, int]]:
         return self.dataset._row_groups(np.unique(self.round_positions[chosen]))
 
     def _description(self) -> list[str]:
@@ -541,9 +541,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return [f"{counted(len(self), self.things)} of {of_rounds}", *further]
 
 
-def with_no_contact(
-    touches: Touches[Any], contact: NDArray[np.bool_], fraction: float, seed: int
-) -> NDArray[np.int64]:
+def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed: int) -> Int64:
     """Return the places of all touches with contact, and of so many without that they are a share of both.
 
     Raises InputError for a fraction, a seed or a mask that is none.
@@ -588,7 +586,7 @@ def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
 
 def dataset_of(
     shards: Sequence[read.RowSource],
-    rows: NDArray[np.int64] | None = None,
+    rows: Int64 | None = None,
     skipped: Sequence[tuple[int | None, Damage]] = (),
 ) -> TouchSeqDataset | TouchSingleDataset:
     """Return the data set of some shards of one kind: of all rows, or those that are not skipped."""

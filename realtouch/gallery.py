@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realtouch.dataset import TouchDataset
 from realtouch.kind import KIND
@@ -15,8 +14,9 @@ from realtouch.media import TouchClip, evenly_spaced
 from realtouch.rounds import Touch, TouchRound, TouchSeqRound
 from realtouch.schema import origin_of
 from tactile_toolkit import catalog, gallery, mesh, places
+from tactile_toolkit.array_types import Bool, Float64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import Pixels, encode_image, resized
+from tactile_toolkit.touch import encode_image, resized
 from tactile_toolkit.wording import class_name
 
 FRAMES_PER_FILM = 24
@@ -31,7 +31,7 @@ DEFAULT_TOUCHES = 64
 """Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
 
 # Of a round: how many touches to show at most, the height of each, and that from which a touch counts.
-_Known = tuple[int, NDArray[np.float64] | None, float]
+_Known = tuple[int, Float64 | None, float]
 
 _SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
 _FACETS = (
@@ -145,7 +145,7 @@ def _millimetres(height_m: float) -> float | None:
     return None if math.isnan(height_m) else height_m * mesh.MM_PER_M
 
 
-def _share(met: NDArray[np.bool_] | None) -> str:
+def _share(met: Bool | None) -> str:
     if met is None:
         return "unknown"
     if met.all() or not met.any():
@@ -153,7 +153,7 @@ def _share(met: NDArray[np.bool_] | None) -> str:
     return "more than half" if met.mean() > 0.5 else "half or fewer"
 
 
-def sheet_of(images: Sequence[Pixels], columns: int = 8) -> tuple[bytes, int, tuple[int, int]]:
+def sheet_of(images: Sequence[UInt8], columns: int = 8) -> tuple[bytes, int, tuple[int, int]]:
     """Lay pictures, (H, W, 3), out in rows without gaps: a JPEG, its columns, width and height of a tile.
 
     Tiles have the proportions of the first picture and are at most 160 pixels wide.

@@ -11,12 +11,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from realtouch.columns import Damage, DamagedRoundError, TouchRow, rows_of
 from realtouch.media import SensorImages, TouchClip
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, media_kind, require_types
 from tactile_toolkit import catalog, read, run
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.touch import MEDIA_COLUMN, Kind, decode_image, image_size
 
@@ -86,7 +86,7 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     return modal if 2 * rounds > counts.total() else None
 
 
-def stored_touch_counts(source: read.RowSource) -> NDArray[np.int64]:
+def stored_touch_counts(source: read.RowSource) -> Int64:
     """Return T of every row, shape (rows,), int64; reads nothing where the schema fixes it."""
     types = read.column_types(source.schema)
     name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in types)
@@ -232,7 +232,7 @@ def _describe(size: tuple[int, ...]) -> str:
 
 def find_damage(
     shards: Sequence[read.Shard], expected_touches: int | None
-) -> tuple[list[read.RowSource], NDArray[np.int64], list[tuple[int | None, Damage]]]:
+) -> tuple[list[read.RowSource], Int64, list[tuple[int | None, Damage]]]:
     """Check every round of some files, of which each must have ``expected_touches``, where that is said.
 
     Returns the row groups of each file that can be read; which of their rows are not lost; and all damage,

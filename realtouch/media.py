@@ -15,17 +15,18 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
 from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod, best_of, contact_window, require_method
 from realtouch.poses import Poses
 from realtouch.video import Avi
+from tactile_toolkit.array_types import AnyArray, Float64, UInt8
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.pictures import TILE_STYLE, Tile, figure_html, sheet
 from tactile_toolkit.read import BytesColumn, checked_index, picks_several, positions
 from tactile_toolkit.run import in_threads
-from tactile_toolkit.touch import Pixels, decode_image, image_size, resized
+from tactile_toolkit.touch import decode_image, image_size, resized
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 _LONGEST_RUN = 16
 
 
-class SensorImages(Sequence[Pixels]):
+class SensorImages(Sequence[UInt8]):
     """The images of one round; each is decoded when it is asked for, none is kept.
 
     ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
@@ -53,7 +54,7 @@ class SensorImages(Sequence[Pixels]):
     def __len__(self) -> int:
         return self._count
 
-    def __getitem__(self, index: Any) -> Pixels:  # type: ignore[override]
+    def __getitem__(self, index: Any) -> UInt8:  # type: ignore[override]
         """Decode one image, or some into one array.
 
         Raises IntegrityError when an image is damaged, or differs in size from the others asked for; it names
@@ -63,10 +64,10 @@ class SensorImages(Sequence[Pixels]):
             return self.batch(index)
         return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
 
-    def __iter__(self) -> Iterator[Pixels]:
+    def __iter__(self) -> Iterator[UInt8]:
         return (self._decode(touch) for touch in range(self._count))
 
-    def batch(self, index: Any = slice(None), *, threads: int = 1, out: Pixels | None = None) -> Pixels:
+    def batch(self, index: Any = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
         """Decode several images into one array.
 
         Parameters
@@ -97,7 +98,7 @@ class SensorImages(Sequence[Pixels]):
         self.decode_into(pixels, touches, threads=threads)
         return pixels
 
-    def decode_into(self, out: Pixels, touches: Sequence[int], *, threads: int = 1) -> None:
+    def decode_into(self, out: UInt8, touches: Sequence[int], *, threads: int = 1) -> None:
         """Decode several images into an array of their size, such as ``room_for`` gives."""
         in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
 
@@ -114,7 +115,7 @@ class SensorImages(Sequence[Pixels]):
         with self._row.naming("sensor_image", touch):
             return image_size(self.encoded(touch))
 
-    def _decode(self, touch: int, out: Pixels | None = None) -> Pixels:
+    def _decode(self, touch: int, out: UInt8 | None = None) -> UInt8:
         with self._row.naming("sensor_image", touch):
             return decode_image(self.encoded(touch), out)
 
@@ -148,12 +149,12 @@ def evenly_spaced(count: int, most: int) -> list[int]:
     return indices
 
 
-def fitted(image: Pixels, width: int) -> Pixels:
+def fitted(image: UInt8, width: int) -> UInt8:
     """Return an image, (H, W, 3), at another width in pixels, its proportions kept."""
     return resized(image, width, max(1, round(width * image.shape[0] / image.shape[1])))
 
 
-def contact_sheet(images: Sequence[Pixels], columns: int = 8, tile_width: int = _TILE_WIDTH) -> Pixels:
+def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = _TILE_WIDTH) -> UInt8:
     """Lay RGB images, (H, W, 3), out in rows of ``columns``, each ``tile_width`` pixels wide.
 
     All get the proportions of the first.
@@ -163,7 +164,7 @@ def contact_sheet(images: Sequence[Pixels], columns: int = 8, tile_width: int = 
     return sheet(tiles, min(columns, len(images)), gap_px=_GAP, margin_px=_GAP)
 
 
-def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], Pixels]]]) -> str:
+def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], UInt8]]]) -> str:
     """Return a notebook's view of a round: a caption, which counts damaged pictures, and the others."""
     tiles = []
     for caption, read in pictures:
@@ -176,7 +177,7 @@ def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, C
     return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
 
 
-def touch_html(picture: Pixels, caption: str) -> str:
+def touch_html(picture: UInt8, caption: str) -> str:
     """Return a notebook's view of a touch: its picture and what it is."""
     return figure_html(fitted(picture, _TILE_WIDTH), caption, TILE_STYLE)
 
@@ -184,7 +185,7 @@ def touch_html(picture: Pixels, caption: str) -> str:
 _SHOWN_FRAMES = 8
 
 
-class TouchClip(Sequence[Pixels]):
+class TouchClip(Sequence[UInt8]):
     """The clip of one touch.
 
     ``clip[i]`` gives (H, W, 3) uint8; a slice, ints or a boolean mask give (n, H, W, 3). No frame is kept.
@@ -230,7 +231,7 @@ class TouchClip(Sequence[Pixels]):
     def __len__(self) -> int:
         return len(self._avi)
 
-    def __getitem__(self, index: Any) -> Pixels:  # type: ignore[override]
+    def __getitem__(self, index: Any) -> UInt8:  # type: ignore[override]
         """Decode one frame, or some into one array.
 
         Raises
@@ -242,7 +243,7 @@ class TouchClip(Sequence[Pixels]):
             return self.frames(index)
         return self._decode(checked_index(operator.index(index), len(self), "frame", "frames"))
 
-    def frames(self, index: Any = slice(None), *, threads: int = 1) -> Pixels:
+    def frames(self, index: Any = slice(None), *, threads: int = 1) -> UInt8:
         """Decode frames into one array.
 
         Parameters
@@ -269,7 +270,7 @@ class TouchClip(Sequence[Pixels]):
 
     def __iter__(self) -> Iterator[dict[str, Any]]:  # type: ignore[override]
         """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
-        to_data: Callable[[Pixels], Any] = np.asarray
+        to_data: Callable[[UInt8], Any] = np.asarray
         # Consumers of torchvision's reader expect tensors; without torch the arrays do.
         with suppress(ImportError):
             import torch
@@ -279,7 +280,7 @@ class TouchClip(Sequence[Pixels]):
             pixels = np.ascontiguousarray(self[frame].transpose(2, 0, 1))
             yield {"data": to_data(pixels), "pts": float(time_s)}
 
-    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
+    def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> AnyArray:
         """Return all frames, shape (N, H, W, 3), for numpy: the items of an iteration are not arrays."""
         if copy is False:
             raise ValueError("frames are decoded into a new array; a clip cannot be an array without a copy")
@@ -298,7 +299,7 @@ class TouchClip(Sequence[Pixels]):
         return self._avi.fps
 
     @property
-    def media_times_s(self) -> NDArray[np.float64]:
+    def media_times_s(self) -> Float64:
         """Time of each frame on the file's own clock, shape (N,), seconds from its first frame."""
         return self._avi.slots / self.fps  # a repeated frame takes a slot of time
 
@@ -325,7 +326,7 @@ class TouchClip(Sequence[Pixels]):
         except ValueError as error:
             raise self._row.damaged("sensor_video", str(error), self.touch) from error
 
-    def decode_into(self, out: Pixels, frame: int) -> None:
+    def decode_into(self, out: UInt8, frame: int) -> None:
         """Decode one frame into an array of its size.
 
         Parameters
@@ -338,7 +339,7 @@ class TouchClip(Sequence[Pixels]):
         self._decode(frame, out)
 
     @property
-    def timestamps_s(self) -> NDArray[np.float64]:
+    def timestamps_s(self) -> Float64:
         """Time stamp of each frame, shape (N,), float64, seconds on the clock of the recording.
 
         Those stored with the round; the file's own clock in data sets without them.
@@ -346,7 +347,7 @@ class TouchClip(Sequence[Pixels]):
         times = self._row.stamps_s(self.touch)
         return self.media_times_s if times is None else times[0]
 
-    def at(self, time_s: float) -> Pixels:
+    def at(self, time_s: float) -> UInt8:
         """Decode the frame shown at a time: the last one stamped at or before it, (H, W, 3) uint8.
 
         Raises
@@ -394,7 +395,7 @@ class TouchClip(Sequence[Pixels]):
             return best_of(self.frames())[0]
         return contact_frames_of(self._row, chosen, self.touch)[0]
 
-    def contact_frame(self, method: str = "contact_end") -> Pixels:
+    def contact_frame(self, method: str = "contact_end") -> UInt8:
         """Decode the frame that shows the contact, (H, W, 3) uint8; see :meth:`contact_index`."""
         return self[self.contact_index(method)]
 
@@ -410,7 +411,7 @@ class TouchClip(Sequence[Pixels]):
             from torchcodec.decoders import VideoDecoder
         return VideoDecoder(bytes(self.data))
 
-    def _decode(self, frame: int, out: Pixels | None = None) -> Pixels:
+    def _decode(self, frame: int, out: UInt8 | None = None) -> UInt8:
         try:
             return decode_image(self._avi.frame(frame), out)
         except ValueError as error:
@@ -451,7 +452,7 @@ class SensorClips(Sequence[TouchClip]):
             return [TouchClip(self.row, touch) for touch in positions(index, self._count).tolist()]
         return TouchClip(self.row, checked_index(operator.index(index), self._count, "touch", "touches"))
 
-    def room(self, count: int, out: Pixels | None = None) -> Pixels:
+    def room(self, count: int, out: UInt8 | None = None) -> UInt8:
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
 
         Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
@@ -497,7 +498,7 @@ def contact_frames_of(row: TouchRow, method: ContactMethod, touch: int | None = 
 
 
 def decode_frames(
-    clips: SensorClips, touches: Sequence[int], frames: Sequence[int], out: Pixels, threads: int
+    clips: SensorClips, touches: Sequence[int], frames: Sequence[int], out: UInt8, threads: int
 ) -> None:
     """Decode one frame each of n clips into ``out``, shape (n, H, W, 3), uint8, in some threads.
 
@@ -522,7 +523,7 @@ MAX_BATCH_PIXELS = 1 << 31
 """Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
 
 
-def room_for(count: int, size: tuple[int, int], out: Pixels | None = None) -> Pixels:
+def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UInt8:
     """Return an array for images of one size, shape (n, H, W, 3), uint8: new, or ``out`` if it fits.
 
     ``size`` is (height, width), pixels; in ``out``, n may be larger than ``count``. Raises InputError when

@@ -8,8 +8,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import RigidTransform, Rotation
+
+from tactile_toolkit.array_types import AnyArray, Float64
 
 
 class Pose(RigidTransform):
@@ -20,7 +22,7 @@ class Pose(RigidTransform):
     """
 
     @classmethod
-    def of(cls, position_m: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
+    def of(cls, position_m: AnyArray, quaternion: AnyArray) -> Pose:
         """Make poses of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
         rotation = Rotation.from_quat(np.array(quaternion))  # a copy: scipy takes no empty read-only view
         matrix = np.zeros((*np.shape(position_m)[:-1], 4, 4))
@@ -39,22 +41,22 @@ class Pose(RigidTransform):
         return super().rotation if self._rotation is None else self._rotation
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Float64:
         """Homogeneous matrix, shape (4, 4), or (n, 4, 4) of several."""
         return np.asarray(self.as_matrix())
 
     @property
-    def quaternion(self) -> NDArray[np.float64]:
+    def quaternion(self) -> Float64:
         """Orientation x, y, z, w of length one, shape (4,) or (n, 4)."""
         return np.asarray(self.rotation.as_quat())
 
     @property
-    def rotvec(self) -> NDArray[np.float64]:
+    def rotvec(self) -> Float64:
         """Orientation as axis times angle, radians, shape (3,) or (n, 3)."""
         return np.asarray(self.rotation.as_rotvec())
 
     @property
-    def angle(self) -> NDArray[np.float64]:
+    def angle(self) -> Float64:
         """Angle of the rotation, radians, 0 to pi."""
         sine = np.linalg.norm(self.quaternion[..., :3], axis=-1)
         return np.asarray(2.0 * np.arctan2(sine, np.abs(self.quaternion[..., 3])))

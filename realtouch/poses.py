@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import read
+from tactile_toolkit.array_types import AnyArray, Float64, Floating
 
 if TYPE_CHECKING:
     from scipy.spatial.transform import Rotation
@@ -40,8 +40,8 @@ class Poses(Sequence["Pose"]):
         Orientations x, y, z, w, of length one within 0.001; a view likewise.
     """
 
-    position_m: NDArray[np.floating]
-    quaternion: NDArray[np.floating]
+    position_m: Floating
+    quaternion: Floating
 
     def __len__(self) -> int:
         return len(self.position_m)
@@ -49,7 +49,7 @@ class Poses(Sequence["Pose"]):
     @overload
     def __getitem__(self, index: int) -> Pose: ...
     @overload
-    def __getitem__(self, index: slice | Sequence[int] | NDArray[Any]) -> Poses: ...
+    def __getitem__(self, index: slice | Sequence[int] | AnyArray) -> Poses: ...
     def __getitem__(self, index: Any) -> Pose | Poses:
         """Return one rigid transform (int), or some poses (slice, ints, mask)."""
         if not read.picks_several(index):
@@ -66,7 +66,7 @@ class Poses(Sequence["Pose"]):
         return rigid_transform(self.position_m, self.quaternion)
 
     @property
-    def translation(self) -> NDArray[np.floating]:
+    def translation(self) -> Floating:
         """Positions, shape (n, 3), metres; the name that rigid transforms use."""
         return self.position_m
 
@@ -78,17 +78,17 @@ class Poses(Sequence["Pose"]):
         return Rotation.from_quat(np.array(self.quaternion))
 
     @property
-    def matrix(self) -> NDArray[np.float64]:
+    def matrix(self) -> Float64:
         """Homogeneous matrices, shape (n, 4, 4)."""
         return self.transform.matrix
 
     @property
-    def rotvec(self) -> NDArray[np.float64]:
+    def rotvec(self) -> Float64:
         """Orientations as axis times angle, radians, shape (n, 3)."""
         return self.transform.rotvec
 
     @property
-    def angle(self) -> NDArray[np.float64]:
+    def angle(self) -> Float64:
         """Angles of the rotations, radians, shape (n,), 0 to pi."""
         return self.transform.angle
 
@@ -123,8 +123,8 @@ class PoseSequences(Sequence[Poses]):
         Orientations x, y, z, w; views likewise.
     """
 
-    position_m: tuple[NDArray[np.floating], ...]
-    quaternion: tuple[NDArray[np.floating], ...]
+    position_m: tuple[Floating, ...]
+    quaternion: tuple[Floating, ...]
 
     def __len__(self) -> int:
         return len(self.position_m)
@@ -143,14 +143,14 @@ class PoseSequences(Sequence[Poses]):
         return f"PoseSequences({len(self)} touches, {sum(map(len, self.position_m)):,} poses)"
 
 
-def rigid_transform(position_m: NDArray[Any], quaternion: NDArray[Any]) -> Pose:
+def rigid_transform(position_m: AnyArray, quaternion: AnyArray) -> Pose:
     """Make rigid transforms of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
     from realtouch.pose import Pose
 
     return Pose.of(position_m, quaternion)
 
 
-def bad_pose(position_m: NDArray[Any], quaternion: NDArray[Any]) -> tuple[int, str] | None:
+def bad_pose(position_m: AnyArray, quaternion: AnyArray) -> tuple[int, str] | None:
     """Find the first of n rows that is not a pose: its number and what is wrong with it, or None."""
     squares = np.einsum("ij,ij->i", quaternion, quaternion)
     with np.errstate(invalid="ignore", over="ignore"):  # infinite values of both signs add up to NaN

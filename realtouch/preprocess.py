@@ -8,7 +8,6 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realtouch.contact import (
     ContactRule,
@@ -22,15 +21,15 @@ from realtouch.contact import (
 from realtouch.dataset import Touches, with_no_contact
 from realtouch.media import SensorImages, TouchClip, in_parallel
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
+from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import Pixels
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20
 _MOST_SHARED = 256  # images whose median is the background of those that are alone in their rounds
 
 
-def background(pictures: Any) -> Pixels:
+def background(pictures: Any) -> UInt8:
     """Return the median image, which shows the gel without contact.
 
     Parameters
@@ -64,7 +63,7 @@ def background(pictures: Any) -> Pixels:
     return found
 
 
-def _batches(pictures: Any) -> Iterator[Pixels]:
+def _batches(pictures: Any) -> Iterator[UInt8]:
     """Yield pictures a few at a time, shape (n, H, W, 3)."""
     if isinstance(pictures, TouchSingleRound):
         pictures = pictures.sensor_image
@@ -85,14 +84,14 @@ def _batches(pictures: Any) -> Iterator[Pixels]:
         yield found
 
 
-def _pieces(count: int, read: Callable[[slice], Pixels]) -> Iterator[Pixels]:
+def _pieces(count: int, read: Callable[[slice], UInt8]) -> Iterator[UInt8]:
     length = max(1, _BATCH_BYTES // read(slice(1)).nbytes) if count else 1
     for start in range(0, count, length):
         yield read(slice(start, start + length))
 
 
 def best_frame(
-    clip: TouchClip | Pixels, rule: ContactRule | None = None, *, base: Pixels | None = None
+    clip: TouchClip | UInt8, rule: ContactRule | None = None, *, base: UInt8 | None = None
 ) -> tuple[int, ContactScore]:
     """Return the frame that shows the contact best, and its score.
 
@@ -138,10 +137,10 @@ class Contacts:
     """
 
     touches: Touches[Any]
-    frame: NDArray[np.int64]
-    area_px: NDArray[np.int64]
-    intensity: NDArray[np.float64]
-    contact: NDArray[np.bool_]
+    frame: Int64
+    area_px: Int64
+    intensity: Float64
+    contact: Bool
 
     def __len__(self) -> int:
         return len(self.touches)
@@ -164,7 +163,7 @@ class Contacts:
         chosen = with_no_contact(self.touches, self.contact, no_contact_fraction, seed)
         return Contacts(*(getattr(self, each.name)[chosen] for each in fields(self)))
 
-    def picture(self, index: int) -> Pixels:
+    def picture(self, index: int) -> UInt8:
         """Decode the best picture of one touch, shape (H, W, 3), uint8."""
         touch = self.touches[index]
         if isinstance(touch.round, TouchSingleRound):
@@ -209,7 +208,7 @@ def contacts_by_image(
             "`realtouch.load(...).touches()`"
         )
     rule, count = rule or ContactRule(), len(touches)
-    shared: Pixels | None = None
+    shared: UInt8 | None = None
     frame, area = np.zeros(count, np.int64), np.zeros(count, np.int64)
     intensity = np.zeros(count)
     places = touches.round_positions

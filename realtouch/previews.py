@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realtouch.contact import ContactHeight, contact_heights_m
 from realtouch.kind import KIND
@@ -17,8 +16,9 @@ from realtouch.rounds import Touch, TouchRound
 from realtouch.spec import TouchPreviewSpec
 from tactile_toolkit import pictures, places
 from tactile_toolkit.arithmetic import inverse_affine
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import Pixels, height_text
+from tactile_toolkit.touch import height_text
 from tactile_toolkit.wording import counted
 
 SENSING_AREA_M = (0.01888, 0.01416)
@@ -43,9 +43,9 @@ class Placed:
     one where the gel was tilted.
     """
 
-    pixels: Pixels
-    centre_m: NDArray[np.float64]
-    axes: NDArray[np.float64]
+    pixels: UInt8
+    centre_m: Float64
+    axes: Float64
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +55,7 @@ class CellMap:
     size_px: tuple[int, int]
     px_per_m: float
 
-    def point_px(self, point_m: Sequence[float] | NDArray[Any]) -> tuple[float, float]:
+    def point_px(self, point_m: Sequence[float] | AnyArray) -> tuple[float, float]:
         """Return where a point of the cell lies: column and row, 0 at the outer edge of the first pixel."""
         x, y = float(point_m[0]), float(point_m[1])
         return self.size_px[0] / 2 + x * self.px_per_m, self.size_px[1] / 2 - y * self.px_per_m
@@ -95,7 +95,7 @@ def cell_map(touches: Sequence[Placed], px_per_mm: float, cell_m: tuple[float, f
     return CellMap((width, height), px_per_mm * 1e3)
 
 
-def overlay(touches: Sequence[Placed], cell: CellMap) -> Pixels:
+def overlay(touches: Sequence[Placed], cell: CellMap) -> UInt8:
     """Paste touches, pictures of one size, into one picture of the cell, (H, W, 3); white where no touch was.
 
     Where touches lie on top of one another, each counts the more the more it differs from the gel at rest
@@ -126,7 +126,7 @@ def overlay(touches: Sequence[Placed], cell: CellMap) -> Pixels:
     return np.round(mixed).astype(np.uint8)
 
 
-def _weight(pixels: Pixels, rest: NDArray[np.float64]) -> NDArray[np.float32]:
+def _weight(pixels: UInt8, rest: Float64) -> Float32:
     """Return how much each pixel counts: what differs from the gel at rest, fading towards the edges."""
     height, width = pixels.shape[:2]
     change = np.abs(pixels - rest).mean(axis=2) / 255.0
@@ -155,8 +155,8 @@ def _back_to_touch(touch: Placed, cell: CellMap) -> tuple[tuple[slice, slice], t
 
 
 def _taken(
-    values: NDArray[np.float32], window: tuple[slice, slice], back: tuple[float, ...], nearest: bool = False
-) -> NDArray[np.float64]:
+    values: Float32, window: tuple[slice, slice], back: tuple[float, ...], nearest: bool = False
+) -> Float64:
     """Sample a picture, (H, W) or (H, W, n), at the pixels of a window of the map; 0 beyond its edge."""
     from PIL import Image
 
@@ -196,7 +196,7 @@ def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> p
     record = dataset[number]
     stem = "-".join(filter(None, (pictures.file_stem(place.name), split)))
 
-    def planned(kind: str, what: str, draw: Callable[[], Pixels]) -> list[pictures.PlannedPicture]:
+    def planned(kind: str, what: str, draw: Callable[[], UInt8]) -> list[pictures.PlannedPicture]:
         return [pictures.PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
 
     on_map = f"all touches of {record!r} at their positions"
@@ -207,7 +207,7 @@ def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> p
     return pictures.plan_kinds(spec.kinds, plans)
 
 
-def draw_grid(record: TouchRound, most: int) -> Pixels:
+def draw_grid(record: TouchRound, most: int) -> UInt8:
     """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
     row, heights_m = record._row, None
     if row.has_poses:
@@ -226,7 +226,7 @@ def draw_grid(record: TouchRound, most: int) -> Pixels:
     return pictures.sheet(tiles, _COLUMNS, _title(record), ("; ".join(words),))
 
 
-def draw_overlay(record: TouchRound) -> Pixels:
+def draw_overlay(record: TouchRound) -> UInt8:
     """Draw all touches of a round at their positions on a map of the cell."""
     touches = placed_touches(record, range(record.touch_count))
     cell = cell_map(touches, _PX_PER_MM)

@@ -27,10 +27,10 @@ from realtouch.media import (
 )
 from realtouch.poses import Poses, PoseSequences
 from realtouch.schema import flat_row, take_touches
+from tactile_toolkit.array_types import Floating, Int64, UInt8
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read import Record, RowGroup, Rows, RowSource, column_names, positions
 from tactile_toolkit.system import usable_cores
-from tactile_toolkit.touch import Pixels
 
 if TYPE_CHECKING:
     from realtouch.pose import Pose
@@ -99,12 +99,12 @@ class TouchRound(Record):
         return dict(self._once("info", lambda: self._row.read_info()))
 
     @property
-    def pos_in_cell_m(self) -> NDArray[np.floating]:
+    def pos_in_cell_m(self) -> Floating:
         """Intended positions, shape (T, 2), metres, cell frame; a read-only view."""
         return self._row.intended_positions()
 
     @property
-    def pos_in_cell(self) -> NDArray[np.floating]:
+    def pos_in_cell(self) -> Floating:
         """The published name of :attr:`pos_in_cell_m`."""
         return self.pos_in_cell_m
 
@@ -149,7 +149,7 @@ class TouchRound(Record):
         words = [*([] if label is None else [f"label {label}"]), f"{self.touch_count} touches"]
         return touch_html(self._contact_image(self.touch_count // 2), ", ".join(words))
 
-    def _contact_image(self, touch: int) -> Pixels:
+    def _contact_image(self, touch: int) -> UInt8:
         """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
         raise NotImplementedError
 
@@ -178,7 +178,7 @@ class TouchSingleRound(TouchRound):
 
         return self._once("sensor_image", images)
 
-    def _contact_image(self, touch: int) -> Pixels:
+    def _contact_image(self, touch: int) -> UInt8:
         return self.sensor_image[touch]
 
     def _picture_size(self, touch: int) -> tuple[int, int]:
@@ -191,7 +191,7 @@ class TouchSeqRound(TouchRound):
     __slots__ = ()
 
     @property
-    def video_length_frames(self) -> NDArray[np.int64]:
+    def video_length_frames(self) -> Int64:
         """Number of frames of each clip, shape (T,), int64."""
         return self._row.clip_lengths()
 
@@ -220,15 +220,15 @@ class TouchSeqRound(TouchRound):
         """Clips, T of them, opened on demand."""
         return self._once("sensor_video", lambda: SensorClips(self._row))
 
-    def _contact_image(self, touch: int) -> Pixels:
+    def _contact_image(self, touch: int) -> UInt8:
         return self.sensor_video[touch].contact_frame("contact_end")
 
     def _picture_size(self, touch: int) -> tuple[int, int]:
         return self.sensor_video[touch].size[::-1]
 
     def contact_frames(
-        self, method: str = "contact_end", *, threads: int | None = None, out: Pixels | None = None
-    ) -> Pixels:
+        self, method: str = "contact_end", *, threads: int | None = None, out: UInt8 | None = None
+    ) -> UInt8:
         """Decode the frame of each touch that shows the contact.
 
         Parameters
@@ -257,9 +257,7 @@ class TouchSeqRound(TouchRound):
             decode_frames(clips, range(len(clips)), contact_frames_of(self._row, chosen), pixels, cores)
         return pixels
 
-    def contact_windows(
-        self, touches: Any = slice(None), *, threads: int | None = None
-    ) -> tuple[Pixels, ...]:
+    def contact_windows(self, touches: Any = slice(None), *, threads: int | None = None) -> tuple[UInt8, ...]:
         """Decode every frame of contact of several touches.
 
         Parameters
@@ -340,9 +338,9 @@ class Touch:
         return self.round.object_id
 
     @property
-    def pos_in_cell_m(self) -> NDArray[np.floating]:
+    def pos_in_cell_m(self) -> Floating:
         """Intended position, shape (2,), metres, cell frame."""
-        position: NDArray[np.floating] = self.round._row.intended_positions(self._index_in_row)[0]
+        position: Floating = self.round._row.intended_positions(self._index_in_row)[0]
         return position
 
     @property
@@ -358,7 +356,7 @@ class Touch:
         return row.pose_sequences(touch)[0][frame]
 
     @property
-    def image(self) -> Pixels:
+    def image(self) -> UInt8:
         """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
         return self.round._contact_image(self._index_in_row)
 

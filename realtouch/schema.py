@@ -7,10 +7,10 @@ from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from realtouch.contact import PLATE_COLUMN
 from tactile_toolkit import read, store
+from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind
 
@@ -127,7 +127,7 @@ def _without_structs(table: pa.Table) -> pa.Table:
     return table
 
 
-def number_lists(rows: Sequence[NDArray[Any]], data_type: pa.DataType) -> pa.Array:
+def number_lists(rows: Sequence[AnyArray], data_type: pa.DataType) -> pa.Array:
     """Pack one array (T_i, width) or (T_i,) per row into an Arrow list column of the given type."""
     flat = np.concatenate([row.reshape(-1) for row in rows])
     depth, leaf = read.list_depth(data_type)

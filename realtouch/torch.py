@@ -15,10 +15,11 @@ from realtouch.contact import require_method
 from realtouch.dataset import TouchDataset, Touches, TouchStream
 from realtouch.media import room_for
 from realtouch.rounds import Touch, TouchSingleRound
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.read import TrainingBatches
-from tactile_toolkit.touch import Pixels, decode_image
+from tactile_toolkit.touch import decode_image
 
 if TYPE_CHECKING:
     import torch
@@ -206,7 +207,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return found
 
 
-def _tensor(kind: str, pixels: Pixels) -> Any:
+def _tensor(kind: str, pixels: UInt8) -> Any:
     """Return pixels, shape (..., H, W, 3), as a ``tv_tensors`` of shape (..., 3, H, W)."""
     return getattr(_tv_tensors(), kind)(torch.from_numpy(np.moveaxis(pixels, -1, -3)))
 

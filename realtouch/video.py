@@ -11,7 +11,8 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tactile_toolkit.array_types import Int64
 
 MAX_CLIP_FRAMES = 10_000
 """Longest clip that is read; a touch has 58 to 90 frames."""
@@ -105,7 +106,7 @@ class Avi:
             raise ValueError(f"an AVI whose index has {found}; expected that of the stream")
 
     @property
-    def slots(self) -> NDArray[np.int64]:
+    def slots(self) -> Int64:
         """Number of each frame in the count of the file, in which a repeated frame has a slot too."""
         return np.flatnonzero(self._all_sizes)
 

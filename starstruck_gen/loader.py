@@ -8,7 +8,6 @@ from typing import Any, Literal, overload
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from starstruck_gen.columns import scene_schema
 from starstruck_gen.kind import KIND
@@ -18,6 +17,7 @@ from starstruck_gen.sampling import MOST_SCENES, sample_scenes, scene_id, scene_
 from starstruck_gen.scene import Scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit import mesh, pictures, places, read
+from tactile_toolkit.array_types import AnyArray, Int64, UInt8
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.rows import table_of
@@ -93,7 +93,7 @@ class SceneRecord(mesh.SolidRecord):
             return pictures.relief_tile_html(self.vertices_m, self.faces, caption)
         return pictures.figure_html(self._drawn(0.8), caption, pictures.TILE_STYLE)
 
-    def _drawn(self, px_per_mm: float) -> NDArray[np.uint8]:
+    def _drawn(self, px_per_mm: float) -> UInt8:
         from starstruck_gen.scene import draw_scene
 
         # A record does not know its specification; the published cell is what most were made for.
@@ -107,7 +107,7 @@ class SceneMeshDataset(read.RecordDataset[SceneRecord]):
     things = "scenes"
 
     @property
-    def star_counts(self) -> NDArray[np.int64]:
+    def star_counts(self) -> Int64:
         """Number of stars of each row, shape (len,); loads no mesh. As :attr:`SceneRecord.star_count`."""
         return self._integers("star_count", lambda: self.labels + 1, lambda scene: scene.star_count)
 
@@ -249,7 +249,7 @@ class MadeScenes:
         """Return one column of all rows, of those that need no scene."""
         return pa.array(self.known(name, range(self.size)))
 
-    def known(self, name: str, rows: range) -> NDArray[np.int64]:
+    def known(self, name: str, rows: range) -> Int64:
         """Return what follows from the number of each of some rows; KeyError for any other column."""
         numbers = np.arange(rows.start, rows.stop, dtype=np.int64)
         classes = numbers % len(self.spec.stars)
@@ -300,7 +300,7 @@ class MadeScene(read.Rows):
         meshes = self.once("meshes", self._built)
         return meshes.vertices_m if name == mesh.VERTICES else meshes.faces
 
-    def flat(self, name: str) -> NDArray[Any]:
+    def flat(self, name: str) -> AnyArray:
         """Return a plain column of one value."""
         if name in _KNOWN:
             return self._source.known(name, range(self.first_row, self.first_row + 1))
@@ -351,7 +351,7 @@ class SceneDataset(SceneMeshDataset):
             read.ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names
         )
 
-    def column(self, name: str) -> NDArray[Any]:
+    def column(self, name: str) -> AnyArray:
         """Return one plain column, shape (len,); all but id, label, star count and seed make the scenes.
 
         Raises

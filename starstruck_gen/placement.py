@@ -11,7 +11,6 @@ from itertools import accumulate, pairwise
 from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from starstruck_gen.shapes import (
     KINDS,
@@ -26,6 +25,7 @@ from starstruck_gen.shapes import (
 )
 from tactile_toolkit import mesh, read
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.array_types import Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
 
 K = TypeVar("K", bound=type[Proportions])
@@ -42,9 +42,9 @@ class Prism:
     Vertex 2i of the solid is corner i on the plate, vertex 2i + 1 the one above it. Arrays are read-only.
     """
 
-    corners: NDArray[np.float64]  # (n, 2): all rings of the outline one after another
-    cap: NDArray[np.int32]  # (T, 3): triangles over all corners, counter-clockwise, none on another's edge
-    faces: NDArray[np.int32]  # (F, 3): triangles of the solid, outward
+    corners: Float64  # (n, 2): all rings of the outline one after another
+    cap: Int32  # (T, 3): triangles over all corners, counter-clockwise, none on another's edge
+    faces: Int32  # (F, 3): triangles of the solid, outward
     area: float  # of the outline
     thinnest: float  # least height of a triangle of the cap: moves below half of it turn no triangle over
 
@@ -53,7 +53,7 @@ class Prism:
         """Vertices of the solid."""
         return 2 * len(self.corners)
 
-    def vertices(self, height: float) -> NDArray[np.float64]:
+    def vertices(self, height: float) -> Float64:
         """Return the vertices of an unturned prism of radius 1, shape (V, 3)."""
         standing = np.zeros((self.vertex_count, 3))
         standing[:, :2] = np.repeat(self.corners, 2, axis=0)
@@ -110,9 +110,9 @@ def proved_prism(key: str, rings: Outline) -> Prism:
 class Prisms:
     """The solids of several shapes one after another: a scene before anything is placed; all read-only."""
 
-    corners: NDArray[np.float64]  # (n, 2), as of the prisms
-    corner_counts: NDArray[np.int64]  # of each prism
-    faces: NDArray[np.int32]  # (F, 3), numbered through all prisms
+    corners: Float64  # (n, 2), as of the prisms
+    corner_counts: Int64  # of each prism
+    faces: Int32  # (F, 3), numbered through all prisms
 
 
 @lru_cache(_MOST_KEPT)
@@ -135,7 +135,7 @@ def prisms(keys: tuple[str, ...]) -> Prisms:
     return made
 
 
-def _faces(ring_sizes: list[int], cap: NDArray[np.int32]) -> NDArray[np.int32]:
+def _faces(ring_sizes: list[int], cap: Int32) -> Int32:
     """Join the two caps by walls that follow each ring; a hole runs clockwise, so its walls face inwards."""
     starts = np.cumsum([0, *ring_sizes])
     here = np.arange(starts[-1])
@@ -383,5 +383,5 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     )
 
 
-def _offsets(counts: list[int]) -> NDArray[np.int64]:
+def _offsets(counts: list[int]) -> Int64:
     return np.array([0, *accumulate(counts)], dtype=np.int64)

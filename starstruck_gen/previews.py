@@ -11,6 +11,7 @@ from starstruck_gen.loader import SceneMeshDataset, SceneRecord
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit import catalog, mesh, pictures, places
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.wording import counted
 
 _TILE_PX = 150
@@ -25,17 +26,17 @@ def plan_previews(name: places.Name | places.Place, spec: catalog.PreviewSpec) -
     with catalog.specification_read(opened.name):
         made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else SceneSpec()
 
-    def sheet_of(rows: SceneMeshDataset, title: str) -> pictures.Pixels:
+    def sheet_of(rows: SceneMeshDataset, title: str) -> UInt8:
         return draw_sheet(list(rows), made_by, spec.per_class, title)
 
     return pictures.plan_kinds(spec.kinds, {"sheet": lambda: opened.plan_sheets(sheet_of)})
 
 
-def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> pictures.Pixels:
+def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> UInt8:
     """Draw scenes from above at one scale; ``spec`` states the size of the cell."""
     px_per_mm = _TILE_PX / (max(spec.cell_m) * mesh.MM_PER_M)
 
-    def from_above(record: SceneRecord) -> pictures.Pixels:
+    def from_above(record: SceneRecord) -> UInt8:
         if record.has_placements:
             return np.asarray(draw_scene(record.placements, spec.cell_m, px_per_mm))
         return pictures.relief_of(mesh.Mesh(record.vertices_m, record.faces), px_per_mm)

@@ -16,13 +16,13 @@ from functools import lru_cache
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import plain_number
 
-Outline = tuple[NDArray[np.float64], ...]
+Outline = tuple[Float64, ...]
 """Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""
 
 STAR = "star"

@@ -6,17 +6,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_envs.kernels import PADDING, raise_object
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
 
 _SIDE_PX = 240
 _PANEL_PX = 96
 _PLATE, _PANEL = (0.86, 0.88, 0.92), 1.0
 _SENSOR, _AIM = (0.80, 0.16, 0.20), (0.95, 0.60, 0.10)
 _RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
-
-Picture = NDArray[np.float32]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,17 +25,17 @@ class Shown:
     what is right; ``places_m`` and ``directions``, shape (n, 2), are where objects are thought to be.
     """
 
-    shares: NDArray[Any] | None = None
-    right: NDArray[np.int64] | None = None
-    places_m: NDArray[Any] | None = None
-    directions: NDArray[Any] | None = None
+    shares: AnyArray | None = None
+    right: Int64 | None = None
+    places_m: AnyArray | None = None
+    directions: AnyArray | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class _Canvas:
     """A cell from above; ``per_m`` pixels a metre."""
 
-    pixels: Picture
+    pixels: Float32
     per_m: float
 
     def at(self, x_m: float, y_m: float) -> tuple[int, int]:
@@ -65,7 +63,7 @@ class _Canvas:
         self.fill(row - 5, column - 1, row + 5, column, colour)
         self.fill(row - 1, column - 5, row, column + 5, colour)
 
-    def line(self, x_m: float, y_m: float, along: NDArray[Any], colour: Any) -> None:
+    def line(self, x_m: float, y_m: float, along: AnyArray, colour: Any) -> None:
         """Draw a direction from a place."""
         length = float(np.hypot(*along)) or 1.0
         for step in np.linspace(0, 0.02, 40):
@@ -76,15 +74,15 @@ class _Canvas:
 def draw(
     pool: Any,
     number: int,
-    placement: NDArray[np.float64],
-    sensor: NDArray[np.float64],
-    target: NDArray[np.float64],
-    felt: NDArray[np.float32],
+    placement: Float64,
+    sensor: Float64,
+    target: Float64,
+    felt: Float32,
     cell_m: tuple[float, float],
     window_m: tuple[float, float],
     shown: Shown,
     index: int,
-) -> NDArray[np.uint8]:
+) -> UInt8:
     """Draw one environment, (240, 336, 3) uint8.
 
     Mesh ``number`` of a pool lies at a placement (x, y, turn); ``felt`` is the picture of the sensor, and
@@ -113,7 +111,7 @@ def draw(
     return np.asarray(np.rint(np.clip(picture, 0, 1) * 255), np.uint8)
 
 
-def _panel(felt: NDArray[np.float32], shown: Shown, index: int) -> Picture:
+def _panel(felt: Float32, shown: Shown, index: int) -> Float32:
     """Draw what the sensor feels above the bars of a prediction."""
     panel = np.full((_SIDE_PX, _PANEL_PX, 3), _PANEL, np.float32)
     height, width = felt.shape[:2]

@@ -11,7 +11,6 @@ import ap_gym
 import gymnasium as gym
 import numpy as np
 from gymnasium.vector.utils import batch_space
-from numpy.typing import NDArray
 
 from realtouch.poses import Poses
 from tactile_envs.config import Config, Registered
@@ -21,6 +20,7 @@ from tactile_envs.meshes import MeshPool
 from tactile_envs.sensors import Camera
 from tactile_envs.tasks import EpisodeLog, Score, make_task
 from tactile_sim.pressing import center_view
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
 _TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of
@@ -28,7 +28,7 @@ _NO_DRIFT = np.zeros(3)
 _PARTS_A_THREAD = 8
 _PLACE = "initial_sensor_target_pose"
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
-Observation = dict[str, NDArray[Any]]
+Observation = dict[str, AnyArray]
 
 
 class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
@@ -113,8 +113,8 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._objects, self._upright = np.zeros((num_envs, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (num_envs, 1))
         self._upright.flags.writeable = False  # what poses of all steps share
         self._sensors, self._targets = np.zeros((num_envs, 3)), np.zeros((num_envs, 3))
-        self._felt: NDArray[np.float32] = np.zeros(0, np.float32)
-        self._predicted: tuple[NDArray[Any], NDArray[Any]] | None = None
+        self._felt: Float32 = np.zeros(0, np.float32)
+        self._predicted: tuple[AnyArray, AnyArray] | None = None
         self._score: Score | None = None
 
     def _start_threads(self) -> None:
@@ -187,9 +187,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._targets[:] = starts
         return self._touch()
 
-    def step(
-        self, action: Mapping[str, Any]
-    ) -> tuple[Observation, NDArray[Any], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
+    def step(self, action: Mapping[str, Any]) -> tuple[Observation, AnyArray, Bool, Bool, dict[str, Any]]:
         """Take one touch in every environment; see gymnasium for what is returned."""
         predictions = np.asarray(action["prediction"], np.float32)
         if predictions.shape != self.prediction_space.shape:
@@ -216,7 +214,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
 
     def _step(
         self, action: Mapping[str, Any], prediction: Any
-    ) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], dict[str, Any], NDArray[Any]]:
+    ) -> tuple[Observation, AnyArray, AnyArray, AnyArray, dict[str, Any], AnyArray]:
         if self._chosen[0] < 0:
             raise gym.error.ResetNeeded(_NOT_RESET)
         ways = np.ascontiguousarray(action["sensor_target_pos_rel"], np.float32)
@@ -264,7 +262,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
                 self._objects[i] = pose
         self._step_number, self._done, self._predicted = 0, False, None
 
-    def _starts(self) -> NDArray[np.float64]:
+    def _starts(self) -> Float64:
         """Draw where episodes begin, shape (n, 3)."""
         starts = np.zeros((self.num_envs, 3))
         if self.config.randomize_initial_sensor_pose:
@@ -307,12 +305,12 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         # Single precision at the start of an episode, as published.
         self._sensors[:, :2] = snapped if self._step_number else snapped.astype(np.float32)
 
-    def _feel(self, drift: NDArray[np.float64], *written: NDArray[Any]) -> None:
+    def _feel(self, drift: Float64, *written: AnyArray) -> None:
         """Bring the sensors down and let the objects slip; writes as :func:`touch`."""
         read = (self._window, self._motion, drift, self._pool.arrays, self._chosen)
         parts = iter(self._parts)  # threads share it: taking the next is one step for all of them
 
-        def run(room: NDArray[np.float32]) -> None:
+        def run(room: Float32) -> None:
             for part in parts:
                 touch(part.start, part.stop, *read, self._sensors, self._objects, room, *written)
 
@@ -330,9 +328,9 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             raise InputError(f"option {name!r} has {len(given)} entries; expected {self.num_envs}")
         return given
 
-    def _poses(self, options: Mapping[str, Any], name: str, count: int) -> list[NDArray[np.float64] | None]:
+    def _poses(self, options: Mapping[str, Any], name: str, count: int) -> list[Float64 | None]:
         """Return the first so many numbers that are given for each environment, or None."""
-        found: list[NDArray[np.float64] | None] = []
+        found: list[Float64 | None] = []
         for given in self._given(options, name):
             numbers = None if given is None else np.asarray(given, np.float64).reshape(-1)[:count]
             if numbers is not None and not (len(numbers) == count and np.isfinite(numbers).all()):
@@ -340,7 +338,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             found.append(numbers)
         return found
 
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+    def render(self) -> tuple[UInt8, ...] | None:
         """Return a picture of each environment, (240, 336, 3) uint8; None without a render mode.
 
         The cell from above with the object where the next touch finds it, a frame around what the sensor
@@ -377,7 +375,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             self._threads.shutdown()
 
     @property
-    def sensor_pos_limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def sensor_pos_limits(self) -> tuple[Float64, Float64]:
         """Lowest and highest position of the sensor, metres; its height is observed between those, too."""
         return self._low, self._high
 
@@ -387,7 +385,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         return tuple(self._records[int(number)] for number in self._chosen)
 
     @property
-    def current_data_point_indices(self) -> NDArray[np.int64]:
+    def current_data_point_indices(self) -> Int64:
         """Numbers of these records in their data set, shape (n,)."""
         return self._chosen.copy()
 
@@ -428,7 +426,7 @@ class TactileEnv(ap_gym.ActivePerceptionVectorToSingleWrapper):  # type: ignore[
         observation, reward, terminated, truncated, info = super().step(action)
         return observation, float(reward), bool(terminated), bool(truncated), info
 
-    def render(self) -> NDArray[np.uint8] | None:
+    def render(self) -> UInt8 | None:
         """Return a picture, (240, 336, 3) uint8; None without a render mode."""
         pictures = self.vector_env.render()
         return None if pictures is None else pictures[0]

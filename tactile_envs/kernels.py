@@ -15,8 +15,8 @@ import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64
 from tactile_toolkit.mesh import compiled
 
 LANES = 8
@@ -100,7 +100,7 @@ _EDGE_PX = 1e-6
 _SLACK = 2e-6
 
 
-Pool = tuple[NDArray[np.float32], NDArray[Any], NDArray[np.int32], NDArray[np.float64]]
+Pool = tuple[Float32, AnyArray, Int32, Float64]
 """Vertices, faces, starts and grids of a :class:`tactile_envs.meshes.MeshPool`."""
 
 Placed = tuple[float, float, float, float, float]
@@ -108,7 +108,7 @@ Placed = tuple[float, float, float, float, float]
 
 
 @compiled
-def raise_object(heights: NDArray[np.float32], pool: Pool, number: int, placed: Placed) -> None:
+def raise_object(heights: Float32, pool: Pool, number: int, placed: Placed) -> None:
     """Raise pixels to the highest triangle of mesh ``number`` over each of them.
 
     ``heights``, shape (H, W + PADDING), metres above the plate, has its first row at the bottom; pixels look
@@ -135,9 +135,7 @@ def raise_object(heights: NDArray[np.float32], pool: Pool, number: int, placed: 
 
 
 @compiled
-def _corners_in_grid(
-    heights: NDArray[np.float32], grid: NDArray[np.float64], placed: Placed
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _corners_in_grid(heights: Float32, grid: Float64, placed: Placed) -> tuple[Float64, Float64]:
     """Return x and y of the corners of the window in the object's frame, from the corner of its grid on."""
     cosine, sine, x_px, y_px, px_per_m = placed
     rows, columns = heights.shape[0], heights.shape[1] - PADDING
@@ -152,9 +150,7 @@ def _corners_in_grid(
 
 
 @compiled
-def _extent_between(
-    corner_x: NDArray[np.float64], corner_y: NDArray[np.float64], from_y: float, to_y: float
-) -> tuple[float, float]:
+def _extent_between(corner_x: Float64, corner_y: Float64, from_y: float, to_y: float) -> tuple[float, float]:
     """Return least and greatest x of the part of a convex polygon between two heights."""
     least, most = np.inf, -np.inf
     for corner in range(4):
@@ -173,9 +169,7 @@ def _extent_between(
 
 
 @compiled
-def _raise_run(
-    heights: NDArray[np.float32], pool: Pool, number: int, first: int, last: int, placed: Placed
-) -> None:
+def _raise_run(heights: Float32, pool: Pool, number: int, first: int, last: int, placed: Placed) -> None:
     """Raise pixels to some triangles, all of which face upwards."""
     vertices, faces, _, grids = pool
     first_vertex, pixels = int(grids[number, 0]), heights.reshape(heights.size)
@@ -227,7 +221,7 @@ def _raise_run(
 
 
 @compiled
-def _in_window(vertices: NDArray[np.float32], vertex: np.int64, placed: Placed) -> tuple[float, float]:
+def _in_window(vertices: Float32, vertex: np.int64, placed: Placed) -> tuple[float, float]:
     """Return column and row of a vertex."""
     cosine, sine, x_px, y_px, px_per_m = placed
     turn_x, turn_y = cosine * px_per_m, sine * px_per_m
@@ -237,11 +231,11 @@ def _in_window(vertices: NDArray[np.float32], vertex: np.int64, placed: Placed) 
 
 @compiled
 def aim(
-    actions: NDArray[np.float32],
-    motion: NDArray[np.float64],
-    sensors: NDArray[np.float64],
-    targets: NDArray[np.float64],
-    costs: NDArray[np.float32],
+    actions: Float32,
+    motion: Float64,
+    sensors: Float64,
+    targets: Float64,
+    costs: Float32,
 ) -> None:
     """Turn actions (n, 3) into targets (n, 3), metres, and what they cost, (n,).
 
@@ -264,18 +258,18 @@ def aim(
 def touch(
     begin: int,
     end: int,
-    window: NDArray[np.float64],
-    motion: NDArray[np.float64],
-    drift: NDArray[np.float64],
+    window: Float64,
+    motion: Float64,
+    drift: Float64,
     pool: Pool,
-    chosen: NDArray[np.int64],
-    sensors: NDArray[np.float64],
-    objects: NDArray[np.float64],
-    heights: NDArray[np.float32],
-    images: NDArray[np.float32],
-    depths: NDArray[np.float32],
-    positions: NDArray[np.float32],
-    is_bare: NDArray[np.bool_],
+    chosen: Int64,
+    sensors: Float64,
+    objects: Float64,
+    heights: Float32,
+    images: Float32,
+    depths: Float32,
+    positions: Float32,
+    is_bare: Bool,
 ) -> None:
     """Bring sensors down where they are, and let the objects slip: for environments begin to end.
 
@@ -310,7 +304,7 @@ def touch(
 
 
 @compiled
-def _highest(heights: NDArray[np.float32], greatest: NDArray[np.float32]) -> np.float32:
+def _highest(heights: Float32, greatest: Float32) -> np.float32:
     """Return the greatest height of the columns that ``greatest`` has room for, 0 at least."""
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
     greatest[:] = 0.0
@@ -323,9 +317,7 @@ def _highest(heights: NDArray[np.float32], greatest: NDArray[np.float32]) -> np.
 
 
 @compiled
-def _show(
-    image: NDArray[np.float32], heights: NDArray[np.float32], highest: np.float32, press_m: float
-) -> None:
+def _show(image: Float32, heights: Float32, highest: np.float32, press_m: float) -> None:
     """Draw the depth image: 0 where the gel is pressed in most, 1 where it is not."""
     rows, columns = image.shape
     scale, top = np.float32(1.0 / press_m), np.float32(1.0)
@@ -340,9 +332,7 @@ def _show(
 
 
 @compiled
-def _measure(
-    far: NDArray[np.float32], heights: NDArray[np.float32], highest: np.float32, press_m: float
-) -> None:
+def _measure(far: Float32, heights: Float32, highest: np.float32, press_m: float) -> None:
     """Write distances from the gel's camera, metres."""
     rows, columns = far.shape
     press = np.float32(press_m)
@@ -354,13 +344,13 @@ def _measure(
 
 @compiled
 def place(
-    numbers: NDArray[np.int64],
-    drawn: NDArray[np.float64],
+    numbers: Int64,
+    drawn: Float64,
     most_turn_rad: float,
-    room: NDArray[np.float64],
-    hulls: NDArray[np.float32],
-    grids: NDArray[np.float64],
-    objects: NDArray[np.float64],
+    room: Float64,
+    hulls: Float32,
+    grids: Float64,
+    objects: Float64,
 ) -> None:
     """Lay objects into their cells, inside of ``room`` (half of width and depth), as numbers (n, 3) say.
 
@@ -382,9 +372,7 @@ def place(
 
 
 @compiled
-def classify(
-    logits: NDArray[np.float32], labels: NDArray[np.int64]
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def classify(logits: Float32, labels: Int64) -> tuple[Float64, Bool]:
     """Return cross entropies of logits (n, classes), and whether the label has the first of the greatest."""
     entropies, is_right = np.empty(len(logits)), np.empty(len(logits), np.bool_)
     for i in range(len(logits)):
@@ -401,9 +389,7 @@ def classify(
 
 
 @compiled
-def spread_of_turned(
-    hull: NDArray[np.float32], cosine: float, sine: float
-) -> tuple[float, float, float, float]:
+def spread_of_turned(hull: Float32, cosine: float, sine: float) -> tuple[float, float, float, float]:
     """Return least and greatest x and y of turned points (n, 2)."""
     least_x, least_y, most_x, most_y = np.inf, np.inf, -np.inf, -np.inf
     for point in range(len(hull)):

@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import IO, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
 from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import BusyError
 from tactile_toolkit.mesh import Mesh
@@ -39,7 +39,7 @@ _FORMAT = 2
 _CHECKSUM_BYTES = 16
 _LOG = logging.getLogger(__name__)
 
-Parts = list[NDArray[Any]]
+Parts = list[AnyArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +64,12 @@ class MeshPool:
         For each mesh what :data:`FACTS` names.
     """
 
-    vertices: NDArray[np.float32]
-    faces: NDArray[Any]
-    starts: NDArray[np.int32]
-    hulls: NDArray[np.float32]
-    grids: NDArray[np.float64]
-    facts: NDArray[np.float64]
+    vertices: Float32
+    faces: AnyArray
+    starts: Int32
+    hulls: Float32
+    grids: Float64
+    facts: Float64
 
     @classmethod
     def of(cls, records: Sequence[Any]) -> MeshPool:
@@ -104,17 +104,17 @@ class MeshPool:
     def __len__(self) -> int:
         return len(self.grids)
 
-    def fact(self, name: str) -> NDArray[np.float64]:
+    def fact(self, name: str) -> Float64:
         """Return a column of the facts."""
         return np.ascontiguousarray(self.facts[:, FACTS.index(name)])
 
-    def hull(self, number: int) -> NDArray[np.float32]:
+    def hull(self, number: int) -> Float32:
         """Return the hull of a mesh seen from above, shape (h, 2)."""
         first, last = self.grids[number, 10:12]
         return self.hulls[int(first) : int(last)]
 
     @property
-    def arrays(self) -> tuple[NDArray[np.float32], NDArray[Any], NDArray[np.int32], NDArray[np.float64]]:
+    def arrays(self) -> tuple[Float32, AnyArray, Int32, Float64]:
         """What :func:`tactile_envs.kernels.touch` takes."""
         return self.vertices, self.faces, self.starts, self.grids
 
@@ -150,7 +150,7 @@ def _parts_of(records: Iterable[Any]) -> list[Parts]:
     return columns
 
 
-def _packed(vertices_m: NDArray[np.float32], faces: NDArray[Any]) -> Parts:
+def _packed(vertices_m: Float32, faces: AnyArray) -> Parts:
     """Return vertices, faces, starts, hull and grid of one mesh."""
     from scipy.spatial import ConvexHull
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_sim.optics import make_optics
 from tactile_sim.pressing import center_view
+from tactile_toolkit.array_types import Bool, Float32
 
 Size = tuple[int, int]
 _OPTICS = {"taxim": "taxim", "cycle_gan": "cyclegan"}
@@ -37,9 +37,7 @@ class Camera:
             plate = np.full((1, height, width), self._sensor.press_m)
             self._bare = self._optics.shades(plate, self._sensor, size)[0]
 
-    def pictures(
-        self, images: NDArray[np.float32], depths_m: NDArray[np.float32], is_bare: NDArray[np.bool_]
-    ) -> NDArray[np.float32]:
+    def pictures(self, images: Float32, depths_m: Float32, is_bare: Bool) -> Float32:
         """Return pictures (n, H, W, channels), 0 to 1, of depth images and depth (n, h, w), metres.
 
         ``is_bare``: where the plate alone was met, of which all pictures are alike.

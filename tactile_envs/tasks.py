@@ -13,24 +13,22 @@ from typing import Any
 import ap_gym
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtri, softmax
 
 from tactile_envs.config import Config, Registered
 from tactile_envs.drawing import Shown
 from tactile_envs.kernels import classify, spread_of_turned
 from tactile_envs.meshes import MeshPool
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
-
-Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Score:
     """Loss of predictions, shape (n,), and what else is measured of them."""
 
-    loss: NDArray[np.floating]
-    metrics: dict[str, NDArray[Any]]
+    loss: Floating
+    metrics: dict[str, AnyArray]
 
 
 def make_task(registered: Registered, config: Config, pool: MeshPool, classes: int) -> Task:
@@ -54,18 +52,18 @@ class Classification:
         self.loss_fn = ap_gym.CrossEntropyLossFn(num_classes=classes).normalized
         self._scale = 1.0 / math.log(classes)
 
-    def targets(self, chosen: NDArray[np.int64], objects: Numbers) -> NDArray[np.int64]:
+    def targets(self, chosen: Int64, objects: Float64) -> Int64:
         """Return labels, shape (n,)."""
         return self._labels[chosen]
 
-    def score(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Score:
+    def score(self, predictions: AnyArray, targets: AnyArray) -> Score:
         """Score logits, shape (n, classes)."""
         entropies, is_right = classify(np.ascontiguousarray(predictions, np.float32), targets)
         certainty = np.exp(-entropies).astype(np.float32)
         metrics = {"correct_label_prob": certainty, "accuracy": is_right.astype(np.float32)}
         return Score(entropies * self._scale, metrics)
 
-    def shown(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Shown:
+    def shown(self, predictions: AnyArray, targets: AnyArray) -> Shown:
         """Show the probability of each class."""
         return Shown(shares=softmax(predictions, axis=1), right=targets)
 
@@ -78,7 +76,7 @@ class _Regression:
         self.loss_fn = ap_gym.MSELossFn(target_std=target_std).normalized
         self._scale = 1.0 / float(np.mean(np.asarray(target_std) ** 2))
 
-    def score(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Score:
+    def score(self, predictions: AnyArray, targets: AnyArray) -> Score:
         """Score predictions, shape (n, k)."""
         off = targets - predictions
         square = off * off
@@ -87,7 +85,7 @@ class _Regression:
         metrics = {"euclidean_distance": distance, "mse": mean_square, **self._measured(predictions, targets)}
         return Score(mean_square * self._scale, metrics)
 
-    def _measured(self, predictions: NDArray[Any], targets: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    def _measured(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
         raise NotImplementedError
 
 
@@ -104,16 +102,16 @@ class Volume(_Regression):
         super().__init__(gym.spaces.Box(low, high, shape=(1,)), 1.0)
         self._normalized = ((volumes_m3.astype(np.float32) - self._mean_m3) / self._std_m3)[:, None]
 
-    def targets(self, chosen: NDArray[np.int64], objects: Numbers) -> NDArray[np.float32]:
+    def targets(self, chosen: Int64, objects: Float64) -> Float32:
         """Return volumes, shape (n, 1)."""
         return self._normalized[chosen]
 
-    def shown(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Shown:
+    def shown(self, predictions: AnyArray, targets: AnyArray) -> Shown:
         """Show the volume that is predicted above the true one, as parts of the largest."""
         both = np.concatenate([predictions, targets], axis=1) * self._std_m3 + self._mean_m3
         return Shown(shares=both / self._most_m3, right=np.ones(len(both), np.int64))
 
-    def _measured(self, predictions: NDArray[Any], targets: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    def _measured(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
         found_m3, true_m3 = (each[:, 0] * self._std_m3 + self._mean_m3 for each in (predictions, targets))
         return {
             "abs_error_cm3": np.abs(found_m3 - true_m3) * 1e6,
@@ -141,7 +139,7 @@ class ObjectPose(_Regression):
         limits = np.array(bound, np.float32)
         super().__init__(gym.spaces.Box(-limits, limits), np.sqrt(self._variances(pool, config)))
 
-    def targets(self, chosen: NDArray[np.int64], objects: Numbers) -> Numbers:
+    def targets(self, chosen: Int64, objects: Float64) -> Float64:
         """Return positions, and directions where these are asked for, shape (n, 2 or 4)."""
         cosine, sine = np.cos(objects[:, 2]), np.sin(objects[:, 2])
         x, y = self._centres_m[chosen].T
@@ -152,12 +150,12 @@ class ObjectPose(_Regression):
             found[:, 2], found[:, 3] = cosine, sine
         return found
 
-    def shown(self, predictions: NDArray[Any], targets: NDArray[Any]) -> Shown:
+    def shown(self, predictions: AnyArray, targets: AnyArray) -> Shown:
         """Show where the object is thought to be."""
         directions = predictions[:, 2:] if self._has_direction else None
         return Shown(places_m=predictions[:, :2] * self._half_cell_m, directions=directions)
 
-    def _measured(self, predictions: NDArray[Any], targets: NDArray[Any]) -> dict[str, NDArray[Any]]:
+    def _measured(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
         off_m = (predictions[:, :2] - targets[:, :2]) * self._half_cell_m
         measured = {"linear_error": np.sqrt((off_m * off_m).sum(axis=1))}
         if self._has_direction:
@@ -168,7 +166,7 @@ class ObjectPose(_Regression):
             measured["angular_error"] = np.arccos(np.clip(aligned, -1.0, 1.0))
         return measured
 
-    def _variances(self, pool: MeshPool, config: Config) -> Numbers:
+    def _variances(self, pool: MeshPool, config: Config) -> Float64:
         """Return the variance of each target over all objects and places where they may lie at first."""
         turns_rad = np.linspace(-1.0, 1.0, 16) * config.max_initial_angle_perturbation
         means, spreads = np.empty((len(pool), 2)), np.empty((len(pool), 2))
@@ -190,7 +188,7 @@ Task = Classification | Volume | ObjectPose
 """What is to be predicted of objects."""
 
 
-def placements_m(hull: NDArray[np.float32], turn_rad: float, config: Config) -> tuple[Numbers, Numbers]:
+def placements_m(hull: Float32, turn_rad: float, config: Config) -> tuple[Float64, Float64]:
     """Return the lowest and highest position, (2,) each, metres, of a turned object inside the cell.
 
     Where the object does not fit, both are the middle.
@@ -213,9 +211,9 @@ class EpisodeLog:
     def __init__(self, num_envs: int, step_limit: int) -> None:
         self._num_envs = num_envs
         self._step_limit = step_limit
-        self._values: dict[str, NDArray[np.float32]] = {}
+        self._values: dict[str, Float32] = {}
 
-    def add(self, step: int, metrics: Mapping[str, NDArray[Any]]) -> None:
+    def add(self, step: int, metrics: Mapping[str, AnyArray]) -> None:
         """Note the metrics of a step, counted from 0, of an array (n,) each."""
         for name, values in metrics.items():
             if name not in self._values:
@@ -239,7 +237,7 @@ class EpisodeLog:
         return {"scalar": scalar, "_scalar": done, "vector": vector, "_vector": done}
 
 
-def _turning_points(is_right: NDArray[np.bool_]) -> dict[str, Any]:
+def _turning_points(is_right: Bool) -> dict[str, Any]:
     """Return the first step that was right and the last that was wrong, and where there is one."""
     ever, always = is_right.any(axis=0), is_right.all(axis=0)
     last_wrong = len(is_right) - 1 - np.argmin(is_right[::-1], axis=0)

@@ -7,12 +7,12 @@ from itertools import islice
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_sim.columns import TouchRow
 from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
 from tactile_toolkit import cards, store
+from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.pictures import Tile, in_rows, png_bytes, sheet
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.touch import decode_image, height_text, missed_text
@@ -31,7 +31,7 @@ def sheet_png(rows: Sequence[tuple[str, Any]]) -> bytes:
     return png_bytes(sheet(tiles, columns, row_labels=words, gap_px=2, margin_px=2))
 
 
-def _shown(picture: NDArray[Any]) -> NDArray[np.uint8]:
+def _shown(picture: AnyArray) -> UInt8:
     if picture.ndim == 2:
         picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
     times, step = -(-_TILE_PX // picture.shape[1]), max(1, picture.shape[1] // _TILE_PX)

@@ -11,7 +11,6 @@ from importlib.util import find_spec
 from typing import Any, Literal, Unpack
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_sim.columns import DRAWN, TouchRow, touch_schema
 from tactile_sim.kind import KIND
@@ -19,7 +18,6 @@ from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.optics import OPTICS, Optics, make_optics
 from tactile_sim.plan import content_fingerprint, generator, on_object, open_split, plan_round
 from tactile_sim.pressing import (
-    Matrix,
     Pressable,
     Sensor,
     center_view,
@@ -30,6 +28,7 @@ from tactile_sim.pressing import (
 )
 from tactile_sim.spec import WINDOWS, PictureOptions, TouchPlan
 from tactile_toolkit import catalog, making, store
+from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MeshLike, SolidDataset
@@ -313,9 +312,7 @@ def _make_row(
     )
 
 
-def noisy(
-    spec: GenerateSpec, pictures: NDArray[np.uint8], split: str, object_id: int, number: int
-) -> NDArray[np.uint8]:
+def noisy(spec: GenerateSpec, pictures: UInt8, split: str, object_id: int, number: int) -> UInt8:
     """Return the pictures of a round with the noise of the specification, which is drawn for it alone."""
     if spec.noise is None:
         return pictures
@@ -404,10 +401,10 @@ class Look:
         Least, then greatest x and y of the object as it stands, metres, cell frame.
     """
 
-    picture: NDArray[np.uint8]
+    picture: UInt8
     sensor_z_m: float
     contact: float
-    bounds_m: NDArray[np.float64]
+    bounds_m: Float64
 
 
 def look(mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, turn_rad: float = 0.0) -> Look:
@@ -434,6 +431,6 @@ def look(mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, t
     return Look(picture, pressed.sensor_z_m, touched, _bounds_m(solid, stands))
 
 
-def _bounds_m(solid: Pressable, stands: Matrix) -> NDArray[np.float64]:
+def _bounds_m(solid: Pressable, stands: Float64) -> Float64:
     corners_m = solid.vertices_m @ stands[:2, :3].T + stands[:2, 3]
     return np.array([corners_m.min(axis=0), corners_m.max(axis=0)])

@@ -9,11 +9,9 @@ import math
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
 from tactile_toolkit.mesh import compiled
-
-Numbers: TypeAlias = NDArray[np.float64]
 
 _EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
 
@@ -23,7 +21,7 @@ Point: TypeAlias = tuple[float, float, float]
 
 @compiled
 def rasterise(
-    out: Numbers, vertices: Numbers, faces: NDArray[np.int32], blocks: Numbers, affine: Numbers, layers: Any
+    out: Float64, vertices: Float64, faces: Int32, blocks: Float64, affine: Float64, layers: Any
 ) -> None:
     """Raise each pixel of ``out`` to the highest triangle over it that faces upwards.
 
@@ -65,12 +63,12 @@ def rasterise(
 
 
 @compiled
-def _length(row: Numbers) -> float:
+def _length(row: Float64) -> float:
     return math.sqrt(row[0] * row[0] + row[1] * row[1] + row[2] * row[2])
 
 
 @compiled
-def _mapped(affine: Numbers, points: Numbers, index: int) -> Point:
+def _mapped(affine: Float64, points: Float64, index: int) -> Point:
     x, y, z = points[index, 0], points[index, 1], points[index, 2]
     return (
         ((affine[0, 0] * x + affine[0, 1] * y) + affine[0, 2] * z) + affine[0, 3],
@@ -81,7 +79,7 @@ def _mapped(affine: Numbers, points: Numbers, index: int) -> Point:
 
 @compiled
 def _raise_rows(
-    out: Numbers,
+    out: Float64,
     first_row: int,
     last_row: int,
     corners: tuple[Point, Point, Point],
@@ -122,7 +120,7 @@ def _raise_rows(
 
 
 @compiled
-def _run(a: Numbers, b: Numbers, c: Numbers, layers: Numbers) -> float:
+def _run(a: Float64, b: Float64, c: Float64, layers: Float64) -> float:
     """Return how far a triangle runs outwards for a step down."""
     abx, aby, abz = b[0] - a[0], b[1] - a[1], b[2] - a[2]
     acx, acy, acz = c[0] - a[0], c[1] - a[1], c[2] - a[2]
@@ -131,7 +129,7 @@ def _run(a: Numbers, b: Numbers, c: Numbers, layers: Numbers) -> float:
 
 
 @compiled
-def _layer_rise(height: float, run: float, layers: Numbers) -> float:
+def _layer_rise(height: float, run: float, layers: Float64) -> float:
     """Return how far above a point of the solid its layer ends; -inf where none does.
 
     In the section across the contour lines, with the point at the origin of the line of sight, ``across`` and
@@ -164,7 +162,7 @@ def _side(start_x: float, start_y: float, end_x: float, end_y: float) -> tuple[f
 
 
 @compiled
-def to_depth(heights_m: Numbers, image: NDArray[np.float32], press_m: float, gel_m: float) -> float:
+def to_depth(heights_m: Float64, image: Float32, press_m: float, gel_m: float) -> float:
     """Turn heights into depth, in place, and the depth image; return the greatest height, metres."""
     rows, columns = heights_m.shape
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
@@ -196,7 +194,7 @@ def _mirrored(place: int, count: int) -> int:
 
 
 @compiled
-def blur(image: Numbers, out: Numbers, between: Numbers, across: Numbers, down: Numbers) -> None:
+def blur(image: Float64, out: Float64, between: Float64, across: Float64, down: Float64) -> None:
     """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
 
     Pairs are added from the middle outwards, so the sums of a pixel have one order however many are done at
@@ -251,7 +249,7 @@ def _angle(y: float, x: float) -> float:
 
 
 @compiled
-def _dilated(mask: NDArray[np.bool_], wide: int, high: int) -> NDArray[np.bool_]:
+def _dilated(mask: Bool, wide: int, high: int) -> Bool:
     """Return where a window, which leans to the upper left where it is even, meets the mask."""
     rows, columns = mask.shape
     out = np.zeros_like(mask)
@@ -266,7 +264,7 @@ def _dilated(mask: NDArray[np.bool_], wide: int, high: int) -> NDArray[np.bool_]
     return out
 
 
-Pair: TypeAlias = tuple[Numbers, Numbers]
+Pair: TypeAlias = tuple[Float64, Float64]
 
 
 class Calibration(NamedTuple):
@@ -278,10 +276,10 @@ class Calibration(NamedTuple):
     the steps of directions and heights, and where heights begin.
     """
 
-    colours: Numbers
-    fan: NDArray[np.float32]
-    shadows: Numbers
-    shadow_lengths: NDArray[np.int64]
+    colours: Float64
+    fan: Float32
+    shadows: Float64
+    shadow_lengths: Int64
     pixel_mm: float
     width: int
     height: int
@@ -296,18 +294,18 @@ class Calibration(NamedTuple):
 class PictureTables(NamedTuple):
     """What follows from the size of a picture."""
 
-    gel_mm: Numbers
-    background: Numbers
+    gel_mm: Float64
+    background: Float64
     pyramid: tuple[Pair, ...]
     shadow_blur: Pair
-    windows: NDArray[np.int64]
-    shadow_step: NDArray[np.float32]
+    windows: Int64
+    shadow_step: Float32
 
 
 @compiled
 def _pressed_gel(
-    height_mm: Numbers, gel_mm: Numbers, contact_scale: float, pyramid: tuple[Pair, ...]
-) -> tuple[Numbers, NDArray[np.bool_]]:
+    height_mm: Float64, gel_mm: Float64, contact_scale: float, pyramid: tuple[Pair, ...]
+) -> tuple[Float64, Bool]:
     """Return the surface of the gel, which leaves the solid smoothly, and where it lies on the solid."""
     joined = np.minimum(height_mm, gel_mm)
     contact = (height_mm < 0.0) & (joined - gel_mm < height_mm.min() * contact_scale)
@@ -320,7 +318,7 @@ def _pressed_gel(
 
 
 @compiled
-def _slopes(soft: Numbers, per_row: float, per_column: float, flat_slope: float) -> tuple[Numbers, Numbers]:
+def _slopes(soft: Float64, per_row: float, per_column: float, flat_slope: float) -> tuple[Float64, Float64]:
     """Return slope and direction at the inner pixels; those at the edge take those of their neighbours."""
     rows, columns = soft.shape
     slope, direction = np.empty((rows, columns)), np.empty((rows, columns))
@@ -345,7 +343,7 @@ def _slopes(soft: Numbers, per_row: float, per_column: float, flat_slope: float)
 
 
 @compiled
-def _shades(slope: Numbers, direction: Numbers, tables: Calibration) -> Numbers:
+def _shades(slope: Float64, direction: Float64, tables: Calibration) -> Float64:
     """Return the colours (3, H, W) of the calibration for slopes in their place.
 
     Directions are rounded up as in single precision: the last bin of the package holds those of pi alone, and
@@ -373,10 +371,10 @@ def _shades(slope: Numbers, direction: Numbers, tables: Calibration) -> Numbers:
 
 @compiled
 def _cast_shadows(
-    shade: Numbers,
-    soft: Numbers,
-    direction: Numbers,
-    sources: NDArray[np.bool_],
+    shade: Float64,
+    soft: Float64,
+    direction: Float64,
+    sources: Bool,
     tables: Calibration,
     picture: PictureTables,
 ) -> None:
@@ -412,9 +410,7 @@ def _cast_shadows(
 
 
 @compiled
-def render_taxim(
-    out: NDArray[np.float32], heights_mm: Numbers, tables: Calibration, picture: PictureTables
-) -> None:
+def render_taxim(out: Float32, heights_mm: Float64, tables: Calibration, picture: PictureTables) -> None:
     """Render pictures (n, H, W, 3), 0 to 1, of heights over the gel, mm; see :mod:`tactile_sim.optics`."""
     rows, columns = heights_mm.shape[1:]
     per_row = rows / float(tables.height) / 2.0 / tables.pixel_mm

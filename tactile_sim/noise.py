@@ -17,12 +17,10 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import Float32, Float64, UInt8
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
-
-Numbers = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,11 +93,11 @@ class SensorNoise:
 
 
 def add_noise(
-    pictures: NDArray[np.uint8],
+    pictures: UInt8,
     noise: SensorNoise,
     round_rng: np.random.Generator,
     touch_rng: Callable[[int], np.random.Generator],
-) -> NDArray[np.uint8]:
+) -> UInt8:
     """Return the pictures of a round, (T, H, W, 3), uint8, with noise; draws as the package draws.
 
     ``round_rng`` gives gain, offset and pattern, in this order; ``touch_rng(i)`` the noise of picture i.
@@ -119,7 +117,7 @@ def add_noise(
 
 def draw_noise(
     noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+) -> tuple[Float32, Float32]:
     """Draw the noise of pictures (n, H, W, C), each of a round of its own: gain (n,), and what is added."""
     gains, added = [], []
     for _ in range(shape[0]):
@@ -131,7 +129,7 @@ def draw_noise(
 
 def _of_round(
     noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]
-) -> tuple[float, float, Numbers]:
+) -> tuple[float, float, Float64]:
     gain = 1 + rng.normal(scale=noise.episode_gain_std)
     offset = rng.normal(scale=noise.episode_offset_std)
     field = _field(
@@ -140,12 +138,12 @@ def _of_round(
     return gain, offset, noise.episode_pattern_std * field
 
 
-def _of_touch(noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]) -> Numbers:
+def _of_touch(noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]) -> Float64:
     exponent, correlation = noise.frame_noise_spectrum_exponent, noise.frame_noise_channel_correlation
     return noise.frame_noise_std * _field(rng, shape, exponent, correlation)
 
 
-def _field(rng: np.random.Generator, shape: tuple[int, ...], exponent: float, correlation: float) -> Numbers:
+def _field(rng: np.random.Generator, shape: tuple[int, ...], exponent: float, correlation: float) -> Float64:
     """Draw a field (H, W, C) of deviation 1: a share that is common to all colours, and one of each."""
     from scipy.fft import irfft2, rfft2
 
@@ -159,7 +157,7 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], exponent: float, co
 
 
 @cache
-def _amplitudes(height: int, width: int, exponent: float) -> Numbers:
+def _amplitudes(height: int, width: int, exponent: float) -> Float64:
     """Return factors (H, W // 2 + 1) of the spectrum of white noise, whose mean stays 0 and deviation 1."""
     across, down = np.fft.fftfreq(width) * width, np.fft.fftfreq(height) * height
     frequency = np.hypot(down[:, None], across[None])

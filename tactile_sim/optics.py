@@ -19,10 +19,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_sim.pressing import Sensor, depth_image
 from tactile_toolkit.arithmetic import cosine_sine, exp_neg
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch import resized
@@ -32,10 +32,8 @@ if TYPE_CHECKING:
 
 __all__ = ["OPTICS", "Optics", "make_optics", "scaled"]
 
-Numbers = NDArray[np.float64]
 
-
-def scaled(pictures: NDArray[np.uint8], size_px: tuple[int, int]) -> NDArray[np.uint8]:
+def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
     """Scale pictures (n, H, W, 3) to the size that is wanted, where they have another."""
     width, height = size_px
     if pictures.shape[1:3] == (height, width):
@@ -59,13 +57,13 @@ class Optics(ABC):
         return width, height
 
     @abstractmethod
-    def shades(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.float32]:
+    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
         """Return shades from 0 to 1, float32, (n, H, W, 3), of depth maps (n, h, w), metres.
 
         In the size asked for where the optics scale shades themselves, and in that of the maps otherwise.
         """
 
-    def render(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.uint8]:
+    def render(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> UInt8:
         """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres."""
         levels = np.rint(self.shades(depth_m, sensor, size_px) * np.float32(255))
         return scaled(np.asarray(levels, np.uint8), size_px)
@@ -74,7 +72,7 @@ class Optics(ABC):
 class DepthOptics(Optics):
     """The depth image itself, grey: black deepest in the gel, white no contact."""
 
-    def shades(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.float32]:
+    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
         """Return the depth image in red, green and blue."""
         return np.repeat(depth_image(depth_m, sensor)[..., None], 3, axis=-1)
 
@@ -126,7 +124,7 @@ class TaximOptics(Optics):
     def __init__(self) -> None:
         self._calibration = _taxim().calibration
 
-    def shades(self, depth_m: Numbers, sensor: Sensor, size_px: tuple[int, int]) -> NDArray[np.float32]:
+    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
         """Return shades of red, green and blue, in the size of the depth maps."""
         from tactile_sim.kernels import render_taxim
 
@@ -143,8 +141,8 @@ class _Taxim:
 
     calibration: Calibration
     settings: dict[str, Any]
-    gel_mm: Numbers
-    background: Numbers
+    gel_mm: Float64
+    background: Float64
 
 
 @cache
@@ -193,8 +191,8 @@ def _taxim() -> _Taxim:
 
 
 def _shadow_tables(
-    simulator: Mapping[str, Any], directions: Numbers, lists: NDArray[Any]
-) -> tuple[NDArray[np.float32], Numbers, NDArray[np.int64]]:
+    simulator: Mapping[str, Any], directions: Float64, lists: AnyArray
+) -> tuple[Float32, Float64, Int64]:
     """Return the rays of each direction, and the shadows, which are lists by colour, direction and height."""
     rays = int(simulator["fan_angle"] * 2 / simulator["fan_precision"])
     spread = np.linspace(-simulator["fan_angle"], simulator["fan_angle"], rays)
@@ -235,12 +233,12 @@ def _picture_tables(height: int, width: int) -> PictureTables:
     )
 
 
-def _kernels(sigmas: Any, height: int, width: int) -> tuple[Numbers, Numbers]:
+def _kernels(sigmas: Any, height: int, width: int) -> tuple[Float64, Float64]:
     """Return halves of the Gaussian kernels across and down, from the middle on."""
     return _half_kernel(sigmas[0] * width), _half_kernel(sigmas[1] * height)
 
 
-def _half_kernel(sigma_px: float) -> Numbers:
+def _half_kernel(sigma_px: float) -> Float64:
     # The outermost weight is about 1e-5, as in the package.
     taps = np.round(np.sqrt(-2 * np.log(1e-5 * np.sqrt(2 * np.pi) * sigma_px)) * sigma_px)
     half = int(taps) // 2
@@ -253,7 +251,7 @@ def _half_kernel(sigma_px: float) -> Numbers:
     return np.asarray(weights / total)
 
 
-def _blurred(image: Numbers, kernels: tuple[Numbers, Numbers]) -> Numbers:
+def _blurred(image: Float64, kernels: tuple[Float64, Float64]) -> Float64:
     from tactile_sim.kernels import blur
 
     out = np.empty_like(image)
@@ -261,12 +259,12 @@ def _blurred(image: Numbers, kernels: tuple[Numbers, Numbers]) -> Numbers:
     return out
 
 
-def _resized(image: Numbers, height: int, width: int) -> Numbers:
+def _resized(image: Float64, height: int, width: int) -> Float64:
     """Scale a map as the package's ``jax.image.resize(..., "linear")`` does: by triangles."""
     return _resized_rows(_resized_rows(image, height).T, width).T
 
 
-def _resized_rows(image: Numbers, rows: int) -> Numbers:
+def _resized_rows(image: Float64, rows: int) -> Float64:
     scale = len(image) / rows
     reach = max(scale, 1.0)
     centre = (np.arange(rows) + 0.5) * scale - 0.5

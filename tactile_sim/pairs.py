@@ -16,7 +16,6 @@ from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
@@ -24,6 +23,7 @@ from tactile_sim.plan import content_fingerprint, key_of, open_split, plan_round
 from tactile_sim.pressing import Pressable, Sensor, center_view, full_view, render_touch
 from tactile_sim.spec import WINDOWS, PairsSpec, TouchPlan
 from tactile_toolkit import catalog, making, mesh, places, read, store
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.rows import column, plain_schema, row
@@ -69,7 +69,7 @@ def pair_schema(class_names: tuple[str, ...]) -> pa.Schema:
     return with_features(plain_schema(PairRow), class_names)
 
 
-def encode_depth(image: NDArray[np.float32]) -> bytes:
+def encode_depth(image: Float32) -> bytes:
     """Encode a depth image, 0 to 1, as a grey PNG of 16 bits; a level surface, all zeros, as no contact."""
     from PIL import Image
 
@@ -80,7 +80,7 @@ def encode_depth(image: NDArray[np.float32]) -> bytes:
     return stream.getvalue()
 
 
-def decode_depth(data: bytes) -> NDArray[np.float32]:
+def decode_depth(data: bytes) -> Float32:
     """Decode a PNG of :func:`encode_depth` to a depth image, 0 to 1; ValueError for other pictures."""
     from PIL import Image
 
@@ -107,26 +107,26 @@ class Domain:
         return len(self.table)
 
     @cached_property
-    def labels(self) -> NDArray[np.int64]:
+    def labels(self) -> Int64:
         """Class of each object, shape (n,)."""
         return np.asarray(self.table.column("label"), np.int64)
 
     @cached_property
-    def object_ids(self) -> NDArray[np.int64]:
+    def object_ids(self) -> Int64:
         """Object of each touch, shape (n,)."""
         return np.asarray(self.table.column("object_id"), np.int64)
 
     @cached_property
-    def contact(self) -> NDArray[np.bool_]:
+    def contact(self) -> Bool:
         """Whether each touch met its object, shape (n,)."""
         return np.asarray(self.table.column("contact"), bool)
 
-    def image(self, row: int) -> NDArray[Any]:
+    def image(self, row: int) -> AnyArray:
         """Decode a picture: depth float32 (H, W), touches uint8 (H, W, 3); IntegrityError if damaged."""
         group, index = self.table.locate(row)
         data = group.table.column("sensor_image")[index].as_py()["bytes"]
         try:
-            image: NDArray[Any] = decode_depth(data) if self.is_depth else decode_image(data)
+            image: AnyArray = decode_depth(data) if self.is_depth else decode_image(data)
             width, height = image.shape[1::-1]
             if (width, height) != self.size_px:
                 problem = (
@@ -139,7 +139,7 @@ class Domain:
             ) from error
         return image
 
-    def images(self, rows: Sequence[int] | NDArray[np.int64]) -> NDArray[Any]:
+    def images(self, rows: Sequence[int] | Int64) -> AnyArray:
         """Decode several pictures."""
         return np.stack([self.image(int(row)) for row in rows])
 
@@ -307,7 +307,7 @@ class PairsMaking(making.Making):
         return {"touches": len(rows), "on_object": sum(row.contact for row in rows)}
 
 
-def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> NDArray[np.float32]:
+def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
     """Return the depth image of one touch: the first of some places in the cell that meets the object."""
     sensor, least_m = _sensor(spec.window, spec.size_px), spec.min_height_m
     assert least_m is not None, "a plan has the rule of the real touches"
@@ -332,7 +332,7 @@ def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> 
 def _draw(touches: Any, spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
     """Draw touches with and without contact, each once, and spread those without as in the other split."""
     has_poses = not set(_POSES).isdisjoint(touches.column_names)
-    heights_m: NDArray[np.float64] = touches.heights_m() if has_poses else np.zeros(0)
+    heights_m: Float64 = touches.heights_m() if has_poses else np.zeros(0)
     assert spec.min_height_m is not None, "a plan has the rule of the real touches"
     contact = heights_m >= spec.min_height_m if has_poses else _contacts_by_image(touches).contact
     # A seed here, where `plan.generator` has a key: other numbers, which sets that were made so hold.

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_sim.pressing import CELL_M, Pressable, pose, product, turn_quaternion
 from tactile_sim.spec import TouchPlan
 from tactile_toolkit import mesh, places, read
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.touch import CLASS_NAMES
 
 REACH_M = (0.0385, 0.0405)
@@ -48,10 +48,10 @@ class RoundPlan:
         The same as matrices.
     """
 
-    positions_m: NDArray[np.float64]
-    object_position_m: NDArray[np.float64]
-    object_quaternion: NDArray[np.float64]
-    object_poses: NDArray[np.float64]
+    positions_m: Float64
+    object_position_m: Float64
+    object_quaternion: Float64
+    object_poses: Float64
 
 
 def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, number: int) -> RoundPlan:
@@ -89,9 +89,7 @@ def generator(*words: str | int) -> np.random.Generator:
     return np.random.Generator(np.random.Philox(key=key_of(*words)))
 
 
-def _shifted(
-    drawn: NDArray[np.float64], x_m: float, y_m: float, angle_rad: float, *, perturb: bool
-) -> NDArray[np.float64]:
+def _shifted(drawn: Float64, x_m: float, y_m: float, angle_rad: float, *, perturb: bool) -> Float64:
     """Return x, y and turn of the object at each touch and after the last, shape (T + 1, 3)."""
     lies = [(x_m, y_m, angle_rad)]
     for dx_m, dy_m, turned_rad in (drawn * ([_SHIFT_M, _SHIFT_M, _SHIFT_RAD] if perturb else 0.0)).tolist():
@@ -102,9 +100,7 @@ def _shifted(
     return np.array(lies)
 
 
-def _lying_place(
-    plan: TouchPlan, solid: Pressable, angle_rad: float, drawn: NDArray[np.float64]
-) -> tuple[float, float]:
+def _lying_place(plan: TouchPlan, solid: Pressable, angle_rad: float, drawn: Float64) -> tuple[float, float]:
     if plan.object_placement == "middle":
         return 0.0, 0.0
     cosine, sine = cosine_sine(angle_rad)
@@ -118,10 +114,8 @@ def _lying_place(
     return place[0], place[1]
 
 
-def _positions(
-    plan: TouchPlan, solid: Pressable, poses: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.float64]:
-    reach: NDArray[np.float64] = np.array(REACH_M)
+def _positions(plan: TouchPlan, solid: Pressable, poses: Float64, rng: np.random.Generator) -> Float64:
+    reach: Float64 = np.array(REACH_M)
     if plan.positions == "cell":
         return (2.0 * rng.random((plan.touches, 2)) - 1.0) * reach
     if plan.positions == "grid":
@@ -129,16 +123,14 @@ def _positions(
         columns = math.isqrt(plan.touches - 1) + 1
         rows = -(-plan.touches // columns)
         number = np.arange(plan.touches)
-        shares: NDArray[np.float64] = np.stack(
+        shares: Float64 = np.stack(
             [(number % columns + 0.5) / columns, (number // columns + 0.5) / rows], axis=1
         )
         return (2.0 * shares - 1.0) * reach
     return np.clip(on_object(plan.touches, solid, poses, rng), -reach, reach)
 
 
-def on_object(
-    touches: int, solid: Pressable, poses: NDArray[np.float64], rng: np.random.Generator
-) -> NDArray[np.float64]:
+def on_object(touches: int, solid: Pressable, poses: Float64, rng: np.random.Generator) -> Float64:
     """Choose points of the faces that look up, evenly over their area as seen from above.
 
     One for each of the first poses of the solid; x and y, metres, cell frame, shape (touches, 2).

@@ -20,17 +20,15 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold, merge_equal_vertices
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, PRESS_DEPTH_M
 from tactile_toolkit.wording import is_integer, plain, plain_number
-
-Numbers = NDArray[np.float64]
 
 CELL_M = (0.12, 0.12)
 """Width and depth of the plate that objects lie on, metres (`tactile-mnist` 0.13.0, ``CELL_SIZE``)."""
@@ -135,8 +133,6 @@ def center_view(width_px: int = 64, height_px: int = 64) -> Sensor:
     return Sensor(checked.size_px, (_SURFACE_M[1] * width / height, _SURFACE_M[1]), sample_px=MESA_SAMPLE_PX)
 
 
-Matrix = NDArray[np.float64]
-
 _RIGID = 1e-6
 
 
@@ -146,7 +142,7 @@ def turn_quaternion(angle_rad: float) -> tuple[float, float, float, float]:
     return (0.0, 0.0, sine, cosine)
 
 
-def pose(x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, *, turn_rad: float = 0.0) -> Matrix:
+def pose(x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, *, turn_rad: float = 0.0) -> Float64:
     """Return the pose of something that stands upright.
 
     Parameters
@@ -174,7 +170,7 @@ def pose(x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, *, turn_rad: floa
     return np.array(rows, np.float64)
 
 
-def as_matrices(value: Any, name: str) -> Matrix:
+def as_matrices(value: Any, name: str) -> Float64:
     """Return poses as matrices, shape (4, 4) or (n, 4, 4).
 
     Takes such arrays, and whatever has them as ``matrix`` or ``as_matrix()``: the poses of `realtouch`, of
@@ -208,13 +204,13 @@ def as_matrices(value: Any, name: str) -> Matrix:
     return matrices
 
 
-def product(one: Matrix, other: Matrix) -> Matrix:
+def product(one: Float64, other: Float64) -> Float64:
     """Return ``one @ other`` of matrices (n, 4, 4) in a stated order of sums, which `@` does not have."""
     parts = [one[:, :, k, None] * other[:, None, k, :] for k in range(4)]
     return ((parts[0] + parts[1]) + parts[2]) + parts[3]
 
 
-def inverse_times(one: Matrix, other: Matrix) -> Matrix:
+def inverse_times(one: Float64, other: Float64) -> Float64:
     """Return the inverses of poses ``one`` times poses ``other``, shape (n, 4, 4)."""
     inverse = np.zeros_like(one)
     inverse[:, :3, :3] = one[:, :3, :3].swapaxes(1, 2)
@@ -267,9 +263,9 @@ class Pressable:
         axis, metres; 0 where its surface is smooth.
     """
 
-    vertices_m: NDArray[np.float64]
-    faces: NDArray[np.int32]
-    blocks_m: NDArray[np.float64]
+    vertices_m: Float64
+    faces: Int32
+    blocks_m: Float64
     layer_m: float = 0.0
 
     @classmethod
@@ -315,7 +311,7 @@ class Pressable:
         """Height of the lowest corner, metres: environments lift a solid by minus this much."""
         return float(self.vertices_m[:, 2].min())
 
-    def layers(self, affine: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    def layers(self, affine: Float64) -> Float64 | None:
         """Return what the kernels need of the layers, seen through a map; InputError for one that leans.
 
         0: height of a layer; 1: how far below its middle its outline is taken; 2: number of layers; 3: what,
@@ -334,9 +330,7 @@ class Pressable:
         return np.array([self.layer_m, slack_m, count, -affine[2, 3] - foot_m, _LEVEL])
 
 
-def _face_blocks(
-    vertices: NDArray[np.float64], faces: NDArray[np.int32]
-) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
+def _face_blocks(vertices: Float64, faces: Int32) -> tuple[Int32, Float64]:
     """Sort faces so that neighbours lie together; return them and a ball around each run of about 32.
 
     Most of a solid is outside the window of a touch: whole runs are left out by one test.
@@ -366,7 +360,7 @@ def _face_blocks(
     return np.ascontiguousarray(faces[order]), blocks
 
 
-def _digest(values: NDArray[Any]) -> tuple[str, bytes]:
+def _digest(values: AnyArray) -> tuple[str, bytes]:
     """Return what distinguishes arrays of numbers: their type and content."""
     import xxhash
 
@@ -413,8 +407,8 @@ class Pressed:
         Height of the sensor where it stops, metres, cell frame.
     """
 
-    depth_m: NDArray[np.float64]
-    image: NDArray[np.float32]
+    depth_m: Float64
+    image: Float32
     sensor_z_m: Any
 
 
@@ -491,7 +485,7 @@ def _count_of(**given: Any) -> int:
     return count
 
 
-def depth_image(depth_m: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float32]:
+def depth_image(depth_m: Float64, sensor: Sensor) -> Float32:
     """Scale a depth map to an image: 0 deepest in the gel, 1 no contact; any shape, float32."""
     scaled = np.minimum(depth_m, sensor.gel_m)
     # In place: a round of large pictures is no longer in the processor's cache when it is looked at again.
@@ -501,7 +495,7 @@ def depth_image(depth_m: NDArray[np.float64], sensor: Sensor) -> NDArray[np.floa
     return scaled.astype(np.float32)
 
 
-def _require_above_cell(targets: NDArray[np.float64], cell_m: tuple[float, float]) -> None:
+def _require_above_cell(targets: Float64, cell_m: tuple[float, float]) -> None:
     off = (np.abs(targets[:, :2, 3]) > np.array(cell_m) / 2).any(axis=1) | ~(targets[:, 2, 2] > 0)
     if not off.any():
         return
@@ -515,7 +509,7 @@ def _require_above_cell(targets: NDArray[np.float64], cell_m: tuple[float, float
     )
 
 
-def _to_pixels(seen: NDArray[np.float64], sensor: Sensor) -> NDArray[np.float64]:
+def _to_pixels(seen: Float64, sensor: Sensor) -> Float64:
     """Return maps from a body's frame to column, row from the bottom, and height; shape (n, 3, 4)."""
     affine = seen[:, :3].copy()
     for axis in range(2):

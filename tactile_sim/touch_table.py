@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_sim.pressing import CELL_M
 from tactile_toolkit import store
+from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.text_tables import table_text
@@ -127,7 +127,7 @@ class TouchTable:
         """Most touches that a round has."""
         return max(len(rows) for rows in self._rows.values())
 
-    def of(self, object_id: int, number: int) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    def of(self, object_id: int, number: int) -> tuple[Float64, Float64 | None]:
         """Return the places of a round, shape (T, 2), and x, y and turn of the object, (T, 3), if given.
 
         T is 0 where the table has no such round.
@@ -162,7 +162,7 @@ class TouchTable:
         return found
 
 
-def _column(name: str, value: Any) -> NDArray[Any]:
+def _column(name: str, value: Any) -> AnyArray:
     """Return one column as float64 or int64; InputError for what cannot be one, with the first bad row."""
     try:
         found = np.asarray(value)

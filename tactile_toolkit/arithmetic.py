@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tactile_toolkit.array_types import Float64
+
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    pass
 
 
 _QUARTER_TURN = math.pi / 2
@@ -43,7 +45,7 @@ def cosine_sine(angle_rad: float) -> tuple[float, float]:
     return ((cosine, sine), (-sine, cosine), (-cosine, -sine), (sine, -cosine))[quarters % 4]
 
 
-def exp_neg(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
+def exp_neg(exponents: Float64) -> Float64:
     """Return ``exp(-exponents)`` of numbers of 0 or more, right to 2e-8 and 0 from 20 on."""
     near = exponents < _FARTHEST
     # Of a 64th of it four terms are enough; squaring six times gives the whole.
@@ -56,14 +58,12 @@ def exp_neg(exponents: NDArray[np.float64]) -> NDArray[np.float64]:
     return found
 
 
-def moved(points: NDArray[np.float64], matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def moved(points: Float64, matrix: Float64) -> Float64:
     """Return ``points @ matrix``, shapes (n, k) and (k, m) of small k and m."""
     return np.stack([sum(points[:, k] * factor for k, factor in enumerate(column)) for column in matrix.T], 1)
 
 
-def inverse_affine(
-    forward: NDArray[np.float64], at: NDArray[np.float64], from_there: NDArray[np.float64]
-) -> tuple[float, ...]:
+def inverse_affine(forward: Float64, at: Float64, from_there: Float64) -> tuple[float, ...]:
     """Return the map that undoes a matrix, shape (2, 2), and takes a point to another, as Pillow takes it."""
     (a, b), (c, d) = forward.tolist()
     x, y = at.tolist()

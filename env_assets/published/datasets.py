@@ -20,10 +20,10 @@ from operator import attrgetter
 from typing import Any, Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
 from env_assets.meshes import MeshView
 from env_assets.published.packages import published_package
+from tactile_toolkit.array_types import Float32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import RecordDataset, picks_several
 
@@ -140,7 +140,7 @@ class TouchPoint(_TOUCH_POINT):  # type: ignore[misc]
     sensor_image: Any = _as_it_is
 
 
-def has_equal_rows(vertices_m: NDArray[np.float32]) -> bool:
+def has_equal_rows(vertices_m: Float32) -> bool:
     """Return whether vertices may be equal; now and then two unlike ones look so, which only costs time.
 
     The package lets ``trimesh`` merge equal vertices, without which a published mesh would not be closed.

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from env_assets.meshes import LazyMesh, MeshView, require_fitting_meshes
 from env_assets.provider import FOREIGN, KINDS, AssetSource, meshes_at
@@ -35,6 +34,7 @@ from env_assets.published.packages import (
 )
 from tactile_sim.pressing import Pressable, center_view, render_touch
 from tactile_toolkit import store
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import refuse_unit
@@ -404,7 +404,7 @@ def _fast_renderer() -> Any:
         def update_shadow_objects(self, *poses: Any, **looks: Any) -> None:
             self._shadows = poses, looks
 
-        def render_sensor_depths(self, virtual_sensor_poses: Any = None) -> NDArray[np.float64]:
+        def render_sensor_depths(self, virtual_sensor_poses: Any = None) -> Float64:
             """Return the distance of the surface from the target of each sensor, (n, H, W), metres."""
             targets = (self.sensor_poses if virtual_sensor_poses is None else virtual_sensor_poses).matrix
             solids = [self._solids[id(point.mesh)][1] for point in self._points]

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 from manifold3d import CrossSection, JoinType, triangulate
-from numpy.typing import NDArray
 
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MM_PER_M, Mesh, check_manifold
 
@@ -23,8 +23,6 @@ _TIDY_MM = 1e-3
 
 # Area that tidying may take from where a nut is held.
 _NOTHING_MM2 = 0.01
-
-Line = NDArray[np.float64]
 
 
 def wrench_mesh(spec: WrenchSpec) -> Mesh:
@@ -50,7 +48,7 @@ def wrench_mesh(spec: WrenchSpec) -> Mesh:
     return chamfered_plate(wrench_outline(spec), spec.thickness_mm, spec.chamfer_mm)
 
 
-def wrench_outline(spec: WrenchSpec) -> list[NDArray[np.float64]]:
+def wrench_outline(spec: WrenchSpec) -> list[Float64]:
     """Draw a wrench: closed lines in millimetres, shapes (n, 2), the material on their left.
 
     The frame is that of :func:`wrench_mesh`. InputError when the chamfer leaves less than a whole wrench.
@@ -145,14 +143,14 @@ def _grown(shape: Any, by_mm: float) -> Any:
     return shape.offset(by_mm, JoinType.Round, 2.0, _SEGMENTS) if by_mm else shape
 
 
-def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: float) -> Mesh:
+def chamfered_plate(outline: Sequence[Float64], thickness_mm: float, chamfer_mm: float) -> Mesh:
     """Make a plate that lies on z = 0, its edges cut at 45 degrees above and below; a solid, float32 metres.
 
     The outline is closed lines in millimetres, the material on their left; 0 gives sharp edges. InputError
     when it is too narrow or too sharp for the chamfer.
     """
     inner = [_moved_in(line, chamfer_mm) for line in outline]
-    levels: list[tuple[Sequence[Line], float]] = [(inner, 0.0), (inner, thickness_mm)]
+    levels: list[tuple[Sequence[Float64], float]] = [(inner, 0.0), (inner, thickness_mm)]
     if chamfer_mm:
         levels[1:1] = [(outline, chamfer_mm), (outline, thickness_mm - chamfer_mm)]
     # Inner lines have as many corners as the outline, so that levels are joined corner by corner: offsets of
@@ -171,7 +169,7 @@ def chamfered_plate(outline: Sequence[Line], thickness_mm: float, chamfer_mm: fl
     return mesh
 
 
-def _moved_in(line: Line, by_mm: float) -> Line:
+def _moved_in(line: Float64, by_mm: float) -> Float64:
     """Move every side of a closed line to its left; corners keep their number."""
     if not by_mm:
         return line
@@ -186,7 +184,7 @@ def _moved_in(line: Line, by_mm: float) -> Line:
     return np.asarray(moved)
 
 
-def _sides(lines: Sequence[Line], levels: int) -> list[NDArray[np.int64]]:
+def _sides(lines: Sequence[Float64], levels: int) -> list[Int64]:
     """Return the triangles between levels, two for each side of each line."""
     per_level = sum(len(line) for line in lines)
     triangles, start = [], 0

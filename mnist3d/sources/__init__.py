@@ -5,9 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import ItemError
 
 __all__ = ["NO_WRITER", "DigitCatalog", "DigitImage", "DigitSource"]
@@ -35,7 +33,7 @@ class DigitImage:
 
     id: int
     label: int
-    pixels: NDArray[np.uint8]
+    pixels: UInt8
     writer: int = NO_WRITER
 
 
@@ -53,9 +51,9 @@ class DigitCatalog:
         Writer of each id, or :data:`NO_WRITER`.
     """
 
-    ids: NDArray[np.int64]
-    labels: NDArray[np.int64]
-    writers: NDArray[np.int64]
+    ids: Int64
+    labels: Int64
+    writers: Int64
 
     def __len__(self) -> int:
         """Count the digits of the source."""

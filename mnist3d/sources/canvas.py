@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import exp_neg
+from tactile_toolkit.array_types import AnyArray, Float32, Floating, UInt8
 from tactile_toolkit.errors import ItemError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ _MESH = 5
 _BLUR_PX = 0.6
 
 
-def as_grey(values: NDArray[Any], full_scale: float, where: str) -> NDArray[np.uint8]:
+def as_grey(values: AnyArray, full_scale: float, where: str) -> UInt8:
     """Turn brightness (0 for black, `full_scale`, 1 or 255, for white) into the nearest grey levels.
 
     `where` names file and row. Raises ItemError ``"not-finite"`` for NaN or infinite values, ``"bad-pixels"``
@@ -51,7 +51,7 @@ def as_grey(values: NDArray[Any], full_scale: float, where: str) -> NDArray[np.u
     return np.clip(levels, 0, _PAPER).astype(np.uint8, order="C")
 
 
-def fit(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
+def fit(pixels: UInt8) -> UInt8:
     """Bring a dark-on-light image of any size onto the sheet: aspect kept, centred on white paper.
 
     Larger images are shrunk with antialiasing, smaller ones go through :func:`enlarge`; one of 500 x 500 px
@@ -75,7 +75,7 @@ def fit(pixels: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return sheet
 
 
-def enlarge(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint8]:
+def enlarge(pixels: UInt8, size: tuple[int, int]) -> UInt8:
     """Enlarge a small dark-on-light image so that its outlines become smooth curves, some 3 px wide.
 
     The outline is where the interpolating cubic spline through the pixels crosses half ink. That curve still
@@ -97,26 +97,24 @@ def enlarge(pixels: NDArray[np.uint8], size: tuple[int, int]) -> NDArray[np.uint
     return np.rint(levels, out=levels).astype(np.uint8)
 
 
-def _centres(count: int, out: int) -> NDArray[np.floating[Any]]:
+def _centres(count: int, out: int) -> Floating:
     """Centres of `out` pixels in the pixel coordinates of an image of `count` over the same length."""
     return (np.arange(out) + 0.5) * (count / out) - 0.5
 
 
-def _cubic_basis(count: int, at: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+def _cubic_basis(count: int, at: Floating) -> Floating:
     """Cubic B-splines of `count` knots at positions `at`, the outer knots repeated beyond the edge."""
     margin = 3
     t = np.abs(at[:, None] - np.arange(-margin, count + margin))
     beyond = np.clip(2 - t, 0, None)
-    bumps: NDArray[np.floating[Any]] = np.where(
-        t < 1, 2 / 3 - t * t + t * t * t / 2, beyond * beyond * beyond / 6
-    )
-    basis: NDArray[np.floating[Any]] = bumps[:, margin : margin + count].copy()
+    bumps: Floating = np.where(t < 1, 2 / 3 - t * t + t * t * t / 2, beyond * beyond * beyond / 6)
+    basis: Floating = bumps[:, margin : margin + count].copy()
     basis[:, 0] += bumps[:, :margin].sum(axis=1)
     basis[:, -1] += bumps[:, margin + count :].sum(axis=1)
     return basis
 
 
-def _both_ways(down: csr_array, across: csr_array, values: NDArray[Any]) -> NDArray[np.float32]:
+def _both_ways(down: csr_array, across: csr_array, values: AnyArray) -> Float32:
     return np.ascontiguousarray((down @ (across @ values.T).T), dtype=np.float32)
 
 
@@ -129,7 +127,7 @@ def _spline_matrix(count: int) -> csr_array:
     return _sparse(_solved(knots.T, fine.T).T)
 
 
-def _solved(matrix: NDArray[np.floating[Any]], right: NDArray[np.floating[Any]]) -> NDArray[np.floating[Any]]:
+def _solved(matrix: Floating, right: Floating) -> Floating:
     """Solve equations of a matrix whose diagonal is heavy and has one neighbour on either side."""
     # LAPACK would do, but rounds otherwise on another processor.
     pivots, left = matrix.diagonal().copy(), right.copy()
@@ -150,7 +148,7 @@ def _blur_matrix(count: int, out: int) -> csr_array:
     return _sparse(exp_neg(0.5 * distance * distance))
 
 
-def _sparse(weights: NDArray[np.floating[Any]]) -> csr_array:
+def _sparse(weights: Floating) -> csr_array:
     """Keep the weights that matter, each row adding up to 1.
 
     Sparse products sum in one fixed order, where those of dense matrices depend on the number of threads: the

@@ -12,7 +12,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tactile_toolkit.array_types import Float64
 
 Point = tuple[float, float]
 """x to the right, y down."""
@@ -57,7 +58,7 @@ def arc(
     return points
 
 
-def through(points: Sequence[Point]) -> NDArray[np.float64]:
+def through(points: Sequence[Point]) -> Float64:
     """Return a centripetal Catmull-Rom curve, shape (N, 2), through at least two points.
 
     Centripetal, because it neither loops nor overshoots when points lie unevenly (Yuksel, Schaefer and Keyser
@@ -85,7 +86,7 @@ def through(points: Sequence[Point]) -> NDArray[np.float64]:
     return np.concatenate([curve.reshape(-1, 2), inner[-1:]])
 
 
-def resample(path: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
+def resample(path: Float64, spacing: float) -> Float64:
     """Return the path with samples about `spacing` (in its unit) apart, at least two, both ends kept."""
     step = path[1:] - path[:-1]
     walked = np.concatenate([[0.0], np.cumsum(np.sqrt(step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]))])
@@ -94,7 +95,7 @@ def resample(path: NDArray[np.float64], spacing: float) -> NDArray[np.float64]:
     return np.stack([np.interp(marks, walked, path[:, 0]), np.interp(marks, walked, path[:, 1])], axis=1)
 
 
-def smooth(path: NDArray[np.float64], rounds: int) -> NDArray[np.float64]:
+def smooth(path: Float64, rounds: int) -> Float64:
     """Return an evenly sampled path with its corners rounded; both ends stay.
 
     Each round averages a sample with its neighbours once.

@@ -7,13 +7,13 @@ import warnings
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.canvas import as_grey, fit
+from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError
 
 _SCALE_SAMPLE = 16
@@ -100,7 +100,7 @@ class HwdPlusSource:
             "images_sample_sha256": sample.hexdigest(),
         }
 
-    def _stack(self) -> NDArray[Any]:
+    def _stack(self) -> AnyArray:
         # Mapped again for each image: pages of a mapping that stays count as memory of the process.
         stack = open_npy(self.images)
         shape = stack.shape
@@ -113,7 +113,7 @@ class HwdPlusSource:
             next="give the file 'Images(500x500).npy' of HWD+",
         )
 
-    def _people(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _people(self) -> tuple[Int64, Int64]:
         return _labels_and_writers(self.writer_info, _stamp(self.writer_info), self.writer_column)
 
 
@@ -135,9 +135,7 @@ def _evenly_spaced(count: int, wanted: int) -> list[int]:
 
 
 @lru_cache(maxsize=4)
-def _labels_and_writers(
-    path: str, stamp: tuple[int, int], writer_column: int | None
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _labels_and_writers(path: str, stamp: tuple[int, int], writer_column: int | None) -> tuple[Int64, Int64]:
     cells = open_npy(path)
     if cells.ndim not in (1, 2) or min(cells.shape) <= 0 or cells.dtype.kind not in "biufUS":
         raise InputError(
@@ -160,7 +158,7 @@ def _labels_and_writers(
     return labels, writers
 
 
-def _int_column(table: NDArray[Any], column: int, path: str, most: float = np.inf) -> NDArray[np.int64]:
+def _int_column(table: AnyArray, column: int, path: str, most: float = np.inf) -> Int64:
     """Return a column of numbers, or strings of them, as integers; a digit is at most 9 and at least 0."""
     expected = "a digit from 0 to 9" if most == 9 else "an integer"
     next_step = "check that this file belongs to the images and is not damaged"
@@ -181,7 +179,7 @@ def _int_column(table: NDArray[Any], column: int, path: str, most: float = np.in
     return numbers.astype(np.int64)
 
 
-def open_npy(path: str) -> NDArray[Any]:
+def open_npy(path: str) -> AnyArray:
     """Map a ``.npy`` file without reading its numbers.
 
     Raises InputError when the file is missing, is not a ``.npy`` file, is shorter than its header promises,

@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.canvas import SIDE_PX, enlarge
 from tactile_toolkit import store
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import HubError, InputError, needs_extra
 
@@ -37,7 +37,7 @@ _GZIP = b"\x1f\x8b"
 _PREFIXES = {"train": "train", "test": "t10k"}
 _KINDS = {"images": "idx3-ubyte", "labels": "idx1-ubyte"}
 
-Part = tuple[NDArray[np.uint8], NDArray[np.uint8]]
+Part = tuple[UInt8, UInt8]
 """Images of shape (N, 28, 28), white on black, and labels of shape (N,)."""
 
 
@@ -170,7 +170,7 @@ def _read_pair(images_path: Path, labels_path: Path, _images_ns: int, _labels_ns
     return images, labels
 
 
-def read_idx(path: Path, magic: int) -> NDArray[np.uint8]:
+def read_idx(path: Path, magic: int) -> UInt8:
     """Read a file of unsigned bytes, plain or (as its first bytes say) gzipped, read-only.
 
     The first number of the file must be ``magic``, whose last byte is the number of dimensions. Raises

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d.sources.digits import ALLOGRAPHS, Stroke, Vary, resample, smooth, through
+from tactile_toolkit.array_types import Float32, Float64, UInt8
 
 _BLOCK = 64
 _UNIT = 2.0**-53
@@ -38,7 +38,7 @@ class KeyedRng:
             self._left = self.units(_BLOCK).tolist()
         return self._left.pop()
 
-    def units(self, number: int) -> NDArray[np.float64]:
+    def units(self, number: int) -> Float64:
         """Return `number` fresh numbers, uniform in [0, 1), shape (number,)."""
         return (self._bits.random_raw(number) >> np.uint64(11)).astype(np.float64) * _UNIT
 
@@ -54,12 +54,12 @@ class KeyedRng:
         """
         return (self.unit() + self.unit() + self.unit() + self.unit() - 2.0) * _ROOT_3
 
-    def approx_normals(self, number: int) -> NDArray[np.float64]:
+    def approx_normals(self, number: int) -> Float64:
         """Return `number` of them, shape (number,)."""
         units = self.units(4 * number)
         return (units[0::4] + units[1::4] + units[2::4] + units[3::4] - 2.0) * _ROOT_3
 
-    def bytes(self, number: int) -> NDArray[np.uint8]:
+    def bytes(self, number: int) -> UInt8:
         """Return `number` uniform bytes, shape (number,)."""
         words = self._bits.random_raw(-(-number // 8)).astype("<u8")
         return words.view(np.uint8)[:number]
@@ -221,8 +221,7 @@ _DRY, _WIDE = 0.75, 1.25
 """Bounds of the stroke width, relative to the pen's."""
 _PRESSURE_WAVE_PX = 70.0
 
-Paths = list[NDArray[np.float64]]
-Floats = NDArray[np.float32]
+Paths = list[Float64]
 
 
 def on_page(
@@ -272,12 +271,12 @@ def _bend(paths: Paths, style: WriterStyle, vary: Vary) -> Paths:
     return bent
 
 
-def _bounds(paths: Paths) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _bounds(paths: Paths) -> tuple[Float64, Float64]:
     points = np.concatenate(paths)
     return points.min(axis=0), points.max(axis=0)
 
 
-def _relax(path: NDArray[np.float64], style: WriterStyle, rng: KeyedRng) -> NDArray[np.float64]:
+def _relax(path: Float64, style: WriterStyle, rng: KeyedRng) -> Float64:
     path = resample(path, SPACING_PX)
     knots = int(len(path) * SPACING_PX / _WAVE_PX) + 3
     at = np.arange(len(path)) * ((knots - 1) / len(path))
@@ -286,9 +285,7 @@ def _relax(path: NDArray[np.float64], style: WriterStyle, rng: KeyedRng) -> NDAr
     return smooth(path, 1 + style.roundness)
 
 
-def draw(
-    paths: list[NDArray[np.float64]], pen_px: float, style: WriterStyle, rng: KeyedRng
-) -> NDArray[np.uint8]:
+def draw(paths: list[Float64], pen_px: float, style: WriterStyle, rng: KeyedRng) -> UInt8:
     """Ink the paths with the writer's pen.
 
     The distance to the ink's edge is found on a grid of 4 px near the strokes only, roughened there and
@@ -305,7 +302,7 @@ def draw(
     return page
 
 
-def _radii(path: NDArray[np.float64], half_px: float, style: WriterStyle, rng: KeyedRng) -> Floats:
+def _radii(path: Float64, half_px: float, style: WriterStyle, rng: KeyedRng) -> Float32:
     number = len(path)
     knots = int(number * SPACING_PX / _PRESSURE_WAVE_PX) + 3
     at = np.arange(number) * ((knots - 1) / number)
@@ -318,7 +315,7 @@ def _radii(path: NDArray[np.float64], half_px: float, style: WriterStyle, rng: K
     return np.asarray(np.floor(radius * 64.0 + 0.5) / 64.0, dtype=np.float32)
 
 
-def _stamp(field: Floats, path: Floats, radius: Floats) -> None:
+def _stamp(field: Float32, path: Float32, radius: Float32) -> None:
     """Lower the field to the signed distance from the capsules between consecutive samples."""
     start, step = path[:-1], path[1:] - path[:-1]
     swell = radius[1:] - radius[:-1]
@@ -340,7 +337,7 @@ def _stamp(field: Floats, path: Floats, radius: Floats) -> None:
     np.minimum.at(field, (row[:, :, None] * _NODES + column[:, None, :]).ravel(), away.ravel())
 
 
-def _roughness(size_px: float, rng: KeyedRng) -> Floats:
+def _roughness(size_px: float, rng: KeyedRng) -> Float32:
     """Return edge noise of two grains on the grid, each within +-`size_px`."""
     wide = _NODES // _COARSE + 2
     coarse = rng.bytes(wide * wide).reshape(wide, wide)
@@ -350,7 +347,7 @@ def _roughness(size_px: float, rng: KeyedRng) -> Floats:
     return (grain - np.float32(127.5)) * unit + (fine.astype(np.float32) - np.float32(127.5)) * unit
 
 
-def _enlarge(grid: Floats, factor: int) -> Floats:
+def _enlarge(grid: Float32, factor: int) -> Float32:
     """Interpolate linearly between nodes: (R, C) to ((R - 1) * factor, (C - 1) * factor)."""
     share = (np.arange(factor, dtype=np.float32) / np.float32(factor))[None, :, None]
     tall = (grid[:-1, None] + (grid[1:] - grid[:-1])[:, None] * share).reshape(-1, grid.shape[1])
@@ -359,7 +356,7 @@ def _enlarge(grid: Floats, factor: int) -> Floats:
     return wide.reshape(tall.shape[0], -1)
 
 
-def _rasterise(field: Floats) -> NDArray[np.uint8]:
+def _rasterise(field: Float32) -> UInt8:
     """Turn the field into grey levels; the edge fades over one pixel."""
     rows = np.flatnonzero((field < _CELL_PX).any(axis=1))
     columns = np.flatnonzero((field < _CELL_PX).any(axis=0))
@@ -375,9 +372,9 @@ def _rasterise(field: Floats) -> NDArray[np.uint8]:
 
 
 def _add_speckles(
-    page: NDArray[np.uint8],
-    paths: list[NDArray[np.float64]],
-    radii: list[Floats],
+    page: UInt8,
+    paths: list[Float64],
+    radii: list[Float32],
     style: WriterStyle,
     rng: KeyedRng,
 ) -> None:
@@ -391,7 +388,7 @@ def _add_speckles(
             _dot(page, paths[stroke][sample], aside, light, rng)
 
 
-def _dot(page: NDArray[np.uint8], at: NDArray[np.float64], aside: float, light: bool, rng: KeyedRng) -> None:
+def _dot(page: UInt8, at: Float64, aside: float, light: bool, rng: KeyedRng) -> None:
     lean_x, lean_y = rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0)
     norm = math.sqrt(lean_x * lean_x + lean_y * lean_y + 1e-9)
     x, y = float(at[0]) + aside * lean_x / norm, float(at[1]) + aside * lean_y / norm

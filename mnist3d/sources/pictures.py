@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mnist3d.ink import margin, otsu_threshold, paper_is_dark, require_paper_around
 from mnist3d.photograph import even_out, is_clean
 from mnist3d.sources.canvas import as_grey
 from tactile_toolkit import store
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError, install_line
 from tactile_toolkit.touch import require_bounded_jpeg
@@ -77,7 +77,7 @@ def _is_page(picture: Image, number: int) -> bool:
     return not kind & _COPY_OR_MASK
 
 
-def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: int = 0) -> NDArray[np.uint8]:
+def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: int = 0) -> UInt8:
     """Read a picture of a digit in its own size, ink 0 and paper 255.
 
     Colours become grey, transparency shows paper, and the orientation in EXIF is followed. Photographs and
@@ -116,7 +116,7 @@ def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: i
         raise ItemError(error.reason, f"{path}: {error.message}") from error
 
 
-def _read(picture: Image, ink: str, threshold: str, path: Path) -> NDArray[np.uint8]:
+def _read(picture: Image, ink: str, threshold: str, path: Path) -> UInt8:
     grey = _brightness(picture, ink, path)
     colours = np.asarray(picture) if picture.mode == "RGB" else grey
     is_flat = np.ptp(grey) < _CONTRAST
@@ -137,7 +137,7 @@ def _read(picture: Image, ink: str, threshold: str, path: Path) -> NDArray[np.ui
     # Ink of thin strokes is mostly edge, so its median would be too light; single dark pixels are specks.
     darkest, paper = float(np.percentile(grey[dark], 10)), float(np.median(grey[~dark]))
     table = np.clip((np.arange(256) - darkest) * (255 / (paper - darkest)), 0, 255)
-    levels: NDArray[np.uint8] = np.rint(table).astype(np.uint8)[grey]
+    levels: UInt8 = np.rint(table).astype(np.uint8)[grey]
     return levels
 
 
@@ -219,7 +219,7 @@ def _decoded(path: Path, page: int) -> Image:
         return upright.convert("L" if upright.mode in ("1", "L") else "RGB")
 
 
-def _brightness(picture: Image, ink: str, path: Path) -> NDArray[np.uint8]:
+def _brightness(picture: Image, ink: str, path: Path) -> UInt8:
     if picture.mode == "RGBA":
         return _over_paper(picture, ink)
     if picture.mode in ("L", "RGB"):
@@ -231,7 +231,7 @@ def _brightness(picture: Image, ink: str, path: Path) -> NDArray[np.uint8]:
     return as_grey(values, next((float(each) for each in whites if largest <= each), whites[-1]), str(path))
 
 
-def _over_paper(picture: Image, ink: str) -> NDArray[np.uint8]:
+def _over_paper(picture: Image, ink: str) -> UInt8:
     """Lay a transparent picture on white paper, or on black if light ink is all there is on it."""
     alpha = np.asarray(picture.getchannel("A"), np.float32) / 255
     light = np.asarray(picture.convert("RGB").convert("L"), np.float32)

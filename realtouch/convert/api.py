@@ -21,7 +21,6 @@ from typing import Any, Literal, SupportsIndex, Unpack
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from realtouch.columns import TouchRow
 from realtouch.contact import (
@@ -63,6 +62,7 @@ from realtouch.schema import (
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
 from realtouch.video import write_avi
 from tactile_toolkit import catalog, read, store
+from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places import Name, Place
 from tactile_toolkit.touch import (
@@ -71,7 +71,6 @@ from tactile_toolkit.touch import (
     MAX_IMAGE_PIXELS,
     MEDIA_TYPE,
     ImageFormat,
-    Pixels,
     encode_image,
     height_text,
     resized,
@@ -372,7 +371,7 @@ class Shown:
     frame: int
     images: SensorImages | TouchClip
     place: int
-    pose: NDArray[np.floating] | None
+    pose: Floating | None
 
     @property
     def stored(self) -> memoryview:
@@ -380,7 +379,7 @@ class Shown:
         return self.images.encoded(self.place)
 
     @property
-    def pixels(self) -> Pixels:
+    def pixels(self) -> UInt8:
         """The picture, decoded."""
         return self.images[self.place]
 
@@ -399,7 +398,7 @@ def shown_touches(row: TouchRow, method: ContactMethod) -> Iterator[Shown]:
         yield Shown(touch, frame, clip, frame, _pose_values(at, frame))
 
 
-def _pose_values(at: Poses | None, index: int) -> NDArray[np.floating] | None:
+def _pose_values(at: Poses | None, index: int) -> Floating | None:
     return None if at is None else np.hstack([at.position_m[index], at.quaternion[index]])
 
 
@@ -451,7 +450,7 @@ class TakeContactFrames:
         flat = flat_row(row)
         schema = self.schema(flat.schema)
         pictures: list[memoryview] = []
-        found: list[NDArray[Any]] = [np.empty((0, 7))]
+        found: list[AnyArray] = [np.empty((0, 7))]
         for each in shown_touches(row, self.method):
             _ = each.pixels  # what passes through must be intact
             pictures.append(each.stored)
@@ -499,7 +498,7 @@ class ResizeMedia:
     def _clip(self, clip: TouchClip) -> bytes:
         return write_avi([self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps)
 
-    def _encode(self, pixels: Pixels) -> bytes:
+    def _encode(self, pixels: UInt8) -> bytes:
         return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)
 
 
@@ -618,7 +617,7 @@ class WritePictures:
         }
         return table_of(self.schema(None), columns), files
 
-    def _encoded(self, shown: Shown, base: Pixels | None) -> bytes:
+    def _encoded(self, shown: Shown, base: UInt8 | None) -> bytes:
         """Return the file of a picture, which is decoded in any case: what is passed on must be intact."""
         pixels, stored = shown.pixels, shown.stored
         if self.difference is not None:

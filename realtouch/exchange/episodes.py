@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from realtouch.columns import TouchRow, stored_rows
 from realtouch.convert.plan import Choices, Made, RowChoice, Source, schema_of, table_of
@@ -21,6 +20,7 @@ from realtouch.media import SensorImages, TouchClip
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
 from tactile_toolkit import read
+from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
 
@@ -138,6 +138,6 @@ def _states(pose: Poses) -> pa.Array:
     return _vectors(np.hstack([pose.position_m, pose.quaternion]))
 
 
-def _vectors(values: NDArray[Any]) -> pa.Array:
+def _vectors(values: AnyArray) -> pa.Array:
     flat = np.ascontiguousarray(values, np.float32).reshape(-1)
     return pa.FixedSizeListArray.from_arrays(pa.array(flat), values.shape[1])

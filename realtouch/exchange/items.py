@@ -21,9 +21,10 @@ from realtouch.contact import median_in_memory
 from realtouch.exchange.fields import NUMBERED
 from realtouch.spec import ImportColumns
 from tactile_toolkit import run, store
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.text_tables import table_lines
-from tactile_toolkit.touch import MAX_IMAGE_BYTES, MEDIA_TYPE, Pixels, decode_image, encode_image, image_size
+from tactile_toolkit.touch import MAX_IMAGE_BYTES, MEDIA_TYPE, decode_image, encode_image, image_size
 from tactile_toolkit.wording import did_you_mean
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
@@ -200,7 +201,7 @@ def as_jpeg(image: bytes) -> bytes:
     return image if image[:2] == _JPEG else encode_image(decode_image(image))
 
 
-def decoded(image: bytes, name: str, out: Pixels | None = None) -> Pixels:
+def decoded(image: bytes, name: str, out: UInt8 | None = None) -> UInt8:
     """Return the pixels of an image; IntegrityError where it is damaged between its header and its end."""
     try:
         return decode_image(image, out)

@@ -16,7 +16,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from realtouch.contact import ContactMethod
 from realtouch.convert.plan import (
@@ -33,6 +32,7 @@ from realtouch.dataset import dataset_of
 from realtouch.exchange.episodes import IMAGE, Episodes, only_split
 from realtouch.exchange.items import decoded
 from tactile_toolkit import read, store
+from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import MEDIA_TYPE, with_features
 
@@ -73,7 +73,7 @@ def plan(source: Source, choices: Choices, method: ContactMethod, options: Mappi
     )
 
 
-def _episode_lengths(source: Source, split: str) -> NDArray[np.int64]:
+def _episode_lengths(source: Source, split: str) -> Int64:
     """Return the number of episodes and of frames of each row, shape (n, 2)."""
     if source.kind == "single":
         counts = dataset_of(source.shards[split]).touch_counts
@@ -268,7 +268,7 @@ def _episode(values: pa.Array) -> dict[str, Any]:
     return {**{name: [[[each[name]]] for each in found] for name in found[0]}, "count": [len(seen)]}
 
 
-def _statistics(values: NDArray[np.float64], counts: NDArray[np.int64]) -> dict[str, float]:
+def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
     """Return the statistics of rising values that occur so many times."""
     total, below = int(counts.sum()), np.cumsum(counts)
     mean = math.fsum(values * counts) / total
@@ -308,7 +308,7 @@ def _put_together(episodes: Sequence[read.Shard], name: str) -> dict[str, Any]:
     weights = parts.pop("count")[:, 0]
     total = int(weights.sum())
 
-    def weighed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def weighed(values: Float64) -> Float64:
         return np.array([math.fsum(column * weights) / total for column in values.T])
 
     found = {each: weighed(values) for each, values in parts.items()}
@@ -317,12 +317,12 @@ def _put_together(episodes: Sequence[read.Shard], name: str) -> dict[str, Any]:
     return {**{each: values.reshape(-1, 1, 1).tolist() for each, values in found.items()}, "count": [total]}
 
 
-def _flat_rows(values: pa.Array | pa.ChunkedArray) -> NDArray[np.float64]:
+def _flat_rows(values: pa.Array | pa.ChunkedArray) -> Float64:
     """Return lists of equal length, of whatever depth, as an array of a row for each."""
     if isinstance(values, pa.ChunkedArray):
         values = values.combine_chunks()
     count = len(values)
     while pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
         values = values.flatten()
-    flat: NDArray[np.float64] = values.to_numpy().reshape(count, -1)
+    flat: Float64 = values.to_numpy().reshape(count, -1)
     return flat.astype(np.float64, copy=False)

@@ -10,11 +10,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from realtouch.exchange.zarr_arrays import ZarrArray
+from tactile_toolkit.array_types import Floating, UInt8
 from tactile_toolkit.bounds import require_unpackable
-from tactile_toolkit.touch import Pixels
 
 _CHANNELS = (1, 3)
 _MOST_LEVEL = 255
@@ -69,7 +68,7 @@ class PictureArray:
             return (*shape, 1)
         return (shape[0], *shape[2:], shape[1]) if self._is_first else shape
 
-    def pixels(self, start: int, stop: int) -> Pixels:
+    def pixels(self, start: int, stop: int) -> UInt8:
         """Return some pictures, shape (n, H, W, 3), or (n, H, W) of one channel; uint8, contiguous."""
         found = self.array.rows(start, stop)
         if found.dtype != np.uint8:
@@ -107,7 +106,7 @@ class PictureArray:
         return fitting[0]
 
 
-def _fits(levels: NDArray[np.floating], tolerance: float) -> bool:
+def _fits(levels: Floating, tolerance: float) -> bool:
     """Return whether values are integers from 0 to 255, as far as rounding shows; False for NaN."""
     nearest = np.rint(levels)
     inside = (nearest >= 0) & (nearest <= _MOST_LEVEL)

@@ -24,7 +24,6 @@ from typing import IO, Any, Self
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
@@ -37,6 +36,7 @@ from realtouch.exchange.zarr_arrays import ZarrArray, ZarrGroup
 from realtouch.rounds import touch_id
 from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
 from tactile_toolkit import read, store
+from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import encode_image
 
@@ -133,11 +133,11 @@ def _images(shards: Sequence[read.Shard]) -> Any:
     yield from (row.group.table[IMAGE][row.index].as_py() for row in stored_rows(shards, [IMAGE]))
 
 
-def _numbers(column: pa.ChunkedArray) -> NDArray[Any]:
+def _numbers(column: pa.ChunkedArray) -> AnyArray:
     """Return a column of numbers, or of lists of equal length, as an array, little end first."""
     values = column.combine_chunks()
     is_list = pa.types.is_fixed_size_list(values.type)
-    found: NDArray[Any] = (values.flatten() if is_list else values).to_numpy()
+    found: AnyArray = (values.flatten() if is_list else values).to_numpy()
     found = found.astype(found.dtype.newbyteorder("<"))
     return found.reshape(len(values), -1) if is_list else found
 
@@ -197,7 +197,7 @@ def _episode_ends(array: ZarrArray, frames: int) -> list[int]:
     return ends
 
 
-def _rows(array: ZarrArray, frames: int) -> NDArray[Any]:
+def _rows(array: ZarrArray, frames: int) -> AnyArray:
     """Read what is known of each frame; InputError for another number of rows, or tables in it."""
     if array.shape[:1] != (frames,) or len(array.shape) > 2:
         expected = f"{frames:,} rows of numbers, as frames"
@@ -258,7 +258,7 @@ class ZarrWriter(zipfile.ZipFile):
         stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
         self.add_json(f"{path}/.zarray", stated, indent=4)
 
-    def chunk(self, path: str, number: int, values: NDArray[Any]) -> None:
+    def chunk(self, path: str, number: int, values: AnyArray) -> None:
         """Write a chunk, which holds the other axes completely."""
         name = ".".join([str(number), *"0" * (values.ndim - 1)])
         self._add(f"{path}/{name}", zlib.compress(np.ascontiguousarray(values).tobytes(), _LEVEL))

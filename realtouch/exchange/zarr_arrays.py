@@ -20,9 +20,9 @@ from itertools import product
 from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import store
+from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError, ItemError, needs_extra
 
@@ -236,7 +236,7 @@ class ZarrArray:
         files = [group.path] if group.is_zip else home.walk(group.below(self.path))
         return sum(home.size_bytes(path) for path in files)
 
-    def rows(self, start: int, stop: int) -> NDArray[Any]:
+    def rows(self, start: int, stop: int) -> AnyArray:
         """Return what lies at some places along the first axis, shape (stop - start, ...)."""
         size = (stop - start, *self.shape[1:])
         what = f"{self.group.place}/{self.path}: {size} values"
@@ -257,7 +257,7 @@ class ZarrArray:
                 found[tuple(place)] = chunk[tuple(inside)]
         return found
 
-    def _chunk(self, index: tuple[int, ...]) -> NDArray[Any] | None:
+    def _chunk(self, index: tuple[int, ...]) -> AnyArray | None:
         name = f"{self.path}/{self.prefix}{self.separator.join(map(str, index))}"
         data = self.group.read(name, 2 * self._chunk_bytes + _SPARE_BYTES)
         if data is None:

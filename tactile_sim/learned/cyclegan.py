@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 from tactile_sim.learned.networks import (
     Generator,
@@ -26,6 +25,7 @@ from tactile_sim.optics import make_optics
 from tactile_sim.pairs import Pairs
 from tactile_sim.plan import generator
 from tactile_sim.spec import TrainConfig
+from tactile_toolkit.array_types import Float32, UInt8
 
 # Enough for a median without noise, and 100 MB at 256 x 256 pixels.
 _LEVEL_TOUCHES = 512
@@ -53,14 +53,14 @@ class Batch(NamedTuple):
     """Touches of the depth as Taxim shows it, (n, 3, h, w); None after the first steps."""
 
 
-_Maker = Callable[[NDArray[np.float32]], NDArray[np.uint8]]
+_Maker = Callable[[Float32], UInt8]
 
 
 def by_taxim(pairs: Pairs) -> _Maker:
     """Return what makes Taxim's pictures of depth images of a training set; MissingExtraError without."""
     sensor, taxim = pairs.sensor, make_optics("taxim")
 
-    def made(depth: NDArray[np.float32]) -> NDArray[np.uint8]:
+    def made(depth: Float32) -> UInt8:
         depth_m = sensor.press_m + depth.astype(np.float64) * (sensor.gel_m - sensor.press_m)
         return taxim.render(depth_m, sensor, pairs.size_px)
 
@@ -121,7 +121,7 @@ class Batches:
         contact = torch.from_numpy(real.contact[numbers])[:, None, None, None]
         return Batch(cropped[:, :3], touch[:, :3], touch[:, 3:], level, contact, simulated)
 
-    def _simulated(self, images: NDArray[np.float32], taxim: _Maker) -> Any:
+    def _simulated(self, images: Float32, taxim: _Maker) -> Any:
         """Return the relief that Taxim shows of depth, on what the sensor shows of nothing."""
         shown = picture_channels(taxim(np.concatenate([images, np.ones_like(images[:1])])))
         level = shown[-1] if self._level is None else self._level

@@ -10,11 +10,10 @@ from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
 from tactile_sim.card import sheet_png
@@ -35,11 +34,8 @@ from tactile_sim.noise import SensorNoise, add_noise
 from tactile_sim.pairs import Domain, Pairs
 from tactile_sim.plan import generator
 from tactile_toolkit import cards, store
+from tactile_toolkit.array_types import Bool, Int64, UInt8
 from tactile_toolkit.errors import InputError
-
-Pictures: TypeAlias = NDArray[np.uint8]
-Depths: TypeAlias = NDArray[np.float32]
-Places: TypeAlias = NDArray[np.int64]
 
 BASELINES = ("taxim", "untrained")
 """What trained weights may be compared with."""
@@ -196,7 +192,7 @@ def evaluate(
     reach_um = 1e6 * (data.sensor.gel_m - data.sensor.press_m)
     bench = _Bench(real, depth, inverse, reach_um, noise, seed, steps)
 
-    def made_by(name: str) -> Pictures:
+    def made_by(name: str) -> UInt8:
         if name == "taxim":
             return by_taxim(data)(bench.depth.images)
         network = generator_of(touch)
@@ -215,10 +211,10 @@ class _Chosen:
     """Pictures of one kind, chosen evenly, and what is known of them."""
 
     images: Any
-    objects: Places
-    contact: Places
-    labels: Places
-    held: NDArray[np.bool_]
+    objects: Int64
+    contact: Int64
+    labels: Int64
+    held: Bool
 
     @classmethod
     def of(cls, domain: Domain, count: int, pairs: str) -> _Chosen:
@@ -236,7 +232,7 @@ class _Chosen:
             domain.images(rows), objects, contact.astype(np.int64), domain.labels[rows], _second_half(objects)
         )
 
-    def shown(self) -> Places:
+    def shown(self) -> Int64:
         """Return the rows of some pictures with contact, for a sheet."""
         met = np.flatnonzero(self.contact)
         return met[:: max(1, len(met) // _SHOWN)][:_SHOWN]
@@ -282,7 +278,7 @@ class _Bench:
         apart = two_sample_test(one, other, self.seed, self.steps.advance)
         return Measured("real", math.nan, *apart, *self._accuracies(real.images, real))
 
-    def measure(self, name: str, pictures: Pictures) -> Measured:
+    def measure(self, name: str, pictures: UInt8) -> Measured:
         """Measure pictures that were made of the depth images."""
         depth = self.depth
         off = np.abs(depth_of(self.inverse, pictures, self.steps.advance) - depth.images)[depth.contact == 1]
@@ -292,7 +288,7 @@ class _Bench:
         apart = two_sample_test(real, (pictures, depth.objects), self.seed, self.steps.advance)
         return Measured(name, float(self.reach_um * off.mean()), *apart, *self._accuracies(pictures, depth))
 
-    def _accuracies(self, pictures: Pictures, known: _Chosen) -> tuple[float, float]:
+    def _accuracies(self, pictures: UInt8, known: _Chosen) -> tuple[float, float]:
         """Train classifiers of contact and label on some pictures; measure them on held-back real touches."""
         real, train = self.real, ~known.held
         inputs, held = _inputs(pictures[train]), _inputs(real.images[real.held])
@@ -306,7 +302,7 @@ class _Bench:
         )
         return of_contact, balanced_accuracy(reader.predict(held), real.labels[real.held])
 
-    def sheet(self, made: dict[str, Pictures]) -> bytes:
+    def sheet(self, made: dict[str, UInt8]) -> bytes:
         """Draw some pictures of each way, and the depth that is recovered of them, as PNG."""
         shown, real = self.depth.shown(), self.real.images[self.real.shown()]
         columns = [("real", real), ("its depth", depth_of(self.inverse, real))]
@@ -315,7 +311,7 @@ class _Bench:
         return sheet_png([*columns, ("depth again", depth_of(self.inverse, made["trained"][shown]))])
 
 
-def add_noise_per_object(pictures: Pictures, objects: Places, noise: SensorNoise, seed: int) -> Pictures:
+def add_noise_per_object(pictures: UInt8, objects: Int64, noise: SensorNoise, seed: int) -> UInt8:
     """Return pictures under the noise of a sensor: a round for each object, as real touches have it."""
     noisy = np.empty_like(pictures)
     for each in np.unique(objects):
@@ -326,8 +322,8 @@ def add_noise_per_object(pictures: Pictures, objects: Places, noise: SensorNoise
 
 
 def two_sample_test(
-    real: tuple[Pictures, Places],
-    made: tuple[Pictures, Places],
+    real: tuple[UInt8, Int64],
+    made: tuple[UInt8, Int64],
     seed: int,
     advance: Callable[[int], None] = lambda _count: None,
 ) -> tuple[float, float]:
@@ -384,7 +380,7 @@ class SmallCNN:
 
     @_one_thread()
     def learn(
-        self, pictures: Any, labels: Places, advance: Callable[[int], None] = lambda _count: None
+        self, pictures: Any, labels: Int64, advance: Callable[[int], None] = lambda _count: None
     ) -> SmallCNN:
         """Learn pictures (n, 3, H, W), -1 to 1; each class is drawn equally often.
 
@@ -409,23 +405,23 @@ class SmallCNN:
         return self
 
     @_one_thread()
-    def predict(self, pictures: Any) -> Places:
+    def predict(self, pictures: Any) -> Int64:
         """Return the class of each picture, shape (n,)."""
         with torch.inference_mode():
             return np.asarray(self._network(pictures).argmax(dim=1).numpy(), np.int64)
 
 
-def balanced_accuracy(found: Places, truth: Places) -> float:
+def balanced_accuracy(found: Int64, truth: Int64) -> float:
     """Return the share of right answers, the mean over the classes that occur."""
     return float(np.mean([(found[truth == each] == each).mean() for each in np.unique(truth)]))
 
 
-def _second_half(objects: Places) -> NDArray[np.bool_]:
+def _second_half(objects: Int64) -> Bool:
     """Return whether pictures are of every other object."""
     return np.asarray(np.searchsorted(np.unique(objects), objects) % 2 == 1)
 
 
-def _inputs(pictures: Pictures) -> Any:
+def _inputs(pictures: UInt8) -> Any:
     """Return pictures as classifiers take them."""
     channels = picture_channels(pictures)
     if max(channels.shape[-2:]) > _INPUT_PX:

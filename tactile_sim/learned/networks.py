@@ -27,13 +27,13 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import nn
 
 from tactile_sim.noise import SensorNoise, draw_noise
 from tactile_sim.optics import Optics
 from tactile_sim.pressing import Sensor, depth_image
 from tactile_toolkit import store
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, MissingExtraError
 
@@ -54,7 +54,7 @@ _PIXELS_TOGETHER = 1 << 19
 _SIDES_PX = range(16, 2049, 4)
 
 
-def depth_channels(images: NDArray[np.float32]) -> Any:
+def depth_channels(images: Float32) -> Any:
     """Return the input of a generator, (n, 3, H, W) float32, -1 to 1, of depth images (n, H, W), 0 to 1."""
     depth = torch.from_numpy(np.ascontiguousarray(images, np.float32))
     depth = torch.where((depth == 0).all(dim=(-2, -1))[:, None, None], 1.0, depth)
@@ -64,7 +64,7 @@ def depth_channels(images: NDArray[np.float32]) -> Any:
     return (torch.stack([row, column, depth], dim=1) - 0.5) / 0.5
 
 
-def picture_channels(pictures: NDArray[np.uint8]) -> Any:
+def picture_channels(pictures: UInt8) -> Any:
     """Return pictures (n, H, W, 3), uint8, as (n, 3, H, W) float32, -1 to 1."""
     levels = torch.from_numpy(np.array(pictures)).permute(0, 3, 1, 2).to(torch.float32)
     return (levels / 255 - 0.5) / 0.5
@@ -92,7 +92,7 @@ def shades_of(channels: Any, size_px: tuple[int, int]) -> Any:
     return shades.clip(0, 1)
 
 
-def pictures_of(channels: Any, size_px: tuple[int, int]) -> NDArray[np.uint8]:
+def pictures_of(channels: Any, size_px: tuple[int, int]) -> UInt8:
     """Return channels of touches (n, 3, h, w), -1 to 1, as pictures (n, H, W, 3), uint8."""
     shades = shades_of(channels, size_px).permute(0, 2, 3, 1)
     return np.asarray(np.rint(shades.numpy() * np.float32(255)), np.uint8)
@@ -188,7 +188,7 @@ class GeneratorWeights:
         Width and height of the pictures that it was trained with, pixels; multiples of 4.
     """
 
-    arrays: Mapping[str, NDArray[np.float32]]
+    arrays: Mapping[str, Float32]
     size_px: tuple[int, int] = PUBLISHED_SIZE_PX
 
     @property
@@ -267,7 +267,7 @@ def read_weights(file: str | Path) -> GeneratorWeights:
     return GeneratorWeights(arrays, (width, height))
 
 
-def _require_generator(arrays: Mapping[str, NDArray[Any]]) -> None:
+def _require_generator(arrays: Mapping[str, AnyArray]) -> None:
     """Refuse what is not a generator (ValueError), naming the first layer that differs."""
     blocks, expected = GeneratorWeights(arrays).blocks, {}
     first = arrays.get("model.1.weight")
@@ -329,9 +329,7 @@ class CycleganOptics(Optics):
         super().depth_size(width, height)
         return self.size_px
 
-    def shades(
-        self, depth_m: NDArray[np.float64], sensor: Sensor, size_px: tuple[int, int]
-    ) -> NDArray[np.float32]:
+    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
         """Return shades of red, green and blue in the size asked for; equal depth is computed only once."""
         channels, made = depth_channels(depth_image(depth_m, sensor)), {}
         # Most touches may meet nothing (of the real ones four of five), and a network takes far longer than a
@@ -346,8 +344,8 @@ class CycleganOptics(Optics):
 
 
 def depth_of(
-    network: Generator, pictures: NDArray[np.uint8], advance: Callable[[int], None] = lambda _count: None
-) -> NDArray[np.float32]:
+    network: Generator, pictures: UInt8, advance: Callable[[int], None] = lambda _count: None
+) -> Float32:
     """Return the depth images (n, H, W), 0 deepest to 1 no contact, that a generator reads from pictures.
 
     Pictures (n, H, W, 3) are of the size that it was trained in; ``advance`` as of :func:`generated`.
@@ -358,8 +356,8 @@ def depth_of(
 
 def generated(
     network: Generator,
-    channels: Callable[[NDArray[Any]], Any],
-    images: NDArray[Any],
+    channels: Callable[[AnyArray], Any],
+    images: AnyArray,
     advance: Callable[[int], None] = lambda _count: None,
 ) -> Any:
     """Return what a generator makes of images, (n, 3, H, W), where it lies, some images at a time.

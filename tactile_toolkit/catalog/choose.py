@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import mesh, places, read, run, store
+from tactile_toolkit.array_types import AnyArray, Bool, Int64
 from tactile_toolkit.catalog.spec import GivenId, IdChoice, id_range, id_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
@@ -49,7 +49,7 @@ def choose_rows(
     labels: Sequence[str] | None = None,
     per_class: int | None = None,
     limit: int | None = None,
-) -> list[tuple[str, D, NDArray[np.int64]]]:
+) -> list[tuple[str, D, Int64]]:
     """Choose rows of splits, each with its name; return those with their positions, in order.
 
     Only rows with these ``ids`` (of numbers, a pair stands for all from its first to its last that are there;
@@ -96,7 +96,7 @@ def choose_rows(
     return found
 
 
-def _with_id(values: NDArray[Any], given: GivenId) -> NDArray[np.bool_]:
+def _with_id(values: AnyArray, given: GivenId) -> Bool:
     """Return which ids, numbers or texts, are a given one or within a given range."""
     if values.dtype.kind not in "iuf":
         return np.asarray(values == id_text(given), bool)

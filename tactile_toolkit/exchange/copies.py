@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 import numpy as np
 
 from tactile_toolkit import catalog, mesh, read, store
+from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.places import Name, Place, open_place, unknown_split
@@ -20,10 +21,10 @@ from tactile_toolkit.run import in_threads
 from tactile_toolkit.system import usable_cores
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
+    pass
 
 
-Choices: TypeAlias = "Iterable[tuple[str, read.RecordDataset[mesh.SolidRecord], NDArray[Any]]]"
+Choices: TypeAlias = "Iterable[tuple[str, read.RecordDataset[mesh.SolidRecord], AnyArray]]"
 
 _ROWS_PER_FILE = 1000
 # 100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long.
@@ -42,7 +43,7 @@ def _copy_file(source: read.Shard, _shard: store.ShardName, _rows: range) -> sto
     return store.ShardContent(table, encoded=content)
 
 
-def _take_rows(source: read.Shard, _shard: store.ShardName, rows: NDArray[np.int64]) -> store.ShardContent:
+def _take_rows(source: read.Shard, _shard: store.ShardName, rows: Int64) -> store.ShardContent:
     """Return some rows of a shard, by their positions in order."""
     import pyarrow as pa
 
@@ -51,7 +52,7 @@ def _take_rows(source: read.Shard, _shard: store.ShardName, rows: NDArray[np.int
     return store.ShardContent(pa.concat_tables(tables).combine_chunks())
 
 
-def _in_parts(rows: NDArray[np.int64], starts: Sequence[int]) -> list[NDArray[np.int64]]:
+def _in_parts(rows: Int64, starts: Sequence[int]) -> list[Int64]:
     """Divide row numbers, in order, by the parts that hold them, and count from the start of each.
 
     ``starts`` ends with the number of all rows.
@@ -118,7 +119,7 @@ def merge_sets(
 
 def divide(
     kind: DatasetKind, name: Name | Place, fractions: Sequence[float], seed: int, chosen: Mapping[str, Any]
-) -> list[dict[str, NDArray[np.int64]]]:
+) -> list[dict[str, Int64]]:
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
     At random by ``fractions`` of each split, which follows from the seed and the number of rows alone; or,
@@ -135,7 +136,7 @@ def divide(
         some = catalog.choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
         taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
         return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]
-    parts: list[dict[str, NDArray[np.int64]]] = [{} for _ in fractions]
+    parts: list[dict[str, Int64]] = [{} for _ in fractions]
     for split, rows in datasets.items():
         # Doubles of this generator are the same in every version of numpy; shuffles need not be.
         order = np.random.Generator(np.random.PCG64(seed)).random(len(rows)).argsort(kind="stable")
@@ -148,7 +149,7 @@ def divide(
 def write_part(
     kind: DatasetKind,
     name: Name | Place,
-    rows: Mapping[str, NDArray[np.int64]],
+    rows: Mapping[str, Int64],
     options: Mapping[str, Any],
     out: str,
     **run: Unpack[store.RunOptions],
@@ -160,7 +161,7 @@ def write_part(
 def _build(
     kind: DatasetKind,
     sources: Sequence[_Source],
-    rows: Mapping[str, NDArray[np.int64]] | None,
+    rows: Mapping[str, Int64] | None,
     operation: str,
     options: Mapping[str, Any],
     out: str,

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import catalog, mesh, pictures, places, read
+from tactile_toolkit.array_types import Floating, Int64, Integers, UInt8
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
 
@@ -159,8 +159,8 @@ def gallery_of_rows(
 
 
 def packed_mesh(
-    vertices_m: NDArray[np.floating[Any]],
-    faces: NDArray[np.integer[Any]],
+    vertices_m: Floating,
+    faces: Integers,
     parts: Sequence[tuple[int, str]] = (),
     *,
     flat: bool = False,
@@ -189,7 +189,7 @@ def packed_mesh(
     }
 
 
-def _packed(numbers: NDArray[np.int64]) -> str:
+def _packed(numbers: Int64) -> str:
     # Neighbours differ little, so the upper planes of bytes are almost all zero and deflate to nothing.
     change = np.diff(numbers, prepend=0)
     # Small differences of either sign become small numbers (as in Protocol Buffers).
@@ -198,7 +198,7 @@ def _packed(numbers: NDArray[np.int64]) -> str:
     return base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode("ascii")
 
 
-def size_text(vertices_m: NDArray[np.floating[Any]]) -> str:
+def size_text(vertices_m: Floating) -> str:
     """Write the size of a mesh for people: ``"38.2 x 52.1 x 8.0 mm"``."""
     size_mm = np.ptp(np.asarray(vertices_m, np.float64), axis=0) * mesh.MM_PER_M
     return " x ".join(f"{side:.1f}" for side in size_mm) + " mm"
@@ -214,7 +214,7 @@ def require_mesh(record: mesh.SolidRecord, split: str) -> None:
         )
 
 
-def thumbnail(pixels: NDArray[np.uint8], opaque_from: int | None = None) -> bytes:
+def thumbnail(pixels: UInt8, opaque_from: int | None = None) -> bytes:
     """Make the thumbnail, a PNG, of grey levels, (H, W), or colours, (H, W, 3).
 
     With ``opaque_from``, paper, which has the colour of the top left pixel, becomes transparent, so that it
@@ -239,7 +239,7 @@ def thumbnail(pixels: NDArray[np.uint8], opaque_from: int | None = None) -> byte
     return stream.getvalue()
 
 
-def relief_thumbnail(vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]) -> bytes:
+def relief_thumbnail(vertices_m: Floating, faces: Integers) -> bytes:
     """Make the thumbnail of a mesh from above, as large as its tile: 3 cm are recognised like 8."""
     longest_m = float(np.ptp(vertices_m[:, :2], axis=0).max())
     # Drawn twice as large but for the margin of a relief; another source's mesh may have no extent at all.

@@ -10,9 +10,9 @@ from typing import Any
 from xml.parsers import expat
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import store
+from tactile_toolkit.array_types import Float64, Int32, Integers
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.gltf import pack_glb, read_glb
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, joined
@@ -160,7 +160,7 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
     return packed.encode() if isinstance(packed, str) else bytes(packed)
 
 
-def merge_equal_vertices(vertices: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> Surface:
+def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
     """Make one vertex of those with exactly the same coordinates, in the order in which they first appear."""
     # trimesh would merge within a tolerance, and numpy's unique rows take three times as long.
     rows = vertices + 0.0  # -0.0 and 0.0 are the same place
@@ -185,7 +185,7 @@ def file_ending(path: Path) -> str:
     return ending
 
 
-def _welded(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
+def _welded(vertices: Float64, faces: Int32) -> Mesh:
     """Make one of corners that rounding has torn apart, where that closes the surface; metres."""
     if not len(faces) or not np.isfinite(vertices).all() or _is_closed(faces, len(vertices)):
         return Mesh(vertices, faces)
@@ -219,7 +219,7 @@ def _welded(vertices: NDArray[np.float64], faces: NDArray[np.int32]) -> Mesh:
     return Mesh(vertices[used], kept, (f"{counted(welded, 'corners')} welded",))
 
 
-def _is_closed(faces: NDArray[np.integer[Any]], count: int) -> bool:
+def _is_closed(faces: Integers, count: int) -> bool:
     """Return whether each edge leads back as often as there, but for one chance in 2^64."""
     one, other = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
     there = back = np.zeros(len(faces), np.uint64)

@@ -12,12 +12,12 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import moved
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Numbers, Surface, joined
+from tactile_toolkit.mesh.mesh import Surface, joined
 
 # glTF takes the numbers of OpenGL.
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -100,7 +100,7 @@ class _Document:
             if "mesh" in node:
                 yield from self._moved(node, self._item("meshes", node["mesh"]), whole)
 
-    def _moved(self, node: Any, mesh: Any, matrix: Numbers) -> Iterator[Surface]:
+    def _moved(self, node: Any, mesh: Any, matrix: Float64) -> Iterator[Surface]:
         if any(node.get("weights", mesh.get("weights", ()))):
             raise InputError("a mesh is a blend of shapes (morph targets), which is not supported")
         is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
@@ -133,7 +133,7 @@ class _Document:
             rows = [first + 1, first + 2, np.zeros_like(first)]
         return vertices, corners[np.stack(rows, axis=1)].astype(np.int32)
 
-    def _values(self, number: Any, kind: str) -> NDArray[Any]:
+    def _values(self, number: Any, kind: str) -> AnyArray:
         """Return what an accessor describes, shape (count, width)."""
         accessor = self._item("accessors", number)
         if accessor["type"] != kind:
@@ -155,7 +155,7 @@ class _Document:
             return np.maximum(found / np.iinfo(component).max, -1.0)
         return found
 
-    def _view(self, at: Any, count: int, component: np.dtype[Any], width: int) -> NDArray[Any]:
+    def _view(self, at: Any, count: int, component: np.dtype[Any], width: int) -> AnyArray:
         """Return values of a part of the binary chunk, shape (count, width)."""
         view = self._item("bufferViews", at["bufferView"])
         if "uri" in self._item("buffers", view["buffer"]) or view["buffer"] != 0:
@@ -173,7 +173,7 @@ class _Document:
         return np.ascontiguousarray(rows).view(component)
 
 
-def _matrix(node: Any) -> Numbers:
+def _matrix(node: Any) -> Float64:
     """Return how a node places what it holds, shape (4, 4), for columns."""
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
@@ -187,7 +187,7 @@ def _matrix(node: Any) -> Numbers:
     return found
 
 
-def pack_glb(vertices: NDArray[np.float32], faces: NDArray[np.int32]) -> bytes:
+def pack_glb(vertices: Float32, faces: Int32) -> bytes:
     """Pack a mesh, metres with z up, into a binary glTF 2.0 file of one buffer, whose node turns it y up."""
     corners, kind = faces.ravel().astype("<u2"), _UINT16
     if len(vertices) > np.iinfo(np.uint16).max:

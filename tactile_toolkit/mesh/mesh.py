@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, TypeAlias, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int32
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
@@ -19,9 +19,7 @@ if TYPE_CHECKING:
 
 MM_PER_M = 1000.0
 
-Numbers: TypeAlias = NDArray[np.float64]
-Indices: TypeAlias = NDArray[np.int64]
-Surface: TypeAlias = tuple[NDArray[np.float64], NDArray[np.int32]]
+Surface: TypeAlias = tuple[Float64, Int32]
 """Vertices and triangles, in whatever unit."""
 
 MeshLike: TypeAlias = "Mesh | read.Record | trimesh.Trimesh"
@@ -42,8 +40,8 @@ class Mesh:
         What reading a file changed or left out.
     """
 
-    vertices_m: NDArray[np.floating[Any]]
-    faces: NDArray[np.int32]
+    vertices_m: Floating
+    faces: Int32
     notes: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -56,19 +54,19 @@ class Mesh:
         return float(self._signed_volumes_m3().sum())
 
     @property
-    def center_mass_m(self) -> NDArray[np.float64]:
+    def center_mass_m(self) -> Float64:
         """Centre of mass of the evenly filled solid, shape (3,), metres."""
         signed = self._signed_volumes_m3()
         middles = self._corners_m().sum(axis=1) / 4.0
         return np.asarray((signed[:, None] * middles).sum(axis=0) / signed.sum(), dtype=np.float64)
 
     @property
-    def bounds_m(self) -> NDArray[np.float64]:
+    def bounds_m(self) -> Float64:
         """Lowest and highest corner of the bounding box, shape (2, 3), metres."""
         return np.stack([self.vertices_m.min(axis=0), self.vertices_m.max(axis=0)]).astype(np.float64)
 
     @property
-    def vertices_mm(self) -> NDArray[np.float64]:
+    def vertices_mm(self) -> Float64:
         """The vertices in millimetres, float64."""
         return np.ascontiguousarray(self.vertices_m, dtype=np.float64) * MM_PER_M
 
@@ -120,10 +118,10 @@ class Mesh:
         vertices_mm = np.asarray(arrays.vert_properties, np.float64)[:, :3]
         return cls(vertices_mm / MM_PER_M, np.asarray(arrays.tri_verts).astype(np.int32))
 
-    def _corners_m(self) -> NDArray[np.float64]:
+    def _corners_m(self) -> Float64:
         return self.vertices_m.astype(np.float64)[self.faces]
 
-    def _signed_volumes_m3(self) -> NDArray[np.float64]:
+    def _signed_volumes_m3(self) -> Float64:
         (ax, ay, az), (bx, by, bz), (cx, cy, cz) = np.moveaxis(self._corners_m(), 0, 2)
         signed = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
         return np.asarray(signed / 6.0)
@@ -147,7 +145,7 @@ def as_mesh(thing: MeshLike) -> Mesh:
     )
 
 
-def joined(surfaces: Sequence[tuple[NDArray[Any], NDArray[Any]]]) -> Surface:
+def joined(surfaces: Sequence[tuple[AnyArray, AnyArray]]) -> Surface:
     """Make one surface of several."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
     faces = [corners + np.int32(start) for (_, corners), start in zip(surfaces, starts, strict=False)]

@@ -25,10 +25,10 @@ from typing import Any, TypeAlias, TypeVar
 import numba
 import numpy as np
 
-from tactile_toolkit.mesh.mesh import Indices, Numbers
+from tactile_toolkit.array_types import Float64, Int64
 
 Vector: TypeAlias = tuple[float, float, float]
-Solid: TypeAlias = tuple[Numbers, Indices, Numbers, Numbers, Indices]
+Solid: TypeAlias = tuple[Float64, Int64, Float64, Float64, Int64]
 """Points, faces, and what :func:`_surface` finds of them."""
 
 F = TypeVar("F", bound=Callable[..., Any])
@@ -76,7 +76,7 @@ def compiled(function: F) -> F:
     return result
 
 
-def near_pairs(corners_mm: Numbers, reach_mm: float) -> Indices:
+def near_pairs(corners_mm: Float64, reach_mm: float) -> Int64:
     """Return pairs of triangles, or other things of shape (F, corners, 3), whose boxes are within reach.
 
     Along each axis; shape (2, pairs), each pair once.
@@ -88,7 +88,7 @@ def near_pairs(corners_mm: Numbers, reach_mm: float) -> Indices:
     return np.ascontiguousarray(_meeting(_along_a_curve((low + high) / 2), low, high).T & 0xFFFFFFFF)
 
 
-def thinnest_wall_mm(vertices_mm: Numbers, faces: Indices, reach_mm: float) -> float:
+def thinnest_wall_mm(vertices_mm: Float64, faces: Int64, reach_mm: float) -> float:
     """Return the thinnest wall of a closed manifold mesh, up to a reach; infinity where there is none.
 
     Rounded to a nanometre, it depends on the triangles only, not on their order.
@@ -100,7 +100,7 @@ def thinnest_wall_mm(vertices_mm: Numbers, faces: Indices, reach_mm: float) -> f
     return round(float(_thinnest_wall(vertices_mm, faces, numbered, reach_mm)), 6)
 
 
-def _along_a_curve(points: Numbers) -> Indices:
+def _along_a_curve(points: Float64) -> Int64:
     """Return :func:`_numbered` sorted: points in an order in which neighbours are near, that of the curve."""
     # Axis by axis: along rows of three numpy takes thirteen times as long.
     low = np.array([axis.min() for axis in points.T])
@@ -110,7 +110,7 @@ def _along_a_curve(points: Numbers) -> Indices:
 
 
 @compiled
-def _numbered(points: Numbers, low: Numbers, scale: float) -> Indices:
+def _numbered(points: Float64, low: Float64, scale: float) -> Int64:
     """Return the place of each point on Morton's curve, ten bits for each axis, and below it its number."""
     numbered = np.arange(len(points))
     for point in range(len(points)):
@@ -127,7 +127,7 @@ def _numbered(points: Numbers, low: Numbers, scale: float) -> Indices:
 
 
 @compiled
-def _tree(numbered: Indices, low: Numbers, high: Numbers) -> tuple[Numbers, Indices]:
+def _tree(numbered: Int64, low: Float64, high: Float64) -> tuple[Float64, Int64]:
     """Return the boxes of a binary tree, shape (2 N, 2, columns), low and high ends; and which two each has.
 
     The root is node 1. The last N are the boxes themselves, in order, and hold themselves. Each node is a
@@ -157,7 +157,7 @@ def _tree(numbered: Indices, low: Numbers, high: Numbers) -> tuple[Numbers, Indi
 
 
 @compiled
-def _meeting(numbered: Indices, low: Numbers, high: Numbers) -> Indices:
+def _meeting(numbered: Int64, low: Float64, high: Float64) -> Int64:
     """Return the pairs of boxes that meet, each pair once; each box as ``numbered`` has it."""
     (boxes, held), count = _tree(numbered, low, high), len(numbered)
     found, pairs, stack, top = np.empty((1024, 2), np.int64), 0, np.ones((_DEEPEST, 2), np.int64), 1
@@ -187,7 +187,7 @@ def _meeting(numbered: Indices, low: Numbers, high: Numbers) -> Indices:
 
 
 @compiled
-def connected(ends: Indices, others: Indices, count: int) -> Indices:
+def connected(ends: Int64, others: Int64, count: int) -> Int64:
     """Return a number for each thing, shape (count,), that is the same for those that pairs connect."""
     least = np.arange(count)
     for pair in range(len(ends)):
@@ -208,7 +208,7 @@ def connected(ends: Indices, others: Indices, count: int) -> Indices:
 
 
 @compiled
-def _row(array: Numbers, place: int) -> Vector:
+def _row(array: Float64, place: int) -> Vector:
     return array[place, 0], array[place, 1], array[place, 2]
 
 
@@ -237,7 +237,7 @@ def _unit(u: Vector) -> Vector:
 
 
 @compiled
-def halves(points: Numbers, faces: Indices, level: float) -> tuple[bool, Indices, Indices]:
+def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, Int64]:
     """Return whether a level plane splits triangles into two halves, and what a proof by them has to look at.
 
     That are the triangles that do not look away from the plane, and the edges in it of those above, (N, 2).
@@ -268,8 +268,8 @@ def halves(points: Numbers, faces: Indices, level: float) -> tuple[bool, Indices
 
 @compiled
 def passages(
-    points: Numbers, triangles: Indices, normal: Numbers, pairs: Indices, tolerance: float
-) -> tuple[bool, Numbers]:
+    points: Float64, triangles: Int64, normal: Float64, pairs: Int64, tolerance: float
+) -> tuple[bool, Float64]:
     """Return whether a triangle of a pair certainly passes through the other or is folded onto it, and where.
 
     If none does, the places are those where an edge may pass through a triangle; shape (N, 3).
@@ -296,7 +296,7 @@ def passages(
 
 @compiled
 def _passage(
-    points: Numbers, triangles: Indices, into: Vector, target: int, passing: int, k: int, tolerance: float
+    points: Float64, triangles: Int64, into: Vector, target: int, passing: int, k: int, tolerance: float
 ) -> tuple[int, Vector]:
     """Return whether an edge passes through a target: 0 for no, 1 for perhaps, 2 for yes; and where."""
     start, end = triangles[passing, k], triangles[passing, (k + 1) % 3]
@@ -321,7 +321,7 @@ def _passage(
 
 
 @compiled
-def _is_fold(points: Numbers, triangles: Indices, one: int, other: int, k: int, tolerance: float) -> bool:
+def _is_fold(points: Float64, triangles: Int64, one: int, other: int, k: int, tolerance: float) -> bool:
     """Return whether triangles that share edge k of the one lie on one another instead of side by side."""
     start, end = triangles[one, k], triangles[one, (k + 1) % 3]
     apex, far, shared = _row(points, triangles[one, (k + 2) % 3]), _row(points, start), 0
@@ -352,7 +352,7 @@ def _across(u: Vector, along: Vector) -> Vector:
 
 
 @compiled
-def _thinnest_wall(points: Numbers, faces: Indices, numbered: Indices, reach: float) -> float:
+def _thinnest_wall(points: Float64, faces: Int64, numbered: Int64, reach: float) -> float:
     """Return the least distance below the reach at which two triangles face each other, or infinity.
 
     Branch and bound: boxes that are further apart than the best so far, do not lie before each other within
@@ -380,7 +380,7 @@ def _thinnest_wall(points: Numbers, faces: Indices, numbered: Indices, reach: fl
 
 
 @compiled
-def _may_face(boxes: Numbers, one: int, other: int, best: float) -> bool:
+def _may_face(boxes: Float64, one: int, other: int, best: float) -> bool:
     """Return whether something of two nodes may face each other nearer than the best so far."""
     # Each lies in what the other sweeps over.
     for axis in range(3):
@@ -405,7 +405,7 @@ def _may_face(boxes: Numbers, one: int, other: int, best: float) -> bool:
 
 
 @compiled
-def _surface(points: Numbers, faces: Indices) -> Solid:
+def _surface(points: Float64, faces: Int64) -> Solid:
     """Return points, faces, directions into the solid of triangles and at corners, and twins of half-edges.
 
     Half-edge 3 f + k leads from corner k of triangle f to the next one.
@@ -442,7 +442,7 @@ def _surface(points: Numbers, faces: Indices) -> Solid:
 
 
 @compiled
-def _boxes(solid: Solid, reach: float) -> tuple[Numbers, Numbers]:
+def _boxes(solid: Solid, reach: float) -> tuple[Float64, Float64]:
     """Return boxes, shape (F, 9), around triangles, the directions in which each may face others, its sweep.
 
     That is where it may face something within the reach.
@@ -574,7 +574,7 @@ def _cosine_in(solid: Solid, half: int, way: Vector) -> float:
 
 
 @compiled
-def leaning_out(points: Numbers, faces: Indices, bed: float, sine: float) -> Numbers:
+def leaning_out(points: Float64, faces: Int64, bed: float, sine: float) -> Float64:
     """Return twice the areas of the triangles that reach above a bed and look down by more than a sine."""
     doubled, count = np.empty(len(faces)), 0
     for face in range(len(faces)):

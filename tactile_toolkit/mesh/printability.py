@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.mesh.mesh import MeshLike, as_mesh
 from tactile_toolkit.mesh.solid_check import check_manifold
@@ -245,7 +245,7 @@ MAX_POINTS = 6000
 """Every point is compared with many others: this bounds the time."""
 
 
-def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
+def thinnest_width_mm(outlines_mm: Sequence[Float64]) -> float:
     """Measure the narrowest wall between two facing stretches of the outlines of a section, 0 without any.
 
     Outlines are closed polygons in mm, shape (N, 2), with the material on their left: outer ones
@@ -263,7 +263,7 @@ def thinnest_width_mm(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
     return float(2 * (radii[facing].min() if facing.any() else radii.max()))
 
 
-def section_area_mm2(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
+def section_area_mm2(outlines_mm: Sequence[Float64]) -> float:
     """Return the area that outlines enclose, turned as in :func:`thinnest_width_mm`."""
     area = 0.0
     for x, y in (
@@ -274,8 +274,8 @@ def section_area_mm2(outlines_mm: Sequence[NDArray[np.float64]]) -> float:
 
 
 def _outline_points(
-    outlines: Sequence[NDArray[np.float64]],
-) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    outlines: Sequence[Float64],
+) -> tuple[Float32, Float32]:
     """Return points along outlines, from their middle, and directions to the material."""
     lengths = [_edge_lengths(outline).sum() for outline in outlines]
     spacing_mm = max(SPACING_MM, sum(lengths) / MAX_POINTS)
@@ -298,6 +298,6 @@ def _outline_points(
     return away.astype(np.float32), np.concatenate(inward).astype(np.float32)
 
 
-def _edge_lengths(outline: NDArray[np.float64]) -> NDArray[np.float64]:
+def _edge_lengths(outline: Float64) -> Float64:
     edges = np.roll(outline, -1, axis=0) - outline
     return np.hypot(edges[:, 0], edges[:, 1])

@@ -8,12 +8,10 @@ numpy. Height maps, pictures and the cells of build plates are all made here.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from tactile_toolkit.mesh.mesh import Indices, Numbers
+from tactile_toolkit.array_types import Float32, Float64, Int64, Integers
 
 MOST_PIXELS = 1 << 27
 """Largest grid that users get, 512 MiB: a finer pitch is refused instead of filling the memory."""
@@ -30,9 +28,7 @@ _AT_ONCE = 1 << 20
 _DEPTH_STEPS = 1 << 30
 
 
-def highest_values(
-    points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int]
-) -> NDArray[np.float32]:
+def highest_values(points: Float64, faces: Integers, shape: tuple[int, int]) -> Float32:
     """Return the height of the highest triangle over the centre of each pixel, -inf where there is none.
 
     Parameters as :func:`covered_pixels`; triangles that face downwards are left out.
@@ -44,8 +40,8 @@ def highest_values(
 
 
 def highest_faces(
-    points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int], both_sides: bool = False
-) -> Indices:
+    points: Float64, faces: Integers, shape: tuple[int, int], both_sides: bool = False
+) -> Int64:
     """Return the highest triangle over the centre of each pixel, -1 where there is none.
 
     Parameters as :func:`covered_pixels`; of equally high triangles the later.
@@ -63,8 +59,8 @@ def highest_faces(
 
 
 def covered_pixels(
-    points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int], both_sides: bool = False
-) -> Iterator[tuple[Indices, Indices, Indices, Numbers]]:
+    points: Float64, faces: Integers, shape: tuple[int, int], both_sides: bool = False
+) -> Iterator[tuple[Int64, Int64, Int64, Float64]]:
     """Yield the pixels whose centres triangles cover, some at a time; upright triangles cover nothing.
 
     That is the triangle of each scan line, the scan line of each pixel, its number row by row, and the
@@ -85,8 +81,8 @@ def covered_pixels(
 
 
 def _prepared(
-    points: Numbers, faces: NDArray[np.integer[Any]], shape: tuple[int, int], both_sides: bool
-) -> tuple[Indices, Indices, Indices, Numbers, Numbers]:
+    points: Float64, faces: Integers, shape: tuple[int, int], both_sides: bool
+) -> tuple[Int64, Int64, Int64, Float64, Float64]:
     """Return the triangles that may cover a pixel centre, turned counter-clockwise as seen from above.
 
     That is which they are, the first row of pixel centres that each meets, and how many; their reach, shape
@@ -118,7 +114,7 @@ def _prepared(
     return kept, first[1, kept].astype(np.int64), rows, reach, plane
 
 
-def _side(start: Numbers, end: Numbers) -> Numbers:
+def _side(start: Float64, end: Float64) -> Float64:
     """Return which columns an edge leaves to a row: ``l, l', r, r'`` of :func:`_prepared`."""
     # The inside is left of every edge. So an edge that runs down the rows bounds them from below, one that
     # runs up from above, and a level one not at all.
@@ -138,8 +134,8 @@ def _side(start: Numbers, end: Numbers) -> Numbers:
 
 
 def _cut(
-    reach: Numbers, plane: Numbers, owner: Indices, row: Indices, columns: int
-) -> tuple[Indices, Indices, Indices, Numbers, Numbers]:
+    reach: Float64, plane: Float64, owner: Int64, row: Int64, columns: int
+) -> tuple[Int64, Int64, Int64, Float64, Float64]:
     """Find the scan lines of triangles in given rows.
 
     Returns the triangle of each, the number of its first pixel, how many it covers, the height above the
@@ -162,7 +158,7 @@ def _cut(
     return owner, row * columns + column, steps + 1, start, rise
 
 
-def _parts(counts: Indices) -> Iterator[tuple[int, int]]:
+def _parts(counts: Int64) -> Iterator[tuple[int, int]]:
     """Divide items into runs of at most :data:`_AT_ONCE` things in all, or of a single item."""
     ends = np.cumsum(counts)
     start = 0
@@ -173,7 +169,7 @@ def _parts(counts: Indices) -> Iterator[tuple[int, int]]:
         start = stop
 
 
-def positions_in_runs(counts: Indices) -> Indices:
+def positions_in_runs(counts: Int64) -> Int64:
     """Return 0, 1, ... for the things of each item in turn: of counts 2 and 3 these are 0, 1, 0, 1, 2."""
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0

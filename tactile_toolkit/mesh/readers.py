@@ -17,10 +17,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import AnyArray, Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import Indices, Numbers, Surface
+from tactile_toolkit.mesh.mesh import Surface
 
 _MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 # Of names and comments any encoding may be; what counts is ASCII.
@@ -100,7 +100,7 @@ def _read_stl_text(text: bytes) -> Surface:
     return _apart(np.array(values).reshape(-1, 3))
 
 
-def _apart(vertices: Numbers) -> Surface:
+def _apart(vertices: Float64) -> Surface:
     """Return the surface of triangles of three vertices each."""
     return vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)
 
@@ -185,7 +185,7 @@ def read_ply(data: bytes) -> Surface:
     if form == "ascii":
         # As numbers of eight bytes, text is read as binary files are.
         body = array("d", _floats(body.split())).tobytes()
-    found: dict[str, dict[str, tuple[Indices, NDArray[Any]]]] = {}
+    found: dict[str, dict[str, tuple[Int64, AnyArray]]] = {}
     at = 0
     for element in elements:
         found[element.name], at = _ply_rows(element, body, at)
@@ -233,7 +233,7 @@ def _ply_elements(lines: Sequence[Sequence[str]], order: str, is_text: bool) -> 
     return elements
 
 
-def _ply_rows(element: _Element, body: bytes, at: int) -> tuple[dict[str, tuple[Indices, NDArray[Any]]], int]:
+def _ply_rows(element: _Element, body: bytes, at: int) -> tuple[dict[str, tuple[Int64, AnyArray]], int]:
     """Return each property of an element, the number of values of each row and all of them; and the end."""
     if not element.rows or not element.properties:
         return {}, at
@@ -266,7 +266,7 @@ def _ply_rows(element: _Element, body: bytes, at: int) -> tuple[dict[str, tuple[
 
 def _ply_uneven_rows(
     element: _Element, body: bytes, at: int
-) -> tuple[dict[str, tuple[Indices, NDArray[Any]]], int]:
+) -> tuple[dict[str, tuple[Int64, AnyArray]], int]:
     sizes: list[array[int]] = [array("q") for _ in element.properties]
     parts: list[list[bytes]] = [[] for _ in element.properties]
     for _ in range(element.rows):
@@ -309,7 +309,7 @@ def _cut_short(element: _Element) -> InputError:
 _MOST_CORNERS = 10_000
 
 
-def cut_polygons(vertices: Numbers, sizes: Indices, corners: Indices) -> NDArray[np.int32]:
+def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
     """Cut polygons into triangles that lie in them, whether they are convex or not.
 
     Parameters
@@ -348,7 +348,7 @@ def cut_polygons(vertices: Numbers, sizes: Indices, corners: Indices) -> NDArray
     return np.concatenate(found).astype(np.int32)
 
 
-def _cut_equal(vertices: Numbers, polygons: Indices) -> Indices:
+def _cut_equal(vertices: Float64, polygons: Int64) -> Int64:
     """Cut polygons of equally many corners, shape (P, corners)."""
     import manifold3d
 

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, TypeVar
 
 import numpy as np
 import pyarrow as pa
-from numpy.typing import NDArray
 
 from tactile_toolkit import read
+from tactile_toolkit.array_types import Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.files import pack_mesh, write_mesh
@@ -145,12 +145,12 @@ class SolidRecord(read.Record):
         return self._row.integer("label")
 
     @property
-    def vertices_m(self) -> NDArray[np.float32]:
+    def vertices_m(self) -> Float32:
         """Vertices, shape (V, 3), float32, metres; a read-only view of the stored values."""
         return self._row.array(VERTICES)
 
     @property
-    def faces(self) -> NDArray[np.int32]:
+    def faces(self) -> Int32:
         """Triangles, shape (F, 3), int32, counter-clockwise seen from outside; a read-only view."""
         return self._row.array(FACES)
 
@@ -193,7 +193,7 @@ class SolidDataset(read.RecordDataset[S]):
     things = "solids"
 
     @property
-    def volumes_m3(self) -> NDArray[np.float64]:
+    def volumes_m3(self) -> Float64:
         """Volume of each row, shape (len,), float64, cubic metres; loads only meshes that store none."""
         if self.has_column("volume_m3"):
             return np.asarray(self.column("volume_m3"), np.float64)

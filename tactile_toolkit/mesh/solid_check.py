@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
+from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.mesh.mesh import Indices, Mesh, Numbers
+from tactile_toolkit.mesh.mesh import Mesh
 
 PROBLEMS = (
     "bad-shape",
@@ -181,12 +182,12 @@ _GRID += (0.137, 0.211, 0.293)
 _DIRECTIONS = _GRID / np.linalg.norm(_GRID, axis=1, keepdims=True)
 
 
-def tolerance_mm(vertices_mm: Numbers) -> float:
+def tolerance_mm(vertices_mm: Float64) -> float:
     """Return how deep sheets may lie in one another: a few times what single precision moves them."""
     return _TOLERANCE * float(np.abs(vertices_mm).max())
 
 
-def self_crossing(vertices_mm: Numbers, faces: Indices, bodies: int = 1) -> Numbers | None:
+def self_crossing(vertices_mm: Float64, faces: Int64, bodies: int = 1) -> Float64 | None:
     """Return a place, shape (3,), where a body of a closed manifold mesh crosses itself; None if none does.
 
     ``bodies`` are the connected surfaces of the mesh; crossings of different ones are not looked for.
@@ -210,7 +211,7 @@ def self_crossing(vertices_mm: Numbers, faces: Indices, bodies: int = 1) -> Numb
 # --- proof for what is made of two reliefs back to back -------------------------------------------
 
 
-def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
+def faces_not_proven_free(vertices_mm: Float64, faces: Int64) -> Int64:
     """Return the faces that may cross others; fewer than all where the surface splits along a level plane.
 
     Over any point of the plane the upper half has as many more faces that look up than faces that do not as
@@ -233,7 +234,7 @@ def faces_not_proven_free(vertices_mm: Numbers, faces: Indices) -> Indices:
     return np.flatnonzero(near)
 
 
-def _rim_is_simple(points: Numbers, edges: Indices) -> bool:
+def _rim_is_simple(points: Float64, edges: Int64) -> bool:
     """Return whether the rim of a half, of its edges in the level, is lines apart that wind once at most."""
     from tactile_toolkit.mesh.nearness import connected, near_pairs
 
@@ -268,7 +269,7 @@ def _rim_is_simple(points: Numbers, edges: Indices) -> bool:
     return True
 
 
-def _turn(a: Numbers, b: Numbers, c: Numbers) -> Numbers:
+def _turn(a: Float64, b: Float64, c: Float64) -> Float64:
     """Return which way points, shape (N, 3), turn seen from above: positive counter-clockwise."""
     return np.asarray((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
 
@@ -276,7 +277,7 @@ def _turn(a: Numbers, b: Numbers, c: Numbers) -> Numbers:
 # --- everything else ------------------------------------------------------------------------------
 
 
-def _crossing_among(vertices_mm: Numbers, faces: Indices, suspects: Indices) -> Numbers | None:
+def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Float64 | None:
     """Return where faces among the suspects cross each other, if they do."""
     from tactile_toolkit.mesh.nearness import near_pairs, passages
 
@@ -302,7 +303,7 @@ def _crossing_among(vertices_mm: Numbers, faces: Indices, suspects: Indices) -> 
     return None
 
 
-def _winding_numbers(vertices_mm: Numbers, faces: Indices, points_mm: Numbers) -> Numbers:
+def _winding_numbers(vertices_mm: Float64, faces: Int64, points_mm: Float64) -> Float64:
     """Return how often a surface goes around points: its solid angles (Van Oosterom and Strackee 1983)."""
     found = np.empty(len(points_mm))
     for index, point in enumerate(points_mm):

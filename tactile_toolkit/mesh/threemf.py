@@ -18,9 +18,9 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import moved
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
@@ -96,7 +96,7 @@ class _Object:
     name: str = ""
     type: str = "model"
     surface: Surface | None = None
-    parts: list[tuple[tuple[str, str], NDArray[np.float64]]] = field(default_factory=list)
+    parts: list[tuple[tuple[str, str], Float64]] = field(default_factory=list)
 
 
 class _Package:
@@ -249,9 +249,7 @@ class _Package:
             raise InputError(f"the file holds nothing to build; {', '.join(left_out)}")
         return Build(items, left_out, self._units[self._root])
 
-    def _placed(
-        self, named: tuple[str, str], matrix: NDArray[np.float64], depth: int = 0
-    ) -> Iterator[Surface]:
+    def _placed(self, named: tuple[str, str], matrix: Float64, depth: int = 0) -> Iterator[Surface]:
         """Yield the surfaces of an object, moved."""
         if named not in self._objects:
             raise InputError(f"the archive holds no object {named[1]!r} of /{named[0]}")

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import read
+from tactile_toolkit.array_types import Float32, Float64, Floating, Integers, UInt8
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.mesh.raster import MOST_PIXELS, covered_pixels, highest_values
@@ -62,7 +62,7 @@ class Box:
         columns, rows, layers = (max(1, round(length / self.pitch_m)) for length in self.extent_m)
         return layers, rows, columns
 
-    def grid_points(self, vertices_m: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def grid_points(self, vertices_m: Floating) -> Float64:
         """Return column, row and layer of vertices, shape (3, V); voxel centres have integers."""
         _, rows, columns = self.shape
         middle = np.array([[columns / 2.0], [rows / 2.0], [0.0]])
@@ -70,11 +70,11 @@ class Box:
 
 
 def surface_points(
-    vertices_m: NDArray[np.floating[Any]],
-    faces: NDArray[np.integer[Any]],
+    vertices_m: Floating,
+    faces: Integers,
     count: int,
     random: np.random.Generator,
-) -> NDArray[np.float32]:
+) -> Float32:
     """Draw points on a surface, each place as likely as any other: shape (count, 3), float32, metres."""
     a, b, c = (vertices_m[corner].astype(np.float64) for corner in np.asarray(faces).T)
     areas = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
@@ -86,9 +86,7 @@ def surface_points(
     return np.asarray(points, np.float32)
 
 
-def heights_in(
-    box: Box, vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]
-) -> NDArray[np.float32]:
+def heights_in(box: Box, vertices_m: Floating, faces: Integers) -> Float32:
     """Return the height of the top surface over each pixel centre, 0 next to the solid.
 
     Shape (rows, columns), float32, metres; row 0 has the least y.
@@ -99,9 +97,7 @@ def heights_in(
     return np.where(np.isneginf(heights_m), np.float32(0), heights_m)
 
 
-def voxels_in(
-    box: Box, vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]]
-) -> NDArray[np.uint8]:
+def voxels_in(box: Box, vertices_m: Floating, faces: Integers) -> UInt8:
     """Return which voxel centres lie inside a solid: shape (layers, rows, columns) of z, y, x, uint8."""
     layers, rows, columns = box.shape
     points = box.grid_points(vertices_m)

@@ -17,7 +17,6 @@ from .sheets import (
     ACCENTS as ACCENTS,
     PAPER as PAPER,
     PicturePlan as PicturePlan,
-    Pixels as Pixels,
     PlannedPicture as PlannedPicture,
     TILE_STYLE as TILE_STYLE,
     Tile as Tile,

@@ -9,9 +9,9 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from tactile_toolkit import catalog, places, read
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.pictures.sheets import (
-    Pixels,
     PlannedPicture,
     Tile,
     bar_length_mm,
@@ -44,7 +44,7 @@ class MeshPreviews(Generic[D]):
         self.chosen = catalog.choose_rows(datasets.items(), **among)
         self.made_by = place.made_by
 
-    def plan_sheets(self, draw: Callable[[D, str], Pixels]) -> list[PlannedPicture]:
+    def plan_sheets(self, draw: Callable[[D, str], UInt8]) -> list[PlannedPicture]:
         """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""
         planned = []
         for split, dataset, found in self.chosen:
@@ -61,7 +61,7 @@ class MeshPreviews(Generic[D]):
 
 def draw_by_class(
     tiles: Sequence[tuple[str, Tile]], per_row: int, title: str, words: str, px_per_mm: float
-) -> Pixels:
+) -> UInt8:
     """Draw pictures at one scale in a row (or some) for each class, whose name comes with each picture."""
     groups: dict[str, list[Tile]] = {}
     for name, tile in tiles:

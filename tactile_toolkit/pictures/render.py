@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit.arithmetic import cosine_sine, moved
+from tactile_toolkit.array_types import Float64, Floating, Int64, Integers, UInt8
 from tactile_toolkit.mesh import Mesh, highest_faces, joined
 from tactile_toolkit.pictures.sheets import PAPER, TILE_STYLE, Colour, figure_html
 
@@ -32,7 +31,7 @@ class View:
     elevation_deg: float  # how high the viewer stands: 90 looks straight down, with x right and y up
 
     @property
-    def axes(self) -> NDArray[np.float64]:
+    def axes(self) -> Float64:
         """Directions right, up and towards the viewer, one a row: shape (3, 3), of length one."""
         walked, aside = cosine_sine(math.radians(self.azimuth_deg))
         level, raised = cosine_sine(math.radians(self.elevation_deg))
@@ -40,7 +39,7 @@ class View:
         right = np.array([walked, aside, 0.0])
         return np.stack([right, np.cross(towards, right), towards])
 
-    def project(self, points: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
+    def project(self, points: Floating) -> Float64:
         """Turn points, shape (n, 3), into right, up and towards the viewer, in the same unit."""
         return moved(np.asarray(points, np.float64), self.axes.T)
 
@@ -49,7 +48,7 @@ OBLIQUE = View(-25.0, 42.0)
 """From the front, somewhat left and well above: digits stay readable and show their height."""
 
 
-def box_downsample(pixels: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
+def box_downsample(pixels: UInt8, factor: int) -> UInt8:
     """Return a picture, (H, W) or (H, W, 3), so many times smaller, each pixel the mean of those it covers.
 
     Sides that are not a multiple of ``factor`` are filled up with white first.
@@ -62,9 +61,7 @@ def box_downsample(pixels: NDArray[np.uint8], factor: int) -> NDArray[np.uint8]:
     return np.asarray((sums + factor * factor // 2) // (factor * factor), np.uint8)
 
 
-def relief(
-    vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], pitch_m: float = _PITCH_M
-) -> NDArray[np.uint8]:
+def relief(vertices_m: Floating, faces: Integers, pitch_m: float = _PITCH_M) -> UInt8:
     """Draw a mesh from above in shaded relief, one pixel every ``pitch_m``; coarser where that is too many.
 
     Returns levels of uint8, shape (H, W): 255 is empty paper; row 0 is the largest y.
@@ -86,15 +83,13 @@ def relief(
     return np.append(shades, np.uint8(255))[seen[::-1]]
 
 
-def relief_tile_html(
-    vertices_m: NDArray[np.floating[Any]], faces: NDArray[np.integer[Any]], caption: str
-) -> str:
+def relief_tile_html(vertices_m: Floating, faces: Integers, caption: str) -> str:
     """Return what a notebook shows of a mesh among others: a small relief and its caption, plain text."""
     pitch_m = max(float(np.ptp(vertices_m[:, :2], axis=0).max()) / _TILE_PX, 1e-6)
     return figure_html(relief(vertices_m, faces, pitch_m), caption, TILE_STYLE)
 
 
-def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> NDArray[np.uint8]:
+def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> UInt8:
     """Draw a mesh as :func:`relief` with smooth edges: so many times larger first, then averaged.
 
     The margin is one to two pixels.
@@ -128,7 +123,7 @@ def draw_bodies(
     px_per_m: float,
     view: View = OBLIQUE,
     paper: Colour = PAPER,
-) -> NDArray[np.uint8]:
+) -> UInt8:
     """Draw bodies in the middle of a picture of some width and height: the surface smooth, sharp edges sharp.
 
     Drawn in parallel projection: lengths along the picture plane keep their scale. Shape (H, W, 3).
@@ -154,18 +149,18 @@ def draw_bodies(
     return box_downsample(pixels, _SAMPLING)
 
 
-def _across(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+def _across(points: Float64, faces: Integers) -> Float64:
     """Return the normals of triangles, (F, 3), as long as twice their areas."""
     corners = points[faces]
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(vectors: Float64) -> Float64:
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
 
 
-def _corner_normals(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]) -> NDArray[np.float64]:
+def _corner_normals(points: Float64, faces: Integers) -> Float64:
     """Return normals at the corners of each triangle, (F, 3, 3): sums over those that meet there smoothly."""
     across = _across(points, faces)
     own, corners = _unit(across), faces.ravel()
@@ -183,11 +178,11 @@ def _corner_normals(points: NDArray[np.float64], faces: NDArray[np.integer[Any]]
 
 
 def _normals_at(
-    column: NDArray[np.int64],
-    row: NDArray[np.int64],
-    corners: NDArray[np.float64],
-    normals: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    column: Int64,
+    row: Int64,
+    corners: Float64,
+    normals: Float64,
+) -> Float64:
     """Return the normal at a pixel of each triangle with corners, (n, 3, 2), and normals there, (n, 3, 3)."""
     start_x, start_y = corners[:, 0].T
     to_b_x, to_b_y = (corners[:, 1] - corners[:, 0]).T
@@ -202,7 +197,7 @@ def _normals_at(
     return _unit(a + share_b * (b - a) + share_c * (c - a))
 
 
-def _lit(plain: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+def _lit(plain: Float64, normals: Float64) -> Float64:
     """Return colours, (n, 3), as the lights show them: all from one side, and a highlight (Phong 1975)."""
     levels = _AMBIENT * plain
     for direction, strength in _LIGHTS:

@@ -16,9 +16,9 @@ from importlib import resources
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import store
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def _font(size_px: int) -> FreeTypeFont:
 class Tile:
     """A picture on a sheet, (H, W) or (H, W, 3), with words below it and a frame around it."""
 
-    pixels: NDArray[np.uint8]
+    pixels: UInt8
     caption: str = ""
     frame: Colour | None = None
 
@@ -112,7 +112,7 @@ def sheet(
     gap_px: int = 8,
     margin_px: int = 16,
     bar_room: bool = False,
-) -> NDArray[np.uint8]:
+) -> UInt8:
     """Lay pictures out row by row in cells of one size, each in the middle of its cell; None is empty.
 
     Title and lines stand above them, labels left of each row; ``bar_room`` leaves that of a scale bar below.
@@ -188,9 +188,7 @@ def bar_length_mm(width_px: int, px_per_mm: float) -> float:
     return fitting[-1] if fitting else _NICE_LENGTHS_MM[0]
 
 
-def with_scale_bar(
-    pixels: NDArray[np.uint8], px_per_mm: float, length_mm: float | None = None
-) -> NDArray[np.uint8]:
+def with_scale_bar(pixels: UInt8, px_per_mm: float, length_mm: float | None = None) -> UInt8:
     """Return a picture, (H, W, 3), with a scale bar in its lower left corner; one that fits by default."""
     from PIL import Image, ImageDraw
 
@@ -208,9 +206,6 @@ def with_scale_bar(
 
 # --- in files and notebooks -------------------------------------------------------------------------
 
-Pixels: TypeAlias = NDArray[np.uint8]
-"""Grey levels of shape (H, W) or colours of shape (H, W, 3); row 0 at the top."""
-
 
 TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
 """Style of a small picture among others in a notebook."""
@@ -222,7 +217,7 @@ class PlannedPicture:
 
     name: str
     what: str
-    draw: Callable[[], Pixels]
+    draw: Callable[[], UInt8]
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,7 +288,7 @@ def write_pictures(
     return written
 
 
-def png_bytes(pixels: Pixels) -> bytes:
+def png_bytes(pixels: UInt8) -> bytes:
     """Encode a picture as PNG without times, names of programs or anything else but its pixels."""
     from PIL import Image
 
@@ -302,7 +297,7 @@ def png_bytes(pixels: Pixels) -> bytes:
     return stream.getvalue()
 
 
-def figure_html(pixels: Pixels, caption: str, style: str = "") -> str:
+def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:
     """Return what a notebook shows of a picture and its caption, which is plain text."""
     source = base64.b64encode(png_bytes(pixels)).decode("ascii")
     styled = f' style="{style}"' if style else ""

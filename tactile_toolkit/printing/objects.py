@@ -21,6 +21,7 @@ from typing import IO, TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 
 from tactile_toolkit import catalog, read, store
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import (
     FORMATS,
@@ -38,8 +39,6 @@ from tactile_toolkit.run import runner_for
 from tactile_toolkit.wording import class_name
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from tactile_toolkit.mesh import SolidRecord
 
 
@@ -248,7 +247,7 @@ def place_on_plate(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
     Corners with the very same coordinates are made one, as solids need it; ``scale`` is a factor on all
     lengths, about the origin.
     """
-    vertices_m: NDArray[np.float64] = np.asarray(surface.vertices_m, np.float64) * scale
+    vertices_m: Float64 = np.asarray(surface.vertices_m, np.float64) * scale
     faces = np.asarray(surface.faces, np.int32)
     # What names corners that are not there is left as it is: the check of the solid says so.
     if faces.size and faces.min() >= 0 and faces.max() < len(vertices_m):

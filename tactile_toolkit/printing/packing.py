@@ -18,6 +18,7 @@ import numpy as np
 from scipy import fft, ndimage
 
 from tactile_toolkit import mesh
+from tactile_toolkit.array_types import Bool, Float64
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.printing.objects import Failure, PrintObject, Progress, place_on_plate, require_scale
 from tactile_toolkit.printing.spec import Physics, PlateSpec
@@ -26,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-Rings = Sequence["NDArray[np.float64]"]
+Rings = Sequence["Float64"]
 
 _ARC_SEGMENTS = 64
 _SAMPLES_PER_CELL = 8  # steps along an edge: it cannot pass through a cell unseen but at a corner
@@ -44,7 +45,7 @@ class Outline:
     low_mm: tuple[float, float]
 
     @property
-    def rings(self) -> list[NDArray[np.float64]]:
+    def rings(self) -> list[Float64]:
         """Closed lines around it, shape (n, 2) each, mm; holes are turned the other way round."""
         return [np.asarray(ring, np.float64) for ring in self.section.to_polygons()]
 
@@ -77,7 +78,7 @@ def outline_of(manifold: Any) -> Outline:
     return Outline(section.translate((-left, -front)), (left, front))
 
 
-def cells_of(spec: PlateSpec, outline: Outline) -> NDArray[np.bool_]:
+def cells_of(spec: PlateSpec, outline: Outline) -> Bool:
     """Return the cells that an outline needs, shape (rows, columns).
 
     The first cell begins half a gap left of and below the outline's lower left corner.
@@ -94,7 +95,7 @@ def cells_of(spec: PlateSpec, outline: Outline) -> NDArray[np.bool_]:
     return cells_touched([(np.asarray(ring) + spec.gap_mm / 2) / cell_mm for ring in rings], (rows, columns))
 
 
-def cells_touched(rings: Rings, shape: tuple[int, int]) -> NDArray[np.bool_]:
+def cells_touched(rings: Rings, shape: tuple[int, int]) -> Bool:
     """Return the cells, shape (rows, columns), whose middle is inside polygons or that an edge runs through.
 
     Rings are closed, in units of cells, x then y, holes turned the other way round; what lies outside of
@@ -129,7 +130,7 @@ class Placed:
     outline: Outline
     height_mm: float
     volume_mm3: float
-    cells: NDArray[np.bool_]
+    cells: Bool
     area_mm2: float
     x_mm: float = 0.0
     y_mm: float = 0.0
@@ -206,7 +207,7 @@ def _piece(item: PrintObject, spec: PlateSpec, scale: float) -> Placed:
     return Placed(item, outline, height_mm, verdict.volume_mm3, cells, area_mm2)
 
 
-def _fits_corner(spec: PlateSpec, cells: NDArray[np.bool_]) -> bool:
+def _fits_corner(spec: PlateSpec, cells: Bool) -> bool:
     """Return whether an object that is no larger than a plate fits on it, for all the corner."""
     beside = np.subtract(spec.cells, spec.corner_cells)
     return bool((cells.shape <= beside).any()) or any(
@@ -278,7 +279,7 @@ _TRIED_AT_ONCE = 100
 
 
 def pack(
-    shapes: Sequence[NDArray[np.bool_]],
+    shapes: Sequence[Bool],
     plate: tuple[int, int],
     least_plates: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
@@ -320,7 +321,7 @@ def pack(
 def _fill(
     plate: tuple[int, int],
     corner: tuple[int, int],
-    shapes: Sequence[NDArray[np.bool_]],
+    shapes: Sequence[Bool],
     numbers: Sequence[int],
     front: float,
     bonuses: Sequence[float],

@@ -17,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import pictures, store
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh import MM_PER_M, BuildItem, Mesh, read_build, require_solid, write_build
 from tactile_toolkit.printing.objects import (
@@ -280,7 +280,7 @@ def draw_map(layout: Layout, number: int) -> bytes:
             pen.polygon([corners[corner] for corner in triangle], fill)
         for ring in (*hull, *rings):
             pen.line(places([*ring, ring[0]]), _OUTLINE, 2)
-    taken = list[NDArray[np.float64]]()
+    taken = list[Float64]()
     for placed in plate:
         item = placed.item
         split = [item.split] if item.split and ids[item.id] > 1 else []

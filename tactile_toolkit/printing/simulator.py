@@ -16,9 +16,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh import Mesh, require_solid
 from tactile_toolkit.printing.spec import Physics
@@ -50,8 +50,8 @@ class Body:
     mesh: Mesh
     parts: tuple[Mesh, ...]
     mass_kg: float
-    center_m: NDArray[np.float64]
-    inertia_kg_m2: NDArray[np.float64]
+    center_m: Float64
+    inertia_kg_m2: Float64
     friction: float
 
 
@@ -248,7 +248,7 @@ def _parts(found: Any) -> list[tuple[float, Any, Any]]:
     return [(hull.volume() - part.volume(), part, hull) for part, hull in bodies]
 
 
-def _best_cut(outline: Any) -> tuple[NDArray[np.float64], float]:
+def _best_cut(outline: Any) -> tuple[Float64, float]:
     """Return the line, normal and offset in mm, that leaves the least between the halves and their hulls.
 
     It goes through the corner that lies deepest in a bay. Where there is no bay, what the hull adds lies
@@ -277,11 +277,11 @@ def _best_cut(outline: Any) -> tuple[NDArray[np.float64], float]:
     return normal, float(along.min() + along.max()) / 2
 
 
-def _depths_mm(outline: Any, corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _depths_mm(outline: Any, corners: Float64) -> Float64:
     """Return how deep each corner of an outline lies below its convex hull, shape (N,)."""
     hull = np.asarray(outline.hull().to_polygons()[0])
     along = np.roll(hull, -1, axis=0) - hull
     inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
     inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
-    depths: NDArray[np.float64] = ((corners[:, None] - hull[None]) * inwards[None]).sum(axis=2).min(axis=1)
+    depths: Float64 = ((corners[:, None] - hull[None]) * inwards[None]).sum(axis=2).min(axis=1)
     return depths

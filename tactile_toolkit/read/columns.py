@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import AnyArray, Bool, Int64
 from tactile_toolkit.errors import IntegrityError
 
 _EXACT = 1 << 53
@@ -29,13 +29,13 @@ class RaggedColumn:
     ``values[offsets[i]:offsets[i + 1]]``.
     """
 
-    values: NDArray[Any]
-    offsets: NDArray[Any]
+    values: AnyArray
+    offsets: AnyArray
 
     def __len__(self) -> int:
         return len(self.offsets) - 1
 
-    def __getitem__(self, row: int) -> NDArray[Any]:
+    def __getitem__(self, row: int) -> AnyArray:
         """Return the array of one row, shape (n, width), without a copy."""
         return self.values[self.offsets[row] : self.offsets[row + 1]]
 
@@ -83,8 +83,8 @@ class BytesColumn:
     """
 
     data: memoryview
-    offsets: NDArray[Any]
-    present: NDArray[np.bool_] | None
+    offsets: AnyArray
+    present: Bool | None
 
     def __getitem__(self, index: int) -> memoryview | None:
         """Return one string without a copy; None when it is null."""
@@ -111,7 +111,7 @@ class NestedColumn:
         How many lists and values are null.
     """
 
-    levels: tuple[NDArray[Any] | int, ...]
+    levels: tuple[AnyArray | int, ...]
     values: Any
     nulls: int
 
@@ -122,14 +122,14 @@ class NestedColumn:
             return start * where, stop * where
         return int(where[start]), int(where[stop])
 
-    def flat(self, level: int, start: int, stop: int) -> NDArray[Any]:
+    def flat(self, level: int, start: int, stop: int) -> AnyArray:
         """Return all values below lists ``start`` to ``stop`` of a level, flat."""
         for deeper in range(level, len(self.levels)):
             start, stop = self.inside(deeper, start, stop)
-        values: NDArray[Any] = self.values[start:stop]
+        values: AnyArray = self.values[start:stop]
         return values
 
-    def lengths(self, level: int) -> NDArray[np.int64]:
+    def lengths(self, level: int) -> Int64:
         """Return the length of every list of a level that stores offsets (not one shared length)."""
         return np.diff(np.asarray(self.levels[level])).astype(np.int64)
 
@@ -138,7 +138,7 @@ def nested_column(array: Any) -> NestedColumn:
     """View an Arrow array of lists at any depth as numpy."""
     import pyarrow as pa
 
-    levels: list[NDArray[Any] | int] = []
+    levels: list[AnyArray | int] = []
     nulls = array.null_count
     # A slice keeps the values of all rows, which are cut out here: Arrow imports `pyarrow.compute` for that,
     # which takes longer than to unpack the first row group.
@@ -165,13 +165,13 @@ def nested_column(array: Any) -> NestedColumn:
     return NestedColumn(tuple(levels), BytesColumn(blobs, starts, present), nulls)
 
 
-def numpy_values(array: Any) -> NDArray[Any]:
+def numpy_values(array: Any) -> AnyArray:
     """Return the values of an Arrow array, read-only; where some are null, numbers become floats."""
     import pyarrow as pa
 
     # Arrow's `to_numpy` imports pandas, which takes half a second.
     if array.null_count or not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
-        values: NDArray[Any] = array.to_numpy(zero_copy_only=False)
+        values: AnyArray = array.to_numpy(zero_copy_only=False)
     else:
         values = np.from_dlpack(array)
     values.setflags(write=False)
@@ -264,7 +264,7 @@ class Rows:
         self.path = path
         self.first_row = first_row
         self._ragged: dict[str, RaggedColumn] = {}
-        self._flat: dict[str, NDArray[Any]] = {}
+        self._flat: dict[str, AnyArray] = {}
         self._views: dict[str, Any] = {}
 
     @cached_property
@@ -311,7 +311,7 @@ class Rows:
         """Return a column of nested lists, by dotted name."""
         return self.once(name, lambda: nested_column(self.arrow(name)))
 
-    def flat(self, name: str) -> NDArray[Any]:
+    def flat(self, name: str) -> AnyArray:
         """Return a column of plain values as a numpy array."""
         column = self._flat.get(name)
         return self._flat.setdefault(name, numpy_values(self.arrow(name))) if column is None else column
@@ -417,7 +417,7 @@ def whole_number(value: object) -> int | None:
     return whole if whole == number and -limit <= whole < limit else None
 
 
-def whole_numbers(values: NDArray[Any]) -> NDArray[np.bool_]:
+def whole_numbers(values: AnyArray) -> Bool:
     """Return which values mean integers, each as :func:`whole_number` decides."""
     if values.dtype.kind in "bi":
         return np.ones(values.shape, bool)

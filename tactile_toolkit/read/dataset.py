@@ -13,6 +13,7 @@ from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import (
@@ -46,7 +47,7 @@ class Row:
         self.group = group
         self.index = index
 
-    def array(self, name: str) -> NDArray[Any]:
+    def array(self, name: str) -> AnyArray:
         """Return a field of shape (n, width) as a read-only view of the stored values."""
         try:
             return self.group.ragged(name)[self.index]
@@ -186,7 +187,7 @@ def picks_several(index: Any) -> bool:
     return hasattr(index, "__array__") and np.ndim(index) > 0
 
 
-def positions(index: Any, length: int) -> NDArray[np.int64]:
+def positions(index: Any, length: int) -> Int64:
     """Turn a slice, ints or a boolean mask into positions, shape (n,), 0 to below that length.
 
     Raises IndexError for a mask of another length and for ints out of range, TypeError for anything else.
@@ -198,7 +199,7 @@ def positions(index: Any, length: int) -> NDArray[np.int64]:
         raise TypeError(
             f"rows are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
         )
-    found: NDArray[np.int64] = np.arange(length)[chosen if chosen.size else np.zeros(0, np.int64)]
+    found: Int64 = np.arange(length)[chosen if chosen.size else np.zeros(0, np.int64)]
     return found
 
 
@@ -228,7 +229,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     def __init__(
         self,
         table: ShardedTable,
-        rows: range | NDArray[np.int64] | None = None,
+        rows: range | Int64 | None = None,
         label_names: Sequence[str] = (),
     ) -> None:
         self._table = table
@@ -241,7 +242,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self._label_names
 
     @property
-    def ids(self) -> NDArray[Any]:
+    def ids(self) -> AnyArray:
         """Id of each row, shape (len,); reads the id column only."""
         values = self.column("id")
         are_whole = values.dtype.kind == "f" and whole_numbers(values).all()
@@ -271,9 +272,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         """Return whether all rows have a stored column, by dotted name."""
         return all(self._stores(name))
 
-    def _integers(
-        self, name: str, unstored: Callable[[], NDArray[np.int64]], stored: Callable[[T], int]
-    ) -> NDArray[np.int64]:
+    def _integers(self, name: str, unstored: Callable[[], Int64], stored: Callable[[T], int]) -> Int64:
         """Read a column of integers; ``unstored`` gives all of a set without it, ``stored`` that of a row."""
         known = self._stores(name)
         if all(known):
@@ -323,7 +322,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         stored = Dataset(table, fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16])
         return stored if places == list(range(len(table))) else stored.select(places)
 
-    def column(self, name: str) -> NDArray[Any]:
+    def column(self, name: str) -> AnyArray:
         """Read one plain column, shape (len,), without touching any other.
 
         Raises
@@ -341,7 +340,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             return values[rows.start : rows.stop if rows.stop >= 0 else None : rows.step]
         return values[rows]
 
-    def int_column(self, name: str) -> NDArray[np.int64]:
+    def int_column(self, name: str) -> Int64:
         """Read one column of integers, shape (len,), int64, without touching any other.
 
         Raises
@@ -367,7 +366,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self._table.identity
 
     @property
-    def labels(self) -> NDArray[np.int64]:
+    def labels(self) -> Int64:
         """Label of each item, shape (len,), int64; reads the label column only.
 
         Raises
@@ -393,23 +392,23 @@ class RecordDataset(Sequence[T], Generic[T]):
             raise IndexError(f"index {position} is out of range for {counted(length, self.things)}")
         return self._stored(int(self._rows[position]))
 
-    def _select(self, chosen: slice | NDArray[np.int64]) -> Self:
+    def _select(self, chosen: slice | Int64) -> Self:
         """Return a view of the items at some positions."""
         return self._view(self._rows[chosen] if isinstance(chosen, slice) else self._row_numbers[chosen])
 
-    def _view(self, rows: range | NDArray[np.int64]) -> Self:
+    def _view(self, rows: range | Int64) -> Self:
         view = copy(self)
         view._rows = rows
         return view
 
     @property
-    def _row_numbers(self) -> NDArray[np.int64]:
+    def _row_numbers(self) -> Int64:
         return np.asarray(self._rows, np.int64)
 
     @overload
     def __getitem__(self, index: int) -> T: ...
     @overload
-    def __getitem__(self, index: slice | Sequence[int] | Sequence[bool] | NDArray[Any]) -> Self: ...
+    def __getitem__(self, index: slice | Sequence[int] | Sequence[bool] | AnyArray) -> Self: ...
     def __getitem__(self, index: Any) -> T | Self:
         """Return an item (int) or a view (slice, or a list, array or tensor of ints or booleans).
 
@@ -668,7 +667,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         order = np.argsort(self._row_numbers, kind="stable")
         return StoredParts(np.unique(np.searchsorted(self._row_numbers[order], starts)), order)
 
-    def _row_groups(self, chosen: NDArray[np.int64]) -> list[tuple[RowSource, int]]:
+    def _row_groups(self, chosen: Int64) -> list[tuple[RowSource, int]]:
         rows = self._rows
         numbers = np.unique(rows.start + rows.step * chosen if isinstance(rows, range) else rows[chosen])
         return self._table.row_groups(numbers)
@@ -680,7 +679,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         """Yield place and item of all, in whatever order is quickest, for looking at small fields."""
         return enumerate(self)
 
-    def _order(self, seed: int) -> NDArray[np.int64]:
+    def _order(self, seed: int) -> Int64:
         return np.argsort(_numbers(seed, len(self)), kind="stable")
 
     def _label_number(self, label: Any) -> int:

@@ -17,8 +17,8 @@ from threading import Event, Thread
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.bounds import cache_limit_bytes
 from tactile_toolkit.errors import ToolkitError
 
@@ -33,13 +33,13 @@ class StoredParts:
     in which they are stored; ``order`` are their positions in that order, None where they are in it already.
     """
 
-    starts: NDArray[np.int64]
-    order: NDArray[np.int64] | None = None
+    starts: Int64
+    order: Int64 | None = None
 
     def __len__(self) -> int:
         return len(self.starts) - 1
 
-    def positions(self, part: int) -> NDArray[np.int64]:
+    def positions(self, part: int) -> Int64:
         """Return the items of a part, as stored."""
         start, stop = self.starts[part : part + 2].tolist()
         return np.arange(start, stop) if self.order is None else self.order[start:stop]
@@ -73,31 +73,31 @@ class GlobalOrder:
         return hashlib.sha256(b"\0".join(parts)).hexdigest()[:16]
 
     @cached_property
-    def _shards(self) -> NDArray[np.int64]:
+    def _shards(self) -> Int64:
         return self._shuffled(np.arange(len(self.parts)), 0)
 
     @cached_property
-    def _starts(self) -> NDArray[np.int64]:
+    def _starts(self) -> Int64:
         sizes = np.diff(self.parts.starts)[self._shards]
         first = np.arange(0, len(sizes) + 1, self.window)
         ends = np.concatenate([[0], np.cumsum(sizes)])
         return np.asarray(ends[np.append(first, len(sizes))])
 
     @cached_property
-    def _window(self) -> Callable[[int], NDArray[np.int64]]:
+    def _window(self) -> Callable[[int], Int64]:
         return lru_cache(_KEPT_WINDOWS)(lambda window: self._shuffled(self.stored(window), 1 + window))
 
     def window_of(self, number: int) -> int:
         """Return the window in which an item lies."""
         return int(np.searchsorted(self._starts, number, "right")) - 1
 
-    def stored(self, window: int) -> NDArray[np.int64]:
+    def stored(self, window: int) -> Int64:
         """Return the positions of the items of a window, shard by shard as stored; none after the last."""
         shards = self._shards[window * self.window : (window + 1) * self.window].tolist()
         parts = [self.parts.positions(shard) for shard in shards]
         return np.concatenate(parts or [np.zeros(0, np.int64)])
 
-    def positions(self, numbers: NDArray[np.int64]) -> NDArray[np.int64]:
+    def positions(self, numbers: Int64) -> Int64:
         """Return the position in the data set of items by their numbers; shape as given, int64."""
         windows = np.searchsorted(self._starts, numbers, "right") - 1
         found = np.empty(len(numbers), np.int64)
@@ -106,7 +106,7 @@ class GlobalOrder:
             found[here] = self._window(window)[numbers[here] - self._starts[window]]
         return found
 
-    def _shuffled(self, values: NDArray[np.int64], stream: int) -> NDArray[np.int64]:
+    def _shuffled(self, values: Int64, stream: int) -> Int64:
         """Shuffle by the stream of PCG64, which numpy promises to keep, unlike its own shuffles."""
         if self.seed is None:
             return values
@@ -143,7 +143,7 @@ class RankSampler:
         """Batches of each rank."""
         return -(-self.items // self.batch_size)
 
-    def batch(self, index: int) -> NDArray[np.int64]:
+    def batch(self, index: int) -> Int64:
         """Return the numbers of the items of one batch."""
         first = index * self.batch_size
         turns = np.arange(first, min(first + self.batch_size, self.items))

@@ -25,9 +25,9 @@ from pathlib import Path
 from typing import IO, Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactile_toolkit import run
+from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
 from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
 from tactile_toolkit.errors import BusyError, IntegrityError, ToolkitError
@@ -576,7 +576,7 @@ class ShardedTable:
         return [0, *accumulate(map(len, self.shards))]
 
     @cached_property
-    def _columns(self) -> dict[str, NDArray[Any]]:
+    def _columns(self) -> dict[str, AnyArray]:
         return {}
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -599,7 +599,7 @@ class ShardedTable:
         return [shard.schema for shard in reversed(first.values())]
 
     @property
-    def part_starts(self) -> NDArray[np.int64]:
+    def part_starts(self) -> Int64:
         """Where each part that training mixes begins, and the end: a shard, or some rows that are made."""
         sizes = chain.from_iterable(shard.part_sizes for shard in self.shards)
         return np.array([0, *accumulate(sizes)], np.int64)
@@ -619,7 +619,7 @@ class ShardedTable:
         index = bisect_right(self._starts, row) - 1
         return self.shards[index].locate(row - self._starts[index])
 
-    def row_groups(self, rows: NDArray[np.int64]) -> list[tuple[RowSource, int]]:
+    def row_groups(self, rows: Int64) -> list[tuple[RowSource, int]]:
         """Return the row groups that hold some rows, which rise; opens no other shard."""
         found: list[tuple[RowSource, int]] = []
         if not self.shards:
@@ -631,15 +631,15 @@ class ShardedTable:
             found += [(shard, group) for group in groups.tolist()]
         return found
 
-    def column(self, name: str) -> NDArray[Any]:
+    def column(self, name: str) -> AnyArray:
         """Read one plain column of all rows by dotted name, and only that column; kept for the next call."""
         return self._kept(f"column {name}", map(numpy_values, self._arrays(name)))
 
-    def per_shard(self, key: str, compute: Callable[[RowSource], Sequence[NDArray[Any]]]) -> NDArray[Any]:
+    def per_shard(self, key: str, compute: Callable[[RowSource], Sequence[AnyArray]]) -> AnyArray:
         """Join along the first axis what is computed of each shard; kept under ``key`` for the next call."""
         return self._kept(key, chain.from_iterable(_in_threads(compute, self.shards)))
 
-    def _kept(self, key: str, parts: Iterable[NDArray[Any]]) -> NDArray[Any]:
+    def _kept(self, key: str, parts: Iterable[AnyArray]) -> AnyArray:
         if key not in self._columns:
             values = np.concatenate(list(parts) or [np.zeros(0)])
             # It is kept as it is handed out.

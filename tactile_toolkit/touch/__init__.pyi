@@ -13,7 +13,6 @@ from .jpeg import (
     ImageFormat as ImageFormat,
     MAX_IMAGE_BYTES as MAX_IMAGE_BYTES,
     MAX_IMAGE_PIXELS as MAX_IMAGE_PIXELS,
-    Pixels as Pixels,
     decode_image as decode_image,
     encode_image as encode_image,
     image_size as image_size,

@@ -12,7 +12,8 @@ from typing import Any, Literal
 
 import numpy as np
 import simplejpeg
-from numpy.typing import NDArray
+
+from tactile_toolkit.array_types import UInt8
 
 MAX_IMAGE_PIXELS = 1 << 24
 """Largest image that is decoded (4096 x 4096); a sensor's has 76,800 pixels."""
@@ -30,9 +31,6 @@ _SMALL_BYTES = 1 << 12
 MAX_HEADER_BYTES = 1 << 22
 """Most bytes of a JPEG before its first scan: four make a segment, and Pillow keeps an object for each."""
 
-
-Pixels = NDArray[np.uint8]
-"""Colours as red, green, blue; 0 to 255."""
 
 ImageFormat = Literal["jpeg", "png"]
 IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
@@ -79,7 +77,7 @@ def require_bounded_jpeg(data: memoryview | bytes) -> None:
         raise ValueError(f"a JPEG whose header takes {header:,} bytes; the limit is {MAX_HEADER_BYTES:,}")
 
 
-def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
+def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
     """Decode a whole JPEG, PNG or WebP to RGB, shape (H, W, 3), uint8; into ``out``, contiguous, if given.
 
     Raises ValueError as :func:`image_size`, and when the data is cut short or corrupt, or has another size
@@ -96,7 +94,7 @@ def decode_image(data: memoryview | bytes, out: Pixels | None = None) -> Pixels:
         raise ValueError(
             f"an image of {width} x {height} pixels; expected {out.shape[1]} x {out.shape[0]} as before it"
         )
-    pixels: Pixels
+    pixels: UInt8
     try:
         if data[:3] == _JPEG_START:
             pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
@@ -127,7 +125,7 @@ def _undecodable(data: memoryview | bytes) -> ValueError:
     )
 
 
-def encode_image(pixels: Pixels, kind: ImageFormat = "jpeg", quality: int = 95) -> bytes:
+def encode_image(pixels: UInt8, kind: ImageFormat = "jpeg", quality: int = 95) -> bytes:
     """Encode RGB pixels, shape (H, W, 3), uint8; the same pixels give the same bytes.
 
     ``quality`` is that of a JPEG, 1 to 100, which keeps the colour resolution whole (4:4:4).
@@ -143,7 +141,7 @@ def encode_image(pixels: Pixels, kind: ImageFormat = "jpeg", quality: int = 95) 
     return stream.getvalue()
 
 
-def resized(pixels: Pixels, width: int, height: int) -> Pixels:
+def resized(pixels: UInt8, width: int, height: int) -> UInt8:
     """Return an image in another size, shape (height, width, 3), uint8.
 
     Smaller: each pixel is the mean of the area that it covers. Larger: bilinear.
