@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 
 from cli.mnist3d import app
 from cli.realtouch import app as touches
-from tactile_toolkit import toolkit_version
+from tactile_toolkit import __version__
 from tactile_toolkit.errors import StorageError
 from tactile_toolkit.run import InlineRunner, Part
 from tactile_toolkit.store import DataFolder, Manifest, build, write_manifest
@@ -47,13 +47,13 @@ def test_digits_finished_so_far_are_counted(stopped):
 
 
 def test_a_run_without_a_finished_shard_says_so(tmp_path):
-    write_manifest(DataFolder(str(tmp_path)), Manifest("mnist3d", toolkit_version(), {"seed": 1}, SPLITS))
+    write_manifest(DataFolder(str(tmp_path)), Manifest("mnist3d", __version__, {"seed": 1}, SPLITS))
     assert json.loads(info(tmp_path, "--json"))["shards_planned"] == {}
     assert "no shard is finished yet" in info(tmp_path)
 
 
 def test_conversions_of_touches_name_themselves(tmp_path):
-    manifest = Manifest("realtouch", toolkit_version(), {"operation": "resize"}, SPLITS)
+    manifest = Manifest("realtouch", __version__, {"operation": "resize"}, SPLITS)
     write_manifest(DataFolder(str(tmp_path)), manifest)
     result = CliRunner().invoke(touches, ["info", str(tmp_path)])
     assert result.exit_code == 0, result.output

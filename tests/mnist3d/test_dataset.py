@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import pickle
-from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -148,14 +146,3 @@ def test_import_is_light():
         "import sys, mnist3d; print(*sorted({'scipy', 'skimage', 'trimesh', 'datasets'} & set(sys.modules)))"
     )
     assert printed_by(script).strip() == ""
-
-
-def test_public_names_resolve():
-    import types
-
-    for name in (*mnist3d.__all__, *mnist3d.__all__):  # twice: importing a sub-module must not shadow a name
-        assert not isinstance(getattr(mnist3d, name), types.ModuleType), name
-    assert all(first < second for first, second in pairwise(dir(mnist3d)))
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        _ = mnist3d.nothing
-    assert (Path(mnist3d.__file__).parent / "py.typed").exists()

@@ -218,7 +218,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
         meshes.extend(body.mesh for body in bodies)
         return draw_bodies(bodies, *how)
 
-    monkeypatch.setattr("mnist3d.previews.draw_bodies", look)
+    monkeypatch.setattr("tactile_toolkit.pictures.draw_bodies", look)
     return meshes
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pickle
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -238,7 +237,7 @@ def test_short_names_reach_the_published_repositories(
         asked.append((repo_id, revision))
         raise InputError(repo_id)
 
-    monkeypatch.setattr("tactile_toolkit.places.place.open_repository", find)
+    monkeypatch.setattr("tactile_toolkit.hub.open_repository", find)
     with pytest.raises(InputError, match="touch-real-seq"):
         realtouch.load("real-seq", revision="main", streaming=True)
     assert asked == [("TimSchneider42/tactile-mnist-touch-real-seq-t256-320x240", "main")]
@@ -263,12 +262,3 @@ def test_touches_and_conversions_import_no_geometry(seq_folder: Path, tmp_path: 
         "assert 'scipy.spatial' in sys.modules"
     )
     printed_by(code, seq_folder, tmp_path / "single")
-
-
-def test_public_names_exist() -> None:
-    for name in realtouch.__all__:
-        for _ in range(2):  # a module of the same name must not take the place of a function
-            assert not isinstance(getattr(realtouch, name), type(sys)), name
-    assert dir(realtouch) == sorted(realtouch.__all__)
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        realtouch.nothing  # noqa: B018

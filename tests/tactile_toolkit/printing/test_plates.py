@@ -165,7 +165,7 @@ def written_on(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> list[str]:
         draw_text(*arguments, **options)
 
     with monkeypatch.context() as patched:
-        patched.setattr(plates, "draw_text", noted)
+        patched.setattr("tactile_toolkit.pictures.draw_text", noted)
         draw_map(layout, 1)
     return written
 
