@@ -10,9 +10,9 @@ from typer.testing import CliRunner
 
 from cli.mnist3d import app
 from cli.realtouch import app as touches
-from tactile_toolkit import toolkit_version
+from tactile_toolkit import __version__
 from tactile_toolkit.errors import StorageError
-from tactile_toolkit.run import InlineRunner, Part
+from tactile_toolkit.run import Part
 from tactile_toolkit.store import DataFolder, Manifest, build, write_manifest
 from tests.command_line import call
 from tests.tactile_toolkit.toy import SPLITS, toy_plan
@@ -30,7 +30,7 @@ def stopped(tmp_path):
     plan = replace(toy_plan(), kind="mnist3d", report_file=None)
     broken = replace(plan.tasks[3], error=StorageError("stop"))
     with pytest.raises(StorageError, match="stop"):
-        build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)), InlineRunner())
+        build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)))
     return tmp_path
 
 
@@ -47,13 +47,13 @@ def test_digits_finished_so_far_are_counted(stopped):
 
 
 def test_a_run_without_a_finished_shard_says_so(tmp_path):
-    write_manifest(DataFolder(str(tmp_path)), Manifest("mnist3d", toolkit_version(), {"seed": 1}, SPLITS))
+    write_manifest(DataFolder(str(tmp_path)), Manifest("mnist3d", __version__, {"seed": 1}, SPLITS))
     assert json.loads(info(tmp_path, "--json"))["shards_planned"] == {}
     assert "no shard is finished yet" in info(tmp_path)
 
 
 def test_conversions_of_touches_name_themselves(tmp_path):
-    manifest = Manifest("realtouch", toolkit_version(), {"operation": "resize"}, SPLITS)
+    manifest = Manifest("realtouch", __version__, {"operation": "resize"}, SPLITS)
     write_manifest(DataFolder(str(tmp_path)), manifest)
     result = CliRunner().invoke(touches, ["info", str(tmp_path)])
     assert result.exit_code == 0, result.output
@@ -81,7 +81,7 @@ def test_verify_says_that_a_run_has_not_finished(tmp_path, capsys):
 
 def test_verify_of_touches_says_it_too(tmp_path):
     plan = replace(toy_plan(("test",)), kind="realtouch", report_file=None, spec={"operation": "resize"})
-    build(DataFolder(str(tmp_path)), plan, Part(0, 2))
+    build(DataFolder(str(tmp_path)), plan, part=Part(0, 2))
     result = CliRunner().invoke(touches, ["verify", str(tmp_path)])
     assert result.exit_code == 1, result.output
     assert "is not finished: 1 of 2 shards; the same command continues" in result.output
