@@ -44,8 +44,7 @@ def generate_set(
     from tactile_toolkit.making import forecast, generate
 
     if making.dry_run:
-        runner, overwrite = making.chosen_runner(), making.overwrite
-        view = forecast(rows, out, splits, runner, overwrite=overwrite, require=require)
+        view = forecast(rows, out, splits, require=require, **making.run_keywords())
         _print_forecast(sink, rows.kind, view, out, making)
         return
     make = partial(generate, rows, out, splits, require=require)
@@ -71,7 +70,7 @@ def make_with_progress(
 ) -> store.Manifest | None:
     """Run ``make`` and print what was made; progress counts ``unit`` where that is not the nouns of rows.
 
-    It takes ``workers``, ``overwrite`` and ``on_progress``. Returns None where this was one part of many.
+    It takes the keywords of a run. Returns None where this was one part of many.
     """
     start_s = time.monotonic()
     rows = skipped = 0
@@ -85,7 +84,7 @@ def make_with_progress(
             update(progress.done, progress.total)
 
         try:
-            manifest = make(workers=work.chosen_runner(), overwrite=work.overwrite, on_progress=on_progress)
+            manifest = make(**work.run_keywords(), on_progress=on_progress)
         except store.MissingPartsError as error:
             sink.document({"complete": False, "array": error.array, "parts": error.parts})
             # On stdout, for a script to hand to `sbatch`; the sentence about it goes to stderr.

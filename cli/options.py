@@ -117,21 +117,20 @@ class Work:
     check: bool = switch(False, panel=JOB, help="Read finished shards again, and make damaged ones again.")
     overwrite: bool = OVERWRITE
 
-    def chosen_runner(self) -> int | run.Runner:
-        """Return what makes the shards, as functions take it."""
-        if self.finish and self.part is not None:
-            raise InputError(
-                "--part and --finish were both given; expected --finish when all parts have ended"
-            )
-        runner: int | run.Runner = process_count(self.workers)
+    def run_keywords(self) -> store.RunKeywords:
+        """Return these options as functions take them."""
         name, _, address = self.runner.partition("=")
-        if self.finish:
-            runner = run.Finish()
-        elif name == "ray":
+        runner: int | run.Runner = process_count(self.workers)
+        if name == "ray":
             runner = run.RayRunner(address or None, self.workers)
-        if self.part is not None:
-            runner = run.part_of(self.part, runner)
-        return run.Check(runner) if self.check else runner
+        part = None if self.part is None else run.parse_part(self.part)
+        return {
+            "workers": runner,
+            "part": part,
+            "finish": self.finish,
+            "check": self.check,
+            "overwrite": self.overwrite,
+        }
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,7 +54,7 @@ SHARED = (
     "tactile_toolkit.read.dataset.Record",
     "tactile_toolkit.read.dataset.RecordDataset",
     "tactile_toolkit.store.building.Progress",
-    "tactile_toolkit.store.building.RunOptions",
+    "tactile_toolkit.store.run_options.RunOptions",
     "realtouch.media.MAX_BATCH_PIXELS",
 )
 """What users inherit from several packages, and what public names refer to."""

@@ -147,7 +147,7 @@ def generate(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of printable 3D digits.
 
@@ -165,7 +165,7 @@ def generate(
         Splits to make; others that the folder holds already stay. By default all; for a folder of images only
         ``train``, unless ``spec.split`` divides them.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
     Returns
     -------

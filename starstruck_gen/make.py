@@ -198,7 +198,7 @@ def generate(
     splits: Sequence[str] = SPLITS,
     *,
     on_failure: LayoutFailed = lambda _failed, _allowed: None,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of scenes.
 
@@ -216,7 +216,7 @@ def generate(
     on_failure : callable
         Called after each layout that failed while it is tried whether the fullest scene has room.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
     Raises
     ------

@@ -339,7 +339,7 @@ def generate(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of touches of solids, in the published schema; ``realtouch.load`` opens it.
 
@@ -359,7 +359,7 @@ def generate(
     splits : sequence of str, optional
         Splits of the source; all by default.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
     Returns
     -------

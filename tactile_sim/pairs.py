@@ -360,7 +360,7 @@ def make_pairs(
     split: str,
     spec: PairsSpec,
     out: str | os.PathLike[str],
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make the training set of a CycleGAN: depth images of objects, and real touches, not paired.
 
@@ -378,7 +378,7 @@ def make_pairs(
     out : str or path-like
         Folder to write: splits ``depth`` and ``real``.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
     Returns
     -------

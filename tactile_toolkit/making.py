@@ -15,7 +15,6 @@ from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.run import Check, Runner
 from tactile_toolkit.system import usable_cores
 
 # What workers need to start and import their libraries.
@@ -153,7 +152,7 @@ def generate(
     splits: Sequence[str] | None = None,
     *,
     require: Callable[[], None] = lambda: None,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set folder.
 
@@ -172,7 +171,7 @@ def generate(
     require : callable
         Raises what speaks against the run, once it is known what is to be made.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
     Returns
     -------
@@ -204,26 +203,23 @@ class Forecast:
 def forecast(
     making: Making,
     out: str | os.PathLike[str],
-    splits: Sequence[str] | None,
-    workers: int | Runner,
+    splits: Sequence[str] | None = None,
     *,
-    overwrite: bool = False,
     require: Callable[[], None] = lambda: None,
+    **run: Unpack[store.RunKeywords],
 ) -> Forecast:
     """Estimate a run of :func:`generate` by making some of its rows; writes nothing.
 
-    Of a :class:`~tactile_toolkit.run.processes.Part`, the shards of that part count. Raises what the run
-    would raise before its first row.
+    Of one part of a run, the shards of that part count. Raises what the run would raise before its first row.
     """
+    options = store.RunOptions(**run)
     plan = plan_build(making, splits)
     require()
     folder = store.DataFolder(os.fspath(out))
-    if overwrite:
-        store.refuse_overwriting_parts(folder, workers.workers if isinstance(workers, Check) else workers)
-    if overwrite and store.require_replaceable(folder, plan):
+    if options.overwrite and store.require_replaceable(folder, plan):
         job = store.Job(folder, plan, plan.new_manifest(), plan.tasks)
     else:
-        job = store.inspect_job(folder, plan, workers)
+        job = store.inspect_job(folder, plan, options)
     rows, left = Counter[str](), Counter[str]()
     for task in job.tasks:
         rows[task.shard.split] += task.size
@@ -231,9 +227,11 @@ def forecast(
         left[task.shard.split] += task.size
     shards = Counter(task.shard.split for task in job.tasks)
     sampled, item_bytes, item_s = _sample(making, plan)
-    while not isinstance(workers, int):
-        workers = getattr(workers, "workers", 1)
-    processes = workers or usable_cores()  # all cores where a runner leaves that open
+    # A runner that states no number, or 0, is taken for one worker, or for one per core.
+    processes = (
+        options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
+    )
+    processes = processes or usable_cores()
     return Forecast(
         [
             {"split": each, "rows": rows[each], "shards": shards[each], "finished": rows[each] - left[each]}
@@ -243,7 +241,7 @@ def forecast(
         round(left.total() * item_bytes),
         round(left.total() * item_s / processes + (_START_S if left else 0), 1),
         sampled,
-        _existing_rows(folder) if overwrite else None,
+        _existing_rows(folder) if options.overwrite else None,
     )
 
 

@@ -268,7 +268,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     )
 
 
-class JobOptions(store.RunOptions, total=False):
+class JobOptions(store.RunKeywords, total=False):
     """How any conversion is done; see :func:`realtouch.clips_to_images`."""
 
     split: str | None
@@ -282,7 +282,7 @@ def convert(
     *,
     split: str | None = None,
     limit: int | None = None,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped.
 

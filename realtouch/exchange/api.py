@@ -147,7 +147,7 @@ def import_images(
     table: str | None = None,
     classes: Sequence[str] = (),
     split: str | None = None,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of touches from images and a table of labels and poses; images are not changed.
 

@@ -2,10 +2,7 @@
 
 from . import remote as remote
 from .building import (
-    Progress as Progress,
-    RunOptions as RunOptions,
     build as build,
-    refuse_overwriting_parts as refuse_overwriting_parts,
     require_replaceable as require_replaceable,
     require_rows as require_rows,
     resume_promotion as resume_promotion,
@@ -92,6 +89,11 @@ from .remote import (
     cause_chain as cause_chain,
     in_time as in_time,
     with_retry as with_retry,
+)
+from .run_options import (
+    Progress as Progress,
+    RunKeywords as RunKeywords,
+    RunOptions as RunOptions,
 )
 from .shards import (
     DAMAGED as DAMAGED,

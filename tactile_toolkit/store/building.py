@@ -13,12 +13,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypedDict
+from typing import Any, Unpack
 
 import msgspec
 
-from tactile_toolkit import run
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, StorageError, ToolkitError
+from tactile_toolkit.run import runner_for
 from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import (
     BuildPlan,
@@ -49,6 +49,7 @@ from tactile_toolkit.store.parquet import (
     sha256_hex,
     write_small_columns,
 )
+from tactile_toolkit.store.run_options import Progress, RunKeywords, RunOptions
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord, Skipped
 from tactile_toolkit.store.task import ShardTask
 
@@ -56,33 +57,6 @@ _CAUSES_SHOWN = 3
 
 WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Passed on once before the work and after each shard: items done and to do in this run."""
-
-    done: int
-    total: int
-    record: ShardRecord | None = None
-
-
-class RunOptions(TypedDict, total=False):
-    """How a data set is made, whatever it holds; none of it changes a row.
-
-    Attributes
-    ----------
-    workers : int or Runner
-        Number of local processes, 1 by default, or a runner of another kind.
-    overwrite : bool
-        Replace another data set of this toolkit in the folder.
-    on_progress : callable
-        Called with the :class:`Progress` before the work and after each shard.
-    """
-
-    workers: int | run.Runner
-    overwrite: bool
-    on_progress: Callable[[Progress], None]
 
 
 @dataclass(frozen=True)
@@ -126,18 +100,15 @@ class _WriteShard:
 def build(
     folder: DataFolder,
     plan: BuildPlan,
-    workers: int | run.Runner = 1,
     *,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
     write_card: WriteCard | None = None,
+    **run: Unpack[RunKeywords],
 ) -> Manifest:
     """Make what is missing in the folder of the plan and return the manifest.
 
     A run that fails keeps the shards that it finished; one that finished none leaves the folder as it was.
-    With ``overwrite``, the former data set stays until all of the new one is finished. What a
-    :class:`~tactile_toolkit.run.processes.Part`, ``Finish`` or ``Check`` in place of a runner does is
-    described there.
+    With ``overwrite``, the former data set stays until all of the new one is finished. ``run`` are fields of
+    :class:`RunOptions`.
 
     Raises
     ------
@@ -148,60 +119,72 @@ def build(
     MissingPartsError
         The set cannot be finished yet, or the runner has not made all shards; those that it made stay.
     """
-    runner = run.runner_for(workers)
-    kind = runner.workers if isinstance(runner, run.Check) else runner
-    is_part = isinstance(kind, run.Part)
-    if overwrite:
-        refuse_overwriting_parts(folder, kind)
-    existed = folder.exists()
-    folder.require_folder()
-    target, had_manifest, held = folder, True, contextlib.ExitStack()
-    try:
-        resume_promotion(folder)
-        # Parts begin as they write shards: of many at once, one would never find the folder free.
-        with folder.locked(shared=is_part):
-            if overwrite and require_replaceable(folder, plan):
-                target, existed = prepare_next(folder, plan), False
-                held.enter_context(locked(folder.place(NEXT_FOLDER), shared=True, patience_s=0.0))
-            had_manifest = target.exists(MANIFEST_FILE)
-            job = begin_job(target, plan, runner)
-        # By names and sizes alone; manifests are written last.
-        is_finished = not job.remaining and job.manifest.complete and not folder.names(PENDING_FOLDER)
-        if is_finished and not folder.is_local and not isinstance(runner, run.Check):
+    options = RunOptions(**run)
+    with _begun(folder, plan, options) as (job, hold):
+        if _needs_no_lock(job, options):
             return job.manifest
-        records = [*job.finished, *_work(job, runner, on_progress)]
-        if is_part:
+        records = [*job.finished, *_work(job, options)]
+        if options.part is not None:
             return _end_part(job, records)
         with folder.locked(is_patient=True):
             manifest = _finish(job, records, write_card)
-            if target is not folder:
-                held.close()
+            if job.folder is not folder:
+                hold.close()
                 promote(folder)
         return manifest
-    except BaseException as error:
-        # Who has waited in vain does not wait again.
-        patience_s = 0.0 if isinstance(error, BusyError) else None
-        # What ended the run is what is reported, even where the disk does not let us remove anything.
-        with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
-            if not isinstance(kind, (run.Part, run.Finish)):
-                _undo(target, plan, had_manifest)
-            held.close()
-            if not existed:
-                target.remove_empty("")
-        raise
-    finally:
-        held.close()
 
 
-def _work(job: Job, runner: run.Runner, on_progress: Callable[[Progress], None]) -> Iterator[ShardRecord]:
+@contextlib.contextmanager
+def _begun(
+    folder: DataFolder, plan: BuildPlan, options: RunOptions
+) -> Iterator[tuple[Job, contextlib.ExitStack]]:
+    """Begin a job, in ``.next`` where it replaces a data set, and roll it back if it fails without a row.
+
+    Yields the job and what holds ``.next`` for this run.
+    """
+    existed = folder.exists()
+    folder.require_folder()
+    target, had_manifest = folder, True
+    with contextlib.ExitStack() as hold:
+        try:
+            resume_promotion(folder)
+            # Parts begin as they write shards: of many at once, one would never find the folder free.
+            with folder.locked(shared=options.part is not None):
+                if options.overwrite and require_replaceable(folder, plan):
+                    target, existed = prepare_next(folder, plan), False
+                    hold.enter_context(locked(folder.place(NEXT_FOLDER), shared=True, patience_s=0.0))
+                had_manifest = target.exists(MANIFEST_FILE)
+                job = begin_job(target, plan, options)
+            yield job, hold
+        except BaseException as error:
+            # Who has waited in vain does not wait again.
+            patience_s = 0.0 if isinstance(error, BusyError) else None
+            # The first error is the one to report, even if the disk does not let us remove anything.
+            with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
+                if options.is_whole:
+                    _roll_back(target, plan, had_manifest)
+                hold.close()
+                if not existed:
+                    target.remove_empty("")
+            raise
+
+
+def _needs_no_lock(job: Job, options: RunOptions) -> bool:
+    """Return whether a set in a store is finished, by names and sizes alone; manifests are written last."""
+    if job.folder.is_local or options.check or job.remaining:
+        return False
+    return job.manifest.complete and not job.folder.names(PENDING_FOLDER)
+
+
+def _work(job: Job, options: RunOptions) -> Iterator[ShardRecord]:
     tasks = job.remaining
     sizes = {task.shard: task.size for task in tasks}
     done, total = 0, sum(sizes.values())
-    on_progress(Progress(done, total))
+    options.on_progress(Progress(done, total))
     work = _WriteShard(job.folder, job.manifest.identity, job.plan.style, job.plan.libraries)
-    for record in runner.run(work, tasks):
+    for record in runner_for(options.workers).run(work, tasks):
         done += sizes[record.shard]
-        on_progress(Progress(done, total, record))
+        options.on_progress(Progress(done, total, record))
         yield record
 
 
@@ -251,8 +234,8 @@ def _finish(job: Job, records: Sequence[ShardRecord], write_card: WriteCard | No
     return finished
 
 
-def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
-    """Undo a run that failed before any row was written.
+def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
+    """Roll back a run that failed before any row was written.
 
     A run that cannot be finished (scenes that do not fit, an unreadable source) would otherwise leave a
     folder that holds nothing and refuses every other specification.
@@ -334,16 +317,6 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
             next="move that file away, or choose an empty or new folder (--out or OUT)",
         )
     return found
-
-
-def refuse_overwriting_parts(folder: DataFolder, runner: run.Runner | int) -> None:
-    """Raise InputError for what makes or ends parts: one must not remove what the others made."""
-    if isinstance(runner, (run.Part, run.Finish)):
-        raise InputError(
-            "--overwrite was given with --part or --finish: each part would remove what the others made; "
-            "nothing was changed",
-            next=f"remove {folder.address()!r} first, or choose another folder (--out or OUT)",
-        )
 
 
 def _manifest(folder: DataFolder) -> Manifest | None:

@@ -22,7 +22,6 @@ import msgspec
 
 from tactile_toolkit import __version__
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.run import Check, Finish, Part, Runner
 from tactile_toolkit.store.folder import PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.manifest import (
     MANIFEST_FILE,
@@ -33,6 +32,7 @@ from tactile_toolkit.store.manifest import (
 from tactile_toolkit.store.names import Count, decode, is_hidden, require_seal, seal
 from tactile_toolkit.store.ownership import is_pending
 from tactile_toolkit.store.parquet import ParquetStyle, file_sha256, sha256_hex
+from tactile_toolkit.store.run_options import RunOptions
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.store.task import ShardTask
 
@@ -151,7 +151,7 @@ def array_text(numbers: Sequence[int]) -> str:
 
 @dataclass(frozen=True)
 class Job:
-    """A run of a plan in a folder, or of the tasks of a Part.
+    """A run of a plan in a folder, or of the tasks of one part.
 
     ``manifest`` is that of the folder, or the one that it is to get; ``finished`` are the records of shards
     that are intact, ``remaining`` the tasks of all others.
@@ -170,13 +170,13 @@ class Job:
         return tuple(task for task in self.tasks if task.shard not in finished)
 
 
-def begin_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int) -> Job:
+def begin_job(folder: DataFolder, plan: BuildPlan, options: RunOptions) -> Job:
     """Find out what a run has to do in a folder, and create its manifest where there is none.
 
     Raises as :func:`inspect_job`.
     """
     while True:
-        job = inspect_job(folder, plan, runner)
+        job = inspect_job(folder, plan, options)
         current = read_manifest(folder)
         if current is None and (job.remaining or job.finished):
             _remove_outdated_records(folder, plan, job.manifest)
@@ -198,16 +198,18 @@ def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Mani
         folder.remove(shard.record_path)
 
 
-def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -> Job:
-    """Compare a folder with a plan, or with the tasks of a Part, changing nothing; with Check, read it all.
+def inspect_job(folder: DataFolder, plan: BuildPlan, options: RunOptions | None = None) -> Job:
+    """Compare a folder with a plan, or with the tasks of a part, and change nothing.
 
     Raises SpecMismatchError when the folder is made by another specification, or by libraries that write
     other bytes (the message states the differences), InputError when it holds something else, and
-    MissingPartsError where shards are missing for a Finish.
+    MissingPartsError where shards are missing that ``finish`` needs.
     """
-    check, runner = (True, runner.workers) if isinstance(runner, Check) else (False, runner)
-    manifest, new = read_manifest(folder), plan.new_manifest()
-    tasks = tuple(runner.of(plan.tasks)) if isinstance(runner, Part) else plan.tasks
+    options = options or RunOptions()
+    manifest, new, check = read_manifest(folder), plan.new_manifest(), options.check
+    tasks = plan.tasks
+    if options.part is not None:
+        tasks = tuple(options.part.of(tasks))
     if manifest is None:
         refuse_unknown_files(folder, plan)
         manifest, check = new, True  # as in `_remove_outdated_records`
@@ -225,7 +227,7 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, runner: Runner | int = 1) -
         if begun - {task.shard for task in job.remaining}:
             _refuse_difference(folder, {"libraries": manifest.libraries}, {"libraries": new.libraries})
         job = replace(job, manifest=new)
-    if isinstance(runner, Finish):
+    if options.finish:
         require_parts(job, job.finished)
     return job
 

@@ -15,7 +15,7 @@ import pytest
 
 from realtouch import frames
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run import Finish, Part
+from tactile_toolkit.run import Part
 from tactile_toolkit.store import DataFolder, build
 from tests import command_line
 from tests.processes import start_held
@@ -142,7 +142,7 @@ def test_a_node_that_does_not_see_the_folder(tmp_path):
         pytest.skip("this system gives no mount namespaces")
     told = r"2 of 2 shards of '.*set' are not finished.*does not see.*s3://"
     with pytest.raises(IntegrityError, match=told):
-        build(DataFolder(str(place)), toy_plan(("test",)), BlindNode(place))
+        build(DataFolder(str(place)), toy_plan(("test",)), workers=BlindNode(place))
     assert not (place / "data").exists()
 
 
@@ -152,7 +152,7 @@ def test_plain_pictures_are_made_in_parts_too(tmp_path):
     source = str(write_set(tmp_path / "source", {"train": single_rows(rounds)}, "single"))
     frames(source, tmp_path / "whole")
     for index in (1, 0):
-        frames(source, tmp_path / "parts", workers=Part(index, 2))
+        frames(source, tmp_path / "parts", part=Part(index, 2))
         assert not (tmp_path / "parts" / "index.csv").exists()
-    frames(source, tmp_path / "parts", workers=Finish())
+    frames(source, tmp_path / "parts", finish=True)
     assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole")

@@ -12,7 +12,7 @@ from cli.mnist3d import app
 from cli.realtouch import app as touches
 from tactile_toolkit import __version__
 from tactile_toolkit.errors import StorageError
-from tactile_toolkit.run import InlineRunner, Part
+from tactile_toolkit.run import Part
 from tactile_toolkit.store import DataFolder, Manifest, build, write_manifest
 from tests.command_line import call
 from tests.tactile_toolkit.toy import SPLITS, toy_plan
@@ -30,7 +30,7 @@ def stopped(tmp_path):
     plan = replace(toy_plan(), kind="mnist3d", report_file=None)
     broken = replace(plan.tasks[3], error=StorageError("stop"))
     with pytest.raises(StorageError, match="stop"):
-        build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)), InlineRunner())
+        build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)))
     return tmp_path
 
 
@@ -81,7 +81,7 @@ def test_verify_says_that_a_run_has_not_finished(tmp_path, capsys):
 
 def test_verify_of_touches_says_it_too(tmp_path):
     plan = replace(toy_plan(("test",)), kind="realtouch", report_file=None, spec={"operation": "resize"})
-    build(DataFolder(str(tmp_path)), plan, Part(0, 2))
+    build(DataFolder(str(tmp_path)), plan, part=Part(0, 2))
     result = CliRunner().invoke(touches, ["verify", str(tmp_path)])
     assert result.exit_code == 1, result.output
     assert "is not finished: 1 of 2 shards; the same command continues" in result.output

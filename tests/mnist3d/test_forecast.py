@@ -16,7 +16,7 @@ from mnist3d.splits import SplitSpec
 from mnist3d.validate import validate_paths
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.making import forecast
-from tactile_toolkit.run import Check, Finish, Part
+from tactile_toolkit.run import Part
 from tests.sealed import sealed
 
 
@@ -43,23 +43,23 @@ def test_values_of_numpy_and_mappings_are_the_same_specification():
 def test_forecast_with_overwrite_tells_what_would_be_replaced(folder):
     other = _spec(limit=2)
     with pytest.raises(SpecMismatchError):
-        forecast(DigitMaking(other), folder, ("train", "test"), 1)
+        forecast(DigitMaking(other), folder, ("train", "test"))
     before = (folder / "manifest.json").read_bytes()
-    view = forecast(DigitMaking(other), folder, ("train", "test"), 1, overwrite=True)
+    view = forecast(DigitMaking(other), folder, ("train", "test"), overwrite=True)
     assert view.replaced == {"train": 3, "test": 3}
     assert (view.rows_to_make, [entry["finished"] for entry in view.splits]) == (4, [0, 0])
-    for part in (Part(0, 2), Check(Part(0, 2)), Finish(), Check(Finish())):
+    for mode in ({"part": Part(0, 2)}, {"finish": True}, {"finish": True, "check": True}):
         with pytest.raises(InputError, match="--overwrite was given with --part or --finish"):
-            forecast(DigitMaking(other), folder, ("train", "test"), part, overwrite=True)
-    checked = forecast(DigitMaking(other), folder, ("train", "test"), Check(1), overwrite=True)
+            forecast(DigitMaking(other), folder, ("train", "test"), **mode, overwrite=True)
+    checked = forecast(DigitMaking(other), folder, ("train", "test"), check=True, overwrite=True)
     assert (checked.replaced, checked.splits) == (view.replaced, view.splits)
     assert (folder / "manifest.json").read_bytes() == before
 
 
 def test_what_is_finished_takes_no_time(folder):
-    done = forecast(DigitMaking(_spec(limit=3)), folder, ("train", "test"), 1)
+    done = forecast(DigitMaking(_spec(limit=3)), folder, ("train", "test"))
     assert (done.rows_to_make, done.seconds) == (0, 0)
-    assert forecast(DigitMaking(_spec(limit=3)), folder / "other", ("train", "test"), 1).seconds > 0
+    assert forecast(DigitMaking(_spec(limit=3)), folder / "other", ("train", "test")).seconds > 0
 
 
 def test_command_passes_overwrite_on(folder, capsys, monkeypatch):

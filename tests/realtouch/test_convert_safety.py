@@ -15,7 +15,6 @@ import pytest
 import realtouch
 from realtouch.convert.file_names import file_stem, id_of_stem
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.run import Check
 from tactile_toolkit.store import problem_of_name, sha256_hex
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -265,9 +264,8 @@ def test_running_again_mends_pictures(damage: str, single_folder: Path, tmp_path
         victim.write_bytes(b"other")
     assert not realtouch.verify(out).ok
     made: list[int] = []
-    workers = Check() if damage == "change" else 1
     realtouch.frames(
-        single_folder, out, workers=workers, on_progress=lambda progress: made.append(progress.total)
+        single_folder, out, check=damage == "change", on_progress=lambda progress: made.append(progress.total)
     )
     assert made[0] == 3  # the rounds of the train shard; that of the test split is whole
     assert folder_bytes(out) == whole

@@ -21,7 +21,7 @@ from PIL import Image
 import realtouch
 from realtouch.exchange import replay
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tactile_toolkit.run import Check, Finish, InlineRunner, Part
+from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.realtouch import factories
@@ -217,8 +217,8 @@ def test_parts_and_damage_end_in_the_same_bytes(
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     realtouch.export(single_folder, whole, layout, split="train")
     for number in (1, 0):
-        realtouch.export(single_folder, parts, layout, split="train", workers=Part(number, 2, InlineRunner()))
-    realtouch.export(single_folder, parts, layout, split="train", workers=Finish())
+        realtouch.export(single_folder, parts, layout, split="train", part=Part(number, 2))
+    realtouch.export(single_folder, parts, layout, split="train", finish=True)
     assert folder_bytes(parts) == folder_bytes(whole)
     checked = realtouch.verify(parts)
     assert (checked.ok, checked.rounds, checked.touches) == (True, 3, 15)
@@ -230,7 +230,7 @@ def test_parts_and_damage_end_in_the_same_bytes(
     content[len(content) // 2] ^= 1
     victim.write_bytes(content)
     assert {finding.file for finding in realtouch.verify(parts).findings} == {str(victim.relative_to(parts))}
-    realtouch.export(single_folder, parts, layout, split="train", workers=Check())
+    realtouch.export(single_folder, parts, layout, split="train", check=True)
     assert folder_bytes(parts) == folder_bytes(whole)
     realtouch.export(single_folder, parts, "flat", split="train", overwrite=True)
     assert not (parts / layout).exists()

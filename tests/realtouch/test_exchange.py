@@ -20,7 +20,7 @@ import realtouch
 from realtouch.convert import plan
 from realtouch.exchange import flat, lerobot
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.run import Check, Finish, InlineRunner, Part
+from tactile_toolkit.run import InlineRunner, Part
 from tactile_toolkit.touch import decode_image
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -144,7 +144,7 @@ def test_parts_kills_and_damage_end_in_the_same_bytes(
     for number in (1, 0):
         runner = Part(number, 2, InlineRunner())
         realtouch.export(single_folder, parts, layout, split="train", workers=runner)
-    realtouch.export(single_folder, parts, layout, split="train", workers=Finish())
+    realtouch.export(single_folder, parts, layout, split="train", finish=True)
     assert folder_bytes(parts) == folder_bytes(whole)
     foreign = [
         path
@@ -156,7 +156,7 @@ def test_parts_kills_and_damage_end_in_the_same_bytes(
     content[len(content) // 2] ^= 1
     victim.write_bytes(content)
     assert [finding.file for finding in realtouch.verify(parts).findings] == [str(victim.relative_to(parts))]
-    realtouch.export(single_folder, parts, layout, split="train", workers=Check())
+    realtouch.export(single_folder, parts, layout, split="train", check=True)
     assert folder_bytes(parts) == folder_bytes(whole)
     realtouch.export(single_folder, parts, "flat", split="train", overwrite=True)
     assert not (parts / layout).exists()

@@ -16,7 +16,6 @@ import realtouch
 from realtouch.exchange import api
 from realtouch.exchange.items import Item
 from tactile_toolkit.errors import SpecMismatchError
-from tactile_toolkit.run import Check
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -43,15 +42,15 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     monkeypatch.setattr(api, "contents_of", noted)
     first, size = home / "pictures" / "0.jpg", (home / "pictures" / "0.jpg").stat().st_size
     assert (home / "pictures" / "1.jpg").stat().st_size == size
-    for again in (1, Check(1)):
-        assert realtouch.import_images(home, out, "folder", workers=again) == manifest
+    for check in (False, True):
+        assert realtouch.import_images(home, out, "folder", check=check) == manifest
     size_probed, whole = ["pictures/0.jpg"], [f"pictures/{number}.jpg" for number in range(4)]
     assert read == [*size_probed, *size_probed, *whole]
     assert before == {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in before}
     first.write_bytes(picture(40))
     assert realtouch.import_images(home, out, "folder") == manifest
     read.clear()
-    realtouch.import_images(home, out, "folder", workers=Check(1))
+    realtouch.import_images(home, out, "folder", check=True)
     assert read == [*size_probed, *whole, *whole[:2]]  # one shard of the two is made again
     (image,) = realtouch.load(out, "train")[0].sensor_image
     assert np.array_equal(image, np.full((24, 32, 3), 40))

@@ -15,7 +15,6 @@ from huggingface_hub import constants
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange import plan_download, run_download
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import DataFolder, build, verify
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
@@ -140,7 +139,7 @@ def test_only_what_was_downloaded_and_is_gone_on_the_hub_is_removed(server, tmp_
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("mine")
     (server.root / NAME / "reports" / "toy.parquet").unlink()
-    build(DataFolder(str(server.root / NAME)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+    build(DataFolder(str(server.root / NAME)), toy_plan(spec={"seed": 2}), overwrite=True)
     (server.root / NAME / "reports" / "toy.parquet").rename(server.root / NAME / "reports" / "new.parquet")
     _, missing, leftover, _ = fetch(server, tmp_path, script(out=out))
     assert leftover == ["reports/toy.parquet"]
@@ -170,7 +169,7 @@ def test_a_revision(server, tmp_path):
 
 def test_another_data_set_is_not_overwritten(server, tmp_path):
     own = tmp_path / "own"
-    build(DataFolder(str(own)), toy_plan(spec={"seed": 3}), InlineRunner())
+    build(DataFolder(str(own)), toy_plan(spec={"seed": 3}))
     before = folder_bytes(own)
     code, kind, words = fetch(server, tmp_path, script(out=own))
     assert (code, kind) == (2, "SpecMismatchError")

@@ -15,7 +15,6 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import DataFolder, build
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
@@ -42,7 +41,7 @@ CONTENT = big_parquet()
 @functools.cache
 def _toy_files() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
-        build(DataFolder(folder), toy_plan(), InlineRunner())
+        build(DataFolder(folder), toy_plan())
         return folder_bytes(Path(folder))
 
 

@@ -18,7 +18,6 @@ from tactile_toolkit.places import open_place
 from tactile_toolkit.read import Record, RecordDataset
 from tactile_toolkit.read.columns import ragged_column
 from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import DataFolder, build
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
@@ -46,7 +45,7 @@ class ToyDataset(RecordDataset[ToyRecord]):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("toy") / "set"
-    build(DataFolder(str(path)), toy_plan(), InlineRunner())
+    build(DataFolder(str(path)), toy_plan())
     return path
 
 
@@ -274,7 +273,7 @@ def test_unfinished_split_is_refused(tmp_path):
     plan = toy_plan()
     broken = replace(plan.tasks[3], error=RuntimeError("stop"))
     with pytest.raises(RuntimeError):
-        build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)), InlineRunner())
+        build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)))
     with pytest.raises(IntegrityError, match=r"not finished \(3 of 4 shards.*same command"):
         open_place(str(tmp_path)).shards("train")
 

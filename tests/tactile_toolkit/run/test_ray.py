@@ -22,7 +22,7 @@ import pytest
 
 import starstruck_gen
 from tactile_toolkit.errors import InputError, MissingExtraError
-from tactile_toolkit.run import InlineRunner, RayRunner
+from tactile_toolkit.run import RayRunner
 from tactile_toolkit.store import BuildPlan, DataFolder, build
 from tests.processes import alive, children, printed_by, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
@@ -176,7 +176,7 @@ def wait_for(condition: Callable[[], object], process: subprocess.Popen[str] | N
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The bytes of a run in one process."""
     path = tmp_path_factory.mktemp("whole") / "set"
-    build(DataFolder(str(path)), plan_of(), InlineRunner())
+    build(DataFolder(str(path)), plan_of())
     return folder_bytes(path)
 
 

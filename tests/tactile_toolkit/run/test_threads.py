@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from tactile_toolkit.mesh import Mesh, inspect, write_mesh
-from tactile_toolkit.run import InlineRunner, ProcessRunner
+from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import DataFolder, build
 from tests.tactile_toolkit.toy import toy_plan
 
@@ -49,7 +49,7 @@ assert len(tactile_toolkit.store.parquet.read_report(DataFolder(sys.argv[1]), "r
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
 @pytest.mark.parametrize("what", READS)
 def test_reading_starts_no_thread(tmp_path, what):
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    build(DataFolder(str(tmp_path)), toy_plan())
     module, code = READS[what]
     script = SCRIPT.format(module=module, code=code)
     done = subprocess.run(

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
-from tactile_toolkit.run import Check, InlineRunner, Part, ProcessRunner
+from tactile_toolkit.run import Part, ProcessRunner
 from tactile_toolkit.store import DataFolder, build, inspect_job, read_manifest, verify
 from tests.processes import children, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
@@ -27,8 +27,8 @@ NUMBERS = [2, *(pytest.param(number, marks=pytest.mark.thorough) for number in (
 """Of worker processes, which take a second each to start, or of shards."""
 
 
-def make(path: Path, plan=None, runner=None, **options):
-    return build(DataFolder(str(path)), plan or toy_plan(), runner or InlineRunner(), **options)
+def make(path: Path, plan=None, **options):
+    return build(DataFolder(str(path)), plan or toy_plan(), **options)
 
 
 def test_folder_holds_shards_report_and_manifest_and_nothing_else(tmp_path):
@@ -54,7 +54,7 @@ def test_folder_holds_shards_report_and_manifest_and_nothing_else(tmp_path):
 @pytest.mark.parametrize("workers", NUMBERS)
 def test_bytes_do_not_depend_on_workers(tmp_path, workers):
     make(tmp_path / "one")
-    make(tmp_path / "many", runner=ProcessRunner(workers))
+    make(tmp_path / "many", workers=ProcessRunner(workers))
     assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "many")
 
 
@@ -104,7 +104,7 @@ def test_damaged_file_is_found_and_made_again(tmp_path, damage, victim):
         file.write_bytes(content[:-7] if damage == "cut" else content)
     folder = DataFolder(str(tmp_path / "set"))
     assert [finding.file for finding in verify(folder, SCHEMA).findings] == [victim]
-    make(tmp_path / "set", runner=Check(InlineRunner()) if damage == "flip" else InlineRunner())
+    make(tmp_path / "set", check=damage == "flip")
     assert verify(folder, SCHEMA).ok
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
@@ -157,7 +157,7 @@ def test_dead_worker_is_replaced(tmp_path):
     flag = tmp_path / "died"
     plan = toy_plan()
     tasks = (replace(plan.tasks[0], die_once=str(flag)), *plan.tasks[1:])
-    make(tmp_path / "set", replace(plan, tasks=tasks), ProcessRunner(2))
+    make(tmp_path / "set", replace(plan, tasks=tasks), workers=ProcessRunner(2))
     assert flag.exists()
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
@@ -177,18 +177,18 @@ def test_a_set_is_complete_only_with_the_shards_of_all_tasks(tmp_path):
     with pytest.raises(
         IntegrityError, match=r"1 of 6 shards .* those of part 2 of 6; next: .*run the same command"
     ):
-        make(tmp_path / "set", runner=Forgetful(2))
+        make(tmp_path / "set", workers=Forgetful(2))
     assert not read_manifest(DataFolder(str(tmp_path / "set"))).complete
     (tmp_path / "set" / "data" / "train-00000-of-00004.parquet").unlink()
     with pytest.raises(IntegrityError, match=r"2 of 6 shards .* those of parts 0,2 of 6"):
-        make(tmp_path / "set", runner=Forgetful(0, 1))
+        make(tmp_path / "set", workers=Forgetful(0, 1))
     make(tmp_path / "set")
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
     with pytest.raises(IntegrityError, match=r"6 of 6 shards"):
-        make(tmp_path / "none", runner=Forgetful(*range(6)))
+        make(tmp_path / "none", workers=Forgetful(*range(6)))
     assert not (tmp_path / "none").exists()
     with pytest.raises(IntegrityError, match=r"1 of 6 shards .* those of part 2 of 6"):
-        make(tmp_path / "part", runner=Part(0, 2, Forgetful(1)))
+        make(tmp_path / "part", part=Part(0, 2), workers=Forgetful(1))
 
 
 @pytest.mark.parametrize("shards", NUMBERS)
@@ -200,7 +200,7 @@ def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, sh
         from tactile_toolkit.run.processes import ProcessRunner
         from tactile_toolkit.store.folder import DataFolder
         from tests.tactile_toolkit.toy import toy_plan
-        build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.1), ProcessRunner(2))
+        build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.1), workers=ProcessRunner(2))
     """
     process = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
@@ -222,7 +222,7 @@ def test_task_that_always_kills_its_worker_ends_the_run(tmp_path):
     plan = toy_plan(("test",))
     tasks = (replace(plan.tasks[0], die_always=True), plan.tasks[1])
     with pytest.raises(ToolkitError, match=r"worker process died 3 times.*--workers"):
-        make(tmp_path / "set", replace(plan, tasks=tasks), ProcessRunner(1))
+        make(tmp_path / "set", replace(plan, tasks=tasks), workers=ProcessRunner(1))
 
 
 def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
@@ -237,7 +237,7 @@ def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1500, resource.RLIM_INFINITY))
         try:
-            build(DataFolder(sys.argv[1]), toy_plan(), InlineRunner())
+            build(DataFolder(sys.argv[1]), toy_plan())
         except StorageError as error:
             print(error)
     """
@@ -288,10 +288,10 @@ def test_read_only_place(mode):
 def test_remote_folder_through_fsspec(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     folder = DataFolder("memory://bucket/set")
-    manifest = build(folder, toy_plan(), InlineRunner())
+    manifest = build(folder, toy_plan())
     assert manifest.complete
     assert verify(folder, SCHEMA).ok
-    assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == manifest
+    assert build(folder, toy_plan(error=RuntimeError("all is there"))) == manifest
     for act in (lambda: folder.move("manifest.json", "moved.json"), lambda: folder.place("manifest.json")):
         with pytest.raises(InputError, match=r"'memory://bucket/set/.*' is in a store"):
             act()
@@ -330,13 +330,12 @@ def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
         import sys
         from dataclasses import replace
         from tactile_toolkit.store.building import build
-        from tactile_toolkit.run.processes import runner_for
         from tactile_toolkit.store.folder import DataFolder
         from tests.tactile_toolkit.toy import toy_plan
         plan = toy_plan(pause_s=0.15)
         endless = replace(plan.tasks[-1], pause_s=600.0)  # some shards must be left to make
         plan = replace(plan, tasks=(*plan.tasks[:-1], endless))
-        build(DataFolder(sys.argv[1]), plan, runner_for({workers}))
+        build(DataFolder(sys.argv[1]), plan, workers={workers})
     """
     target = tmp_path / "set"
     for _ in range(2 if workers == 1 else 1):
@@ -369,7 +368,7 @@ def test_workers_leave_with_a_killed_parent(tmp_path):
         from tactile_toolkit.run.processes import ProcessRunner
         from tactile_toolkit.store.folder import DataFolder
         from tests.tactile_toolkit.toy import toy_plan
-        build(DataFolder(sys.argv[1]), toy_plan(pause_s=2.0), ProcessRunner(2))
+        build(DataFolder(sys.argv[1]), toy_plan(pause_s=2.0), workers=ProcessRunner(2))
     """
     process = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
@@ -416,7 +415,7 @@ def test_other_versions_of_libraries_are_not_mixed(tmp_path, monkeypatch):
 def test_a_stray_file_among_the_shards_is_named_by_all_who_meet_it(tmp_path, name):
     """`verify` must not send to a run that has nothing to say about it."""
     folder = DataFolder(str(tmp_path / "set"))
-    build(folder, toy_plan(), InlineRunner())
+    build(folder, toy_plan())
     (tmp_path / "set" / "data" / name).write_bytes(b"x")
     before = folder_bytes(tmp_path)
     (finding,) = verify(folder, SCHEMA).findings
@@ -425,14 +424,14 @@ def test_a_stray_file_among_the_shards_is_named_by_all_who_meet_it(tmp_path, nam
         "is not listed in manifest.json; next: remove it",
     )
     with pytest.raises(InputError, match=rf"data/{name}' is not a file of this data set.*next: remove it"):
-        build(folder, toy_plan(), InlineRunner())
+        build(folder, toy_plan())
     assert folder_bytes(tmp_path) == before
 
 
 def test_a_shard_of_a_split_that_another_run_makes_is_no_stray_file(tmp_path):
     folder = DataFolder(str(tmp_path / "set"))
-    build(folder, toy_plan(("train",)), InlineRunner())
+    build(folder, toy_plan(("train",)))
     folder.write_bytes("data/test-00000-of-00002.parquet", b"rows whose record is not written yet")
-    build(folder, toy_plan(("train",)), InlineRunner())
-    build(folder, toy_plan(("test",)), InlineRunner())
+    build(folder, toy_plan(("train",)))
+    build(folder, toy_plan(("test",)))
     assert verify(folder, SCHEMA).ok

@@ -21,7 +21,7 @@ import pytest
 from hypothesis import settings
 
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
-from tactile_toolkit.run import Finish, InlineRunner, Part
+from tactile_toolkit.run import Part
 from tactile_toolkit.store import DataFolder, ShardName, build, locks, read_manifest, verify
 from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, toy_plan
 
@@ -52,10 +52,8 @@ def card(folder, manifest):
     folder.write_bytes("README.md", str(manifest.split_table()).encode())
 
 
-def run(place, runner=None, a_plan=None, **options):
-    return build(
-        DataFolder(str(place)), a_plan or plan(), runner or InlineRunner(), write_card=card, **options
-    )
+def run(place, a_plan=None, **options):
+    return build(DataFolder(str(place)), a_plan or plan(), write_card=card, **options)
 
 
 @dataclass(frozen=True)
@@ -77,14 +75,14 @@ def parts(*numbers):
     def make(place):
         place.mkdir(exist_ok=True)
         for number in numbers:
-            run(place, Part(number, 2))
+            run(place, part=Part(number, 2))
 
     return make
 
 
 def finish_all(place):
     parts(0, 1)(place)
-    run(place, Finish())
+    run(place, finish=True)
 
 
 def second_split(place):
@@ -107,7 +105,7 @@ def failing(place):
 COMMANDS = {
     "generate": Command(nothing, run, run, run, (run, finish_all)),
     "part": Command(nothing, parts(0), finish_all, run, (run, parts(1), parts(0))),
-    "finish": Command(parts(0, 1), lambda place: run(place, Finish()), finish_all, run, (run, finish_all)),
+    "finish": Command(parts(0, 1), lambda place: run(place, finish=True), finish_all, run, (run, finish_all)),
     "overwrite": Command(
         run, replaced, replaced, lambda place: run(place, a_plan=plan(seed=2)), (run, replaced)
     ),

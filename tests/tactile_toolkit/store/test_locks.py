@@ -18,7 +18,6 @@ import pytest
 from tactile_toolkit.cache import LOCKS, cache_folder
 from tactile_toolkit.errors import BusyError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import LOCK_FILE, DataFolder, Progress, build, locked, locks
 from tests.processes import records_so_far
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
@@ -162,7 +161,7 @@ def stopped_beside(place: Path, moment: str) -> BusyError:
                 stack.enter_context(held(place))
 
         with pytest.raises(BusyError) as caught:
-            build(DataFolder(str(place)), toy_plan(), InlineRunner(), on_progress=stop)
+            build(DataFolder(str(place)), toy_plan(), on_progress=stop)
         return caught.value
 
 
@@ -173,8 +172,8 @@ def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: s
     assert "which was stopped, holds" in str(stopped_beside(tmp_path / "set", moment))
     assert 60 <= clock.now_s < 61
     assert len(records_so_far(tmp_path / "set")) == finished
-    build(DataFolder(str(tmp_path / "set")), toy_plan(), InlineRunner())
-    build(DataFolder(str(tmp_path / "whole")), toy_plan(), InlineRunner())
+    build(DataFolder(str(tmp_path / "set")), toy_plan())
+    build(DataFolder(str(tmp_path / "whole")), toy_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
 
 
@@ -182,14 +181,14 @@ def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: s
 def test_a_run_that_cannot_begin_waits_once(tmp_path: Path, clock: Clock) -> None:
     for options in ({}, {"overwrite": True}):
         with held(tmp_path), pytest.raises(BusyError, match="which was stopped, holds"):
-            build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner(), **options)
+            build(DataFolder(str(tmp_path)), toy_plan(), **options)
         assert 60 <= clock.now_s < 61
         clock.now_s = 0.0
 
 
 @needs_list
 def test_a_stopped_reader_keeps_no_other_from_reading(tmp_path: Path, clock: Clock) -> None:
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    build(DataFolder(str(tmp_path)), toy_plan())
     (shard, *_) = open_place(str(tmp_path)).shards("train")
     lock = cache_folder() / LOCKS / shard.digest[:2]
     lock.parent.mkdir(parents=True)

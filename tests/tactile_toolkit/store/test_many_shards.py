@@ -12,7 +12,6 @@ from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, card_head, conf
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.places.layout import parquet_paths
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import DataFolder, ShardName, ShardRecord, build, inspect_job, write_manifest
 from tests.tactile_toolkit.toy import ToyTask, toy_plan
 
@@ -63,7 +62,7 @@ def test_more_shards_than_five_digits_count_are_planned_and_read(tmp_path):
     folder = DataFolder(str(tmp_path))
     assert len(inspect_job(folder, plan).remaining) == COUNT
     few = replace(plan, tasks=(tasks[0], *tasks[-2:]))
-    made = {record.shard.index: record for record in build(folder, few, InlineRunner()).shards}
+    made = {record.shard.index: record for record in build(folder, few).shards}
     records = [
         made.get(task.shard.index) or ShardRecord.of(task.shard, 1, 1, "0" * 64, unpacked_bytes=1)
         for task in tasks
@@ -85,7 +84,7 @@ def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
     numbers = (10_000, 10_001, 99_999, 100_000)
     tasks = tuple(ToyTask(ShardName("train", number, COUNT), (10 * number,)) for number in numbers)
     folder = DataFolder(str(tmp_path))
-    build(folder, replace(toy_plan(), tasks=tasks, report_file=None), InlineRunner())
+    build(folder, replace(toy_plan(), tasks=tasks, report_file=None))
     facts = folder_facts(folder)
     (entry,) = configs(facts)[0]["data_files"]
     assert entry["path"] == ["data/train-?????-of-*", "data/train-??????-of-*"]

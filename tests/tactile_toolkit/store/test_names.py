@@ -14,7 +14,6 @@ from hypothesis import given, strategies as st
 from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import DataFolder, build, is_hidden, names_inside, problem_of_name, verify
 from tactile_toolkit.store.origin import RECORD_FILE, read_record
 from tests.sealed import sealed
@@ -131,7 +130,7 @@ def test_what_passes_stays_inside_on_every_system(name):
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     place = tmp_path_factory.mktemp("built") / "set"
-    build(DataFolder(str(place)), toy_plan(), InlineRunner())
+    build(DataFolder(str(place)), toy_plan())
     return place
 
 
@@ -161,9 +160,9 @@ def test_a_wild_manifest_is_refused_and_nothing_is_touched(finished, tmp_path, f
     with pytest.raises(IntegrityError, match=words):
         open_place(str(finished)).shards("train")
     with pytest.raises(IntegrityError, match=words):
-        build(DataFolder(str(finished)), toy_plan(), InlineRunner())
+        build(DataFolder(str(finished)), toy_plan())
     assert folder_bytes(tmp_path) == before
-    build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+    build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), overwrite=True)
     assert (tmp_path / "victim").read_text() == "years of work"
 
 
@@ -172,7 +171,7 @@ def test_what_systems_leave_in_a_finished_set_is_passed_over(finished: Path) -> 
     (finished / "desktop.ini").touch()
     assert not verify(DataFolder(str(finished))).findings
     before = folder_bytes(finished)
-    build(DataFolder(str(finished)), toy_plan(), InlineRunner())
+    build(DataFolder(str(finished)), toy_plan())
     assert folder_bytes(finished) == before
 
 
@@ -194,7 +193,7 @@ def test_overwriting_removes_only_what_sets_of_ours_have(finished, name):
     (finished / name / "thesis.tex").write_text("years of work")
     before = folder_bytes(finished)
     with pytest.raises(InputError, match=rf"more than a data set .*\(found '{name}.*nothing was changed"):
-        build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+        build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), overwrite=True)
     assert folder_bytes(finished) == before
 
 
@@ -205,7 +204,7 @@ def test_a_new_set_does_not_take_over_a_folder_of_somebody(finished):
     photo.write_bytes(b"sand")
     before, plan = folder_bytes(finished), replace(toy_plan(spec={"seed": 2}), extra_dirs=("images",))
     with pytest.raises(InputError, match=r"found 'images/2019/beach/001\.png'\); nothing was changed"):
-        build(DataFolder(str(finished)), plan, InlineRunner(), overwrite=True)
+        build(DataFolder(str(finished)), plan, overwrite=True)
     assert folder_bytes(finished) == before
 
 

@@ -22,8 +22,8 @@ from tests.processes import printed_by, start_held
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 
-def make(path, plan, runner=None, **options):
-    return build(DataFolder(str(path)), plan, runner or InlineRunner(), **options)
+def make(path, plan, **options):
+    return build(DataFolder(str(path)), plan, **options)
 
 
 def seeded(seed, **options):
@@ -57,7 +57,7 @@ def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runn
 
     finished = []
     with pytest.raises(InputError, match="was removed or replaced while this run was at work"):
-        make(tmp_path / "set", seeded(10), runner, on_progress=hold)
+        make(tmp_path / "set", seeded(10), workers=runner, on_progress=hold)
     assert finished
     assert folder_bytes(tmp_path / "set") == fresh[20]
     assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
@@ -144,7 +144,7 @@ def few(seed):
 plans = {seed: few(seed) for seed in (10, 20, 30)}
 whole = {}
 for seed, plan in plans.items():
-    build(DataFolder(str(base / str(seed))), plan, InlineRunner())
+    build(DataFolder(str(base / str(seed))), plan)
     whole[seed] = folder_bytes(base / str(seed))
 broken = replace(plans[10], tasks=tuple(replace(task, error=InputError("stop")) for task in plans[10].tasks))
 
@@ -159,7 +159,7 @@ first, second, before = {
 
 def run(place, plan, overwrite):
     try:
-        build(DataFolder(str(place)), plan, InlineRunner(), overwrite=overwrite)
+        build(DataFolder(str(place)), plan, overwrite=overwrite)
     except InputError:
         return False
     return True
@@ -262,7 +262,7 @@ base, overwrite, attempts = Path(sys.argv[1]), sys.argv[2] == "overwrite", int(s
 seeds = (10, 20, 30)
 whole = {}
 for seed in seeds:
-    build(DataFolder(str(base / str(seed))), seeded(seed), InlineRunner())
+    build(DataFolder(str(base / str(seed))), seeded(seed))
     whole[seed] = folder_bytes(base / str(seed))
 for attempt in range(attempts):
     place = base / "set"
@@ -276,7 +276,7 @@ for attempt in range(attempts):
             os.close(start)
             os.read(ready, 1)
             try:
-                build(DataFolder(str(place)), seeded(seed), InlineRunner(), overwrite=overwrite)
+                build(DataFolder(str(place)), seeded(seed), overwrite=overwrite)
                 os._exit(0)
             except InputError:
                 os._exit(2)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from tactile_toolkit.errors import InputError, StorageError
-from tactile_toolkit.run import Finish, InlineRunner, Part
+from tactile_toolkit.run import Part
 from tactile_toolkit.store import (
     DataFolder,
     build,
@@ -19,7 +19,7 @@ from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 
 def make(path, plan):
-    return build(DataFolder(str(path)), plan, InlineRunner())
+    return build(DataFolder(str(path)), plan)
 
 
 @pytest.fixture
@@ -90,10 +90,10 @@ def test_finishing_one_split_costs_nothing_of_another_that_is_under_way(interrup
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
 
 
-def made_by(path, plan, runner=None, **options):
+def made_by(path, plan, **options):
     """Make a plan, and return which shards this run made."""
     told = []
-    build(DataFolder(str(path)), plan, runner or InlineRunner(), on_progress=told.append, **options)
+    build(DataFolder(str(path)), plan, on_progress=told.append, **options)
     return [progress.record.shard.index for progress in told if progress.record is not None]
 
 
@@ -107,9 +107,9 @@ def test_the_same_command_takes_up_records_whose_manifest_is_gone(interrupted, t
 
 def test_finishing_takes_them_up_too(tmp_path):
     for number in (0, 1):
-        made_by(tmp_path / "set", toy_plan(), Part(number, 2))
+        made_by(tmp_path / "set", toy_plan(), part=Part(number, 2))
     (tmp_path / "set" / "manifest.json").unlink()
-    assert made_by(tmp_path / "set", toy_plan(), Finish()) == []
+    assert made_by(tmp_path / "set", toy_plan(), finish=True) == []
     make(tmp_path / "whole", toy_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
 
@@ -129,7 +129,7 @@ def test_what_is_taken_up_has_the_content_that_the_records_state(interrupted, tm
     shard = interrupted / "data" / "train-00001-of-00004.parquet"
     content = shard.read_bytes()
     shard.write_bytes(content.replace(b"PAR1", b"PAR2", 1))
-    assert made_by(interrupted, toy_plan(("train",)), Part(2, 4)) == [2], "that run took them up"
+    assert made_by(interrupted, toy_plan(("train",)), part=Part(2, 4)) == [2], "that run took them up"
     assert made_by(interrupted, toy_plan(("train",))) == [1, 3]
     make(tmp_path / "whole", toy_plan(("train",)))
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")

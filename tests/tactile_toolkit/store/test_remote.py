@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, SpecMismatchError
-from tactile_toolkit.run import Check, Finish, InlineRunner, Part, ProcessRunner
+from tactile_toolkit.run import Part, ProcessRunner
 from tactile_toolkit.store import (
     DataFolder,
     MissingPartsError,
@@ -333,11 +333,11 @@ def wide_plan(rows=2_000):
 
 def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucket):
     written = []
-    made = build(folder, wide_plan(), InlineRunner(), write_card=lambda *_: written.append("card"))
+    made = build(folder, wide_plan(), write_card=lambda *_: written.append("card"))
     size = sum(map(len, s3.objects(bucket).values()))
     before = s3.objects(bucket)
     s3.traffic.reset()
-    assert build(folder, wide_plan(), InlineRunner(), write_card=lambda *_: written.append("card")) == made
+    assert build(folder, wide_plan(), write_card=lambda *_: written.append("card")) == made
     assert s3.traffic.sent_bytes < 0.01 * size, (s3.traffic, size)
     assert s3.traffic.requests["PUT"] == 0
     assert written == ["card"]
@@ -345,26 +345,26 @@ def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucke
     # What is there in another size, or not at all, is made again.
     folder.write_bytes("data/train-00001-of-00004.parquet", b"cut")
     folder.remove("data/train-00002-of-00004.parquet")
-    assert build(folder, wide_plan(), InlineRunner()) == made
+    assert build(folder, wide_plan()) == made
     assert s3.objects(bucket) == before
 
 
 @pytest.mark.parametrize("path", ["data/train-00001-of-00004.parquet", "reports/toy.parquet"])
 def test_damage_of_the_same_size_is_put_right_where_it_is_asked_for(folder, s3, bucket, path):
-    made = build(folder, wide_plan(), InlineRunner())
+    made = build(folder, wide_plan())
     before = s3.objects(bucket)
     content = bytearray(folder.read_bytes(path))
     content[len(content) // 2] ^= 1
     folder.write_bytes(path, bytes(content))
-    assert build(folder, wide_plan(), InlineRunner()) == made
+    assert build(folder, wide_plan()) == made
     assert s3.objects(bucket) != before  # sizes are believed
-    assert build(folder, wide_plan(), Check(InlineRunner())) == made
+    assert build(folder, wide_plan(), check=True) == made
     assert s3.objects(bucket) == before
 
 
 def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, bucket, tmp_path):
-    build(folder, toy_plan(), InlineRunner())
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    build(folder, toy_plan())
+    build(DataFolder(str(tmp_path)), toy_plan())
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
     assert verify(folder, SCHEMA).ok
@@ -374,8 +374,8 @@ def test_the_report_of_splits_made_in_turn_is_that_of_one_run(folder, s3, bucket
     # Shards lie across row groups, as they do in large sets.
     monkeypatch.setattr(parquet, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
     for split in ("test", "train"):
-        build(folder, toy_plan((split,)), InlineRunner())
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+        build(folder, toy_plan((split,)))
+    build(DataFolder(str(tmp_path)), toy_plan())
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
 
@@ -385,23 +385,23 @@ def test_parts_at_once_in_a_store_give_the_bytes_of_one_process(folder, s3, buck
     plan = toy_plan()
     broken = (*plan.tasks[:4], replace(plan.tasks[4], error=RuntimeError("stopped")), *plan.tasks[5:])
     with pytest.raises(RuntimeError, match="stopped"):
-        build(folder, replace(plan, tasks=broken), Part(1, 3))
+        build(folder, replace(plan, tasks=broken), part=Part(1, 3))
     with pytest.raises(MissingPartsError, match="--array=0,2-5"):
-        build(folder, plan, Finish())
+        build(folder, plan, finish=True)
     with ThreadPoolExecutor(3) as threads:
-        made = list(threads.map(lambda index: build(folder, toy_plan(), Part(index, 3)), range(3)))
+        made = list(threads.map(lambda index: build(folder, toy_plan(), part=Part(index, 3)), range(3)))
     assert not any(manifest.complete for manifest in made)
-    assert build(folder, plan, Finish()).complete
-    build(DataFolder(str(tmp_path)), plan, InlineRunner())
+    assert build(folder, plan, finish=True).complete
+    build(DataFolder(str(tmp_path)), plan)
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
     other = toy_plan(spec={"seed": 2, "size": [1, 2]})
     with pytest.raises(SpecMismatchError, match=r"in no object store; there, remove it first"):
-        build(folder, other, Part(0, 3))
+        build(folder, other, part=Part(0, 3))
 
 
 def test_verify_brings_each_shard_once(folder, s3):
-    manifest = build(folder, wide_plan(), InlineRunner())
+    manifest = build(folder, wide_plan())
     size = sum(record.bytes for record in manifest.shards)
     s3.traffic.reset()
     result = verify(folder, SCHEMA, workers=2)
@@ -441,7 +441,7 @@ from tests.tactile_toolkit.toy import toy_plan
 def die(progress):
     if progress.done >= 10:
         os.kill(os.getpid(), signal.SIGKILL)
-build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.2), ProcessRunner(2), on_progress=die)
+build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.2), workers=ProcessRunner(2), on_progress=die)
 """
 
 
@@ -450,8 +450,8 @@ def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bu
     assert done.returncode == -9
     assert any(name.endswith(".json") for name in folder.names(".pending"))
     assert not read_manifest(folder).complete
-    build(folder, toy_plan(), ProcessRunner(2))
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    build(folder, toy_plan(), workers=ProcessRunner(2))
+    build(DataFolder(str(tmp_path)), toy_plan())
     # Workers of the killed run may live on for a moment, and what they write is what stands there already.
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
@@ -459,15 +459,15 @@ def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bu
 
 
 def test_a_set_in_a_store_is_never_replaced_and_stays_readable(folder, s3, bucket):
-    build(folder, toy_plan(), InlineRunner())
+    build(folder, toy_plan())
     before = s3.objects(bucket)
     with pytest.raises(InputError, match="--overwrite replaces none in an object store"):
-        build(folder, toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+        build(folder, toy_plan(spec={"seed": 2}), overwrite=True)
     assert s3.objects(bucket) == before
     assert verify(folder, SCHEMA).ok
 
 
 def test_a_run_that_fails_in_a_store_leaves_it_as_it_was(folder, s3, bucket):
     with pytest.raises(RuntimeError):
-        build(folder, toy_plan(error=RuntimeError("no")), InlineRunner())
+        build(folder, toy_plan(error=RuntimeError("no")))
     assert s3.objects(bucket) == {}

@@ -10,15 +10,15 @@ import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import Finish, InlineRunner, Part, ProcessRunner
+from tactile_toolkit.run import InlineRunner, Part, ProcessRunner
 from tactile_toolkit.store import DataFolder, build, read_manifest, verify
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 FAILURE = InputError("no place for the third object")
 
 
-def make(path, plan=None, runner=None, **options):
-    return build(DataFolder(str(path)), plan or toy_plan(), runner or InlineRunner(), **options)
+def make(path, plan=None, **options):
+    return build(DataFolder(str(path)), plan or toy_plan(), **options)
 
 
 def other_plan(**options):
@@ -39,7 +39,7 @@ def finished(tmp_path):
 def test_a_run_that_finishes_nothing_gives_the_former_set_back(finished, runner):
     before = folder_bytes(finished)
     with pytest.raises(InputError, match="third object"):
-        make(finished, other_plan(error=FAILURE), runner, overwrite=True)
+        make(finished, other_plan(error=FAILURE), workers=runner, overwrite=True)
     assert folder_bytes(finished) == before
 
 
@@ -77,8 +77,8 @@ def test_what_a_run_began_in_place_of_a_set_is_left_by_a_run_of_that_set(finishe
     with pytest.raises(InputError, match="third object"):
         make(finished, replace(plan, tasks=(plan.tasks[0], broken)), overwrite=True)
     before = folder_bytes(finished)
-    for runner in (InlineRunner(), Finish()):
-        make(finished, runner=runner)
+    for mode in ({}, {"finish": True}):
+        make(finished, **mode)
         assert folder_bytes(finished) == before
     made = []
     make(finished, plan, overwrite=True, on_progress=lambda told: made.append(told.record))
@@ -177,9 +177,9 @@ def test_nothing_outside_the_folder_goes_with_the_former_set(tmp_path):
     assert folder_bytes(tmp_path) == before
 
 
-@pytest.mark.parametrize("runner", [InlineRunner(), Part(0, 1), Finish()], ids=["run", "part", "finish"])
+@pytest.mark.parametrize("mode", [{}, {"part": Part(0, 1)}, {"finish": True}], ids=["run", "part", "finish"])
 @pytest.mark.parametrize("name", [".pending", ".next", "data", "previews", "reports"])
-def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, name, runner):
+def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, name, mode):
     """What it leads to is not of the data set."""
     outside = tmp_path / "outside"
     outside.mkdir()
@@ -189,13 +189,13 @@ def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, nam
     if (finished / name).exists():
         (finished / name).rename(tmp_path / "moved")
     (finished / name).symlink_to(outside)
-    plans = [toy_plan()] if isinstance(runner, Finish | Part) else [toy_plan(), other_plan()]
+    plans = [toy_plan()] if mode else [toy_plan(), other_plan()]
     for plan in plans:
         is_overwritten = plan.spec["seed"] == 2
         # A run that writes nothing there may end well.
         refused = pytest.raises(InputError, match=rf"{name}' is a symbolic link; .*next: ")
         with refused if is_overwritten else contextlib.suppress(ToolkitError):
-            make(finished, plan, runner, overwrite=is_overwritten)
+            make(finished, plan, **mode, overwrite=is_overwritten)
         assert folder_bytes(outside) == before
         assert (finished / name).is_symlink()
 
@@ -253,7 +253,7 @@ def test_a_run_that_leaves_everything_out_fails_and_leaves_nothing(finished, tmp
     assert folder_bytes(finished) == before
     for runner in (InlineRunner(), ProcessRunner(2)):
         with pytest.raises(InputError, match="no row is left"):
-            make(tmp_path / "fresh", empty, runner)
+            make(tmp_path / "fresh", empty, workers=runner)
         assert not (tmp_path / "fresh").exists()
 
 
@@ -269,17 +269,17 @@ def test_a_split_of_which_nothing_is_left_is_refused_beside_a_finished_one(tmp_p
 
 def test_a_data_set_in_a_store_is_not_replaced():
     folder = DataFolder("memory://bucket/started-again")
-    finished = build(folder, toy_plan(), InlineRunner(), overwrite=True)
+    finished = build(folder, toy_plan(), overwrite=True)
     with pytest.raises(
         InputError, match=r"--overwrite replaces none in an object store.*next: choose another"
     ):
-        build(folder, other_plan(), InlineRunner(), overwrite=True)
+        build(folder, other_plan(), overwrite=True)
     with pytest.raises(
         SpecMismatchError,
         match=r"choose another folder \(--out or OUT\), or start again there with --overwrite",
     ):
-        build(folder, other_plan(), InlineRunner())
-    assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == finished
+        build(folder, other_plan())
+    assert build(folder, toy_plan(error=RuntimeError("all is there"))) == finished
 
 
 def test_what_refuses_to_replace_removes_nothing(finished):

@@ -12,7 +12,7 @@ import pytest
 from tactile_toolkit.errors import StorageError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
-from tactile_toolkit.run import InlineRunner, ProcessRunner
+from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import DataFolder, Manifest, build, parquet, verify
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -25,7 +25,7 @@ def two_shards_are_many(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def make(folder: Path, **options: object) -> Manifest:
-    return build(DataFolder(str(folder)), toy_plan(), InlineRunner(), **options)
+    return build(DataFolder(str(folder)), toy_plan(), **options)
 
 
 def opened(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[list[int], list[int], set[str]]:
@@ -90,9 +90,9 @@ def test_bytes_do_not_depend_on_how_a_set_was_made(tmp_path: Path) -> None:
         build(
             DataFolder(str(tmp_path / "two")),
             replace(plan, tasks=(*plan.tasks[:2], broken)),
-            ProcessRunner(2),
+            workers=ProcessRunner(2),
         )
-    build(DataFolder(str(tmp_path / "two")), toy_plan(("test",)), InlineRunner())
+    build(DataFolder(str(tmp_path / "two")), toy_plan(("test",)))
     make(tmp_path / "two")
     make(tmp_path / "two")
     assert folder_bytes(tmp_path / "two") == folder_bytes(tmp_path / "one")

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import DataFolder, build, remove_drafts, verify, write_file
 from tests.tactile_toolkit.toy import SCHEMA, toy_plan
 
@@ -95,7 +94,7 @@ def test_a_folder_of_temporaries_that_goes_between_two_looks_is_made_again(tmp_p
 def test_what_is_being_written_is_no_damage(tmp_path):
     """A file that a user writes, or never finished on another machine, is not one of the set."""
     folder = DataFolder(str(tmp_path / "set"))
-    build(folder, toy_plan(), InlineRunner())
+    build(folder, toy_plan())
     (tmp_path / "set" / ".pending").mkdir()
     (tmp_path / "set" / ".pending" / "tmp-0123abcd").write_bytes(b"half")
     (tmp_path / "set" / "data" / f".writing-otherhost-17.3-0123abcd-{NAME}").write_bytes(b"half")

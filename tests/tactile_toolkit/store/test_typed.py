@@ -14,7 +14,6 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import MANIFEST_FILE, DataFolder, Manifest, build, read_manifest, verify
 from tactile_toolkit.store.origin import RECORD_FILE, read_record
 from tests.sealed import sealed
@@ -27,7 +26,7 @@ STRANGE: list[Any] = ["10", -5, 10**15, 10**400, True, 1.5, None, [], [[]], {}, 
 @pytest.fixture(scope="module")
 def toy_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("typed") / "set"
-    build(DataFolder(str(path)), toy_plan(), InlineRunner())
+    build(DataFolder(str(path)), toy_plan())
     return path
 
 

@@ -15,8 +15,8 @@ from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 IMPOSSIBLE = InputError("no place for the third object")
 
 
-def make(path, plan, runner=None, **options):
-    return build(DataFolder(str(path)), plan, runner or InlineRunner(), **options)
+def make(path, plan, **options):
+    return build(DataFolder(str(path)), plan, **options)
 
 
 def failing(plan, *shards):
@@ -31,7 +31,7 @@ def failing(plan, *shards):
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
 def test_run_that_finished_nothing_leaves_no_folder(tmp_path, runner):
     with pytest.raises(InputError, match="third object"):
-        make(tmp_path / "set", toy_plan(error=IMPOSSIBLE), runner)
+        make(tmp_path / "set", toy_plan(error=IMPOSSIBLE), workers=runner)
     assert not (tmp_path / "set").exists()
 
 

@@ -7,7 +7,6 @@ import pytest
 from mnist3d.kind import KIND
 from tactile_toolkit.catalog import shards_to_check
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import DataFolder, build, read_manifest, write_manifest
 from tactile_toolkit.store.job import write_record
 from tests.tactile_toolkit.toy import toy_plan
@@ -16,7 +15,7 @@ from tests.tactile_toolkit.toy import toy_plan
 @pytest.fixture
 def folder(tmp_path):
     place = DataFolder(str(tmp_path / "set"))
-    build(place, replace(toy_plan(), kind=KIND.name), InlineRunner())
+    build(place, replace(toy_plan(), kind=KIND.name))
     return place
 
 

@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run import InlineRunner
 from tactile_toolkit.store import DataFolder, DownloadRecord, HubFile, build, verify, write_record
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tests.sealed import edit
@@ -20,7 +19,7 @@ from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
 @pytest.fixture
 def folder(tmp_path):
     made = DataFolder(str(tmp_path / "set"))
-    build(made, toy_plan(), InlineRunner())
+    build(made, toy_plan())
     return made
 
 
