@@ -136,8 +136,8 @@ def print_set(
 ) -> None:
     """Print what a folder holds, and how it continues where its run is not finished.
 
-    ``rows`` are printed of a finished one in place of the counts of the manifest; ``further`` are JSON values
-    for the document.
+    ``rows`` are printed of a finished one after the counts of the manifest; ``further`` are JSON values for
+    the document.
     """
     table = manifest.split_table()
     planned = {split: count for split, count in manifest.shards_planned().items() if split in table}
@@ -162,13 +162,13 @@ def print_set(
             found = "the download is under way or was interrupted"
             next_step = f"download {record.repo_id} there again, it continues where it stopped"
         sink.line(f"{out}: unfinished, {found}; {next_step}")
-    if not (manifest.complete and header):
-        header = ("split", kind.nouns, "shards", "Parquet", "left out")
-        rows = [
-            (name, e["rows"], f"{e['shards']:,} of {planned[name]:,}", bytes_text(e["bytes"]), e["skipped"])
-            for name, e in table.items()
-        ]
-    sink.table(header, rows)
+    counts = [
+        (name, e["rows"], f"{e['shards']:,} of {planned[name]:,}", bytes_text(e["bytes"]), e["skipped"])
+        for name, e in table.items()
+    ]
+    sink.table(("split", kind.nouns, "shards", "Parquet", "left out"), counts)
+    if manifest.complete:
+        sink.table(header, rows)
     for reason, count in manifest.skipped_reasons().items():
         sink.line(f"left out {counted(count, kind.nouns)}: {reason} (each is named in {out}/manifest.json)")
 

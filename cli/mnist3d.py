@@ -7,14 +7,14 @@ from typing import Annotated, Any
 
 from cli.application import OptionsOf, command, new_app, run
 from cli.folders import Geometry
-from cli.making import generate_set, least_to_most, print_left_out, print_set
+from cli.making import generate_set, print_left_out, print_set
 from cli.options import Making, Opening, argument, out_folder
-from cli.output import Sink, bytes_text
+from cli.output import Sink
 from cli.products import Pictures
 from cli.shared import add_shared
 from mnist3d.kind import KIND
 from mnist3d.spec import SOURCES, SPLITS, DigitPreviewSpec, SolidSpec, SourceOptions, SplitSpec
-from tactile_toolkit import catalog, store
+from tactile_toolkit import cards, catalog, store
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
 
@@ -66,32 +66,15 @@ def _print_made(
     sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
     from mnist3d.card import summarise
+    from mnist3d.columns import SUMMED_UP
 
     # The report that the figures come from is written at the end of a run.
     summaries = summarise(store.DataFolder(out), manifest) if manifest.complete else []
-    rows = [
-        (
-            summary.split,
-            summary.rows,
-            least_to_most(summary.per_class),
-            bytes_text(summary.bytes),
-            _range(summary.height_mm),
-            _range(summary.thinnest_wall_mm),
-            summary.skipped,
-            ", ".join(f"{word} {count:,}" for word, count in summary.warnings.items()) or "none",
-        )
-        for summary in summaries
-    ]
-    measures = ("height mm", "thinnest wall mm", "skipped", "warnings")
-    header = ("split", "digits", "per class", "Parquet", *measures)
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
     skipped = manifest.skipped_reasons()
+    facts = cards.facts_table(summaries, SUMMED_UP)
     print_left_out(sink, manifest)
-    print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits, skipped=skipped)
-
-
-def _range(spread: tuple[float, ...]) -> str:
-    return f"{spread[0]:.1f}-{spread[-1]:.1f}" if spread else "-"
+    print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
 
 
 _CHECKS = Geometry("meshes", lazy("mnist3d.validate:validate_paths"))

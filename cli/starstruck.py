@@ -10,7 +10,7 @@ from cli.application import command, new_app, run
 from cli.folders import Geometry
 from cli.making import generate_set, least_to_most, print_set
 from cli.options import Making, Opening, argument, out_folder
-from cli.output import Sink, bytes_text
+from cli.output import Sink
 from cli.products import Pictures
 from cli.shared import add_shared
 from starstruck_gen.kind import KIND
@@ -72,21 +72,16 @@ def _print_made(
 ) -> None:
     from starstruck_gen.card import summarise
 
-    summaries = summarise(manifest)
+    found = summarise(manifest)
     rows = [
-        (
-            summary.split,
-            summary.rows,
-            least_to_most(summary.acceptance.classes),
-            bytes_text(summary.bytes),
-            round(summary.bytes_per_scene),
-            f"{100 * summary.acceptance.accepted:.1f} %",
-            summary.acceptance.restarts,
-        )
-        for summary in summaries
+        (split, least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
+        for split, each in found.items()
     ]
-    header = ("split", "scenes", "per class", "Parquet", "bytes per scene", "accepted", "started over")
-    splits = [summary.to_dict() for summary in summaries]
+    splits = [
+        {"split": split, **counts, "acceptance": found[split].to_dict()}
+        for split, counts in manifest.split_table().items()
+    ]
+    header = ("split", "per class", "accepted", "started over")
     print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
 
 

@@ -3,83 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from itertools import islice
 from typing import Any
 
-import numpy as np
-
-from mnist3d.columns import REPORT_FILE, DigitRow
+from mnist3d.columns import REPORT_FILE, SUMMED_UP, DigitRow
 from mnist3d.kind import KIND
 from mnist3d.sources.folder import FolderSource
 from tactile_toolkit import cards, catalog, mesh, pictures, read, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.wording import printable
-
-
-@dataclass(frozen=True, slots=True)
-class SplitSummary:
-    """One split: the counts of the manifest, rows of each class, and what the printability report says.
-
-    ``height_mm``, ``volume_mm3`` and ``thinnest_wall_mm`` are the smallest, the median and the largest value;
-    ``bodies`` counts digits by their number of separate bodies, ``warnings`` by print warning.
-    """
-
-    split: str
-    rows: int
-    shards: int
-    bytes: int
-    skipped: int
-    per_class: tuple[int, ...]
-    height_mm: tuple[float, ...]
-    volume_mm3: tuple[float, ...]
-    thinnest_wall_mm: tuple[float, ...]
-    bodies: dict[int, int]
-    warnings: dict[str, int]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return asdict(self)
-
-
-def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[SplitSummary]:
-    """Sum up each split of a data set from its manifest and its printability report.
-
-    Raises IntegrityError when the report is missing or damaged.
-    """
-    import pyarrow.compute as pc
-
-    measures = ["size_z_mm", "volume_mm3", "thinnest_wall_mm"]
-    columns = ["split", "label", "bodies", "warnings", *measures]
-    report, summaries = store.read_report(folder, REPORT_FILE, columns), []
-    for split, entry in manifest.split_table().items():
-        rows = report.filter(pc.equal(report["split"], split))
-        labels = rows["label"].to_numpy().astype(np.int64)
-        summaries.append(
-            SplitSummary(
-                split,
-                **entry,
-                per_class=tuple(np.bincount(labels, minlength=len(KIND.class_names)).tolist()),
-                height_mm=_spread(rows["size_z_mm"].to_numpy()),
-                volume_mm3=_spread(rows["volume_mm3"].to_numpy()),
-                thinnest_wall_mm=_spread(rows["thinnest_wall_mm"].to_numpy()),
-                bodies=_counts(rows["bodies"]),
-                warnings=_counts(pc.list_flatten(rows["warnings"])),
-            )
-        )
-    return summaries
-
-
-def _spread(values: Any) -> tuple[float, ...]:
-    """Return smallest, median and largest to three decimals; nothing of no numbers."""
-    found = (values.min(), np.median(values), values.max()) if len(values) else ()
-    return tuple(round(float(value), 3) for value in found)
-
-
-def _counts(values: Any) -> dict[Any, int]:
-    return dict(sorted((each["values"], each["counts"]) for each in values.value_counts().to_pylist()))
-
+from tactile_toolkit.wording import counted, printable
 
 COLUMNS = meanings(DigitRow)
 
@@ -87,6 +20,15 @@ COLUMNS = meanings(DigitRow)
 _PITCH_M = 0.0004
 # Rows mix the classes: that 200 of them hold none of one has a chance of 1 in 10^8.
 _ROWS_SEEN = 200
+
+
+def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.SplitSummary]:
+    """Sum up each split of a data set from its manifest and its printability report.
+
+    Raises IntegrityError when the report is missing or damaged.
+    """
+    report = store.read_report(folder, REPORT_FILE, ["split", *(each.name for each in SUMMED_UP)])
+    return cards.summarise_columns(manifest, report, SUMMED_UP)
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -115,8 +57,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         licence=words["licence"],
         tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
         figures={
-            "per class": [cards.between(min(s.per_class), max(s.per_class)) for s in summaries],
-            "left out": [s.skipped for s in summaries],
+            "left out": [s.counts["skipped"] for s in summaries],
         },
         limits=_limits(manifest, summaries, words),
         values={
@@ -127,7 +68,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
                 f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
                 f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
             ),
-            "print_table": _print_table(summaries),
+            "print_table": cards.markdown_table(*cards.facts_table(summaries, SUMMED_UP)),
             "report_columns": ", ".join(f"`{name}`" for name in columns),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
             **_terms(words),
@@ -164,33 +105,18 @@ def _split_rule(spec: Mapping[str, Any]) -> str:
     return ", ".join([unit, f"seed {split['seed']}", sizes, *cuts])
 
 
-def _print_table(summaries: list[SplitSummary]) -> str:
-    def spread(values: tuple[float, ...]) -> str:
-        return f"{values[0]:,.1f} to {values[2]:,.1f} (median {values[1]:,.1f})" if values else "-"
-
-    header = ("split", "height, mm", "volume, mm³", "thinnest wall, mm", "digits x bodies", "print warnings")
-    rows = [
-        (
-            s.split,
-            *map(spread, (s.height_mm, s.volume_mm3, s.thinnest_wall_mm)),
-            ", ".join(f"{count:,} x {bodies}" for bodies, count in s.bodies.items()) or "-",
-            ", ".join(f"{count:,} {word}" for word, count in s.warnings.items()) or "none",
-        )
-        for s in summaries
-    ]
-    return cards.markdown_table(header, rows)
-
-
-def _limits(manifest: store.Manifest, summaries: list[SplitSummary], words: Mapping[str, str]) -> list[str]:
-    rows = sum(s.rows for s in summaries)
-    pieces = sum(count for s in summaries for bodies, count in s.bodies.items() if bodies > 1)
-    warned = sum(count for s in summaries for count in s.warnings.values())
+def _limits(
+    manifest: store.Manifest, summaries: list[cards.SplitSummary], words: Mapping[str, str]
+) -> list[str]:
+    rows = sum(s.counts["rows"] for s in summaries)
+    pieces = rows - sum(s.facets["bodies"].get("1", 0) for s in summaries)
+    warned = sum(sum(s.facets["warnings"].values()) for s in summaries)
     in_one = "None of the digits is in several pieces"
     in_pieces = f"{pieces:,} of {rows:,} digits are in several pieces that print apart" if pieces else in_one
     lines = [
         words["limit"],
         f"{in_pieces}; `--join-bodies` makes bridges.",
-        f"The print profile raises {warned:,} warnings; each names what to look at; the digit may print.",
+        f"The print profile raises {counted(warned, 'warnings')}; a digit with a warning may still print.",
         "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
     ]
     if manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None:

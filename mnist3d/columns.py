@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from mnist3d.kind import KIND
 from tactile_toolkit import mesh, store
-from tactile_toolkit.rows import column, row
+from tactile_toolkit.rows import column, columns, plain_schema, row, table_of, with_role
 
 PARQUET_STYLE = store.ParquetStyle(
     rows_per_group=32,
@@ -39,11 +39,17 @@ class DigitRow(mesh.MeshRow):
     """One digit."""
 
     id: int = column(pa.int64(), "", "number of the digit in its source, unique over all splits")
-    label: int = column(pa.int64(), "", "the digit")
-    writer: int = column(pa.int64(), "", "number of the writer in the source, -1 where unknown")
+    label: int = column(pa.int64(), "", "the digit", role="facet", title="Class")
+    writer: int = column(
+        pa.int64(), "", "number of the writer in the source, -1 where unknown", role="facet", title="Writer"
+    )
     volume_m3: float = column(pa.float64(), "m³", "enclosed volume")
     source: str = column(pa.string(), "", "digit source")
     report: mesh.PrintReport = field()  # stored in the report, not in the shard
+
+
+SUMMED_UP = (columns(DigitRow)["label"], *with_role(mesh.PrintReport, "facet", "measure"))
+"""Columns of the report that are summed up for each split."""
 
 
 @cache
@@ -54,17 +60,14 @@ def digit_schema() -> pa.Schema:
 
 def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
     """Pack the reports about the digits of one shard into an Arrow table."""
+    places = pa.table(
+        {
+            "id": pa.array([each.id for each in rows], pa.int64()),
+            "label": pa.array([each.label for each in rows], pa.int64()),
+            "split": pa.array([shard.split] * len(rows), pa.string()),
+            "shard": pa.array([str(shard)] * len(rows), pa.string()),
+        }
+    )
     # The columns of the report are those of `PrintReport`: a further measure needs no edit here.
-    arrow = {bool: pa.bool_(), str: pa.string(), int: pa.int64(), float: pa.float64()}
-    # Rows are only of meshes that are solids: a reason why one is not has no column.
-    left_out = ("problem", "detail", "warnings")
-    measured = [(name, arrow[kind]) for name, kind in mesh.REPORT_COLUMNS.items() if name not in left_out]
-    places = [("id", pa.int64()), ("label", pa.int64()), ("split", pa.string()), ("shard", pa.string())]
-    schema = pa.schema([*places, *measured, ("warnings", pa.list_(pa.string()))])
-    values = [
-        {"id": each.id, "label": each.label, "split": shard.split, "shard": str(shard)}
-        | each.report.to_row()
-        | {"warnings": list(each.report.warnings)}
-        for each in rows
-    ]
-    return pa.Table.from_pylist(values, schema=schema)
+    reports = table_of([each.report for each in rows], plain_schema(mesh.PrintReport))
+    return pa.table([*places.columns, *reports.columns], [*places.column_names, *reports.column_names])

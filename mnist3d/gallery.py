@@ -5,32 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mnist3d.columns import REPORT_FILE
+from mnist3d.columns import REPORT_FILE, DigitRow
 from mnist3d.kind import KIND
 from mnist3d.loader import MeshDataset, MeshRecord
 from mnist3d.sources import NO_WRITER
 from tactile_toolkit import catalog, gallery, mesh, places, store
+from tactile_toolkit.rows import with_role
 from tactile_toolkit.wording import class_name
 
 _ROWS_PER_TASK = 8
-
-_FACETS = (
-    gallery.Facet("label", "Class"),
-    gallery.Facet("split", "Split"),
-    gallery.Facet("warnings", "Print warnings", (gallery.NONE, *mesh.WARNINGS)),
-    gallery.Facet("bodies", "Separate bodies"),
-    gallery.Facet("writer", "Writer"),
-)
-_MEASURES = (
-    gallery.Measure("volume_mm3", "Volume", "mm³"),
-    gallery.Measure("size_z_mm", "Height", "mm", 2),
-    gallery.Measure("thinnest_wall_mm", "Thinnest wall", "mm", 2),
-    gallery.Measure("mass_g", "Mass in PLA", "g", 1),
-    gallery.Measure("overhang_mm2", "Overhang", "mm²"),
-    gallery.Measure("contact_mm2", "First layer", "mm²"),
-    gallery.Measure("vertices", "Vertices"),
-    gallery.Measure("faces", "Triangles"),
-)
+_SHOWN = (*with_role(DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
 
 
 def plan_gallery(
@@ -53,33 +37,24 @@ def plan_gallery(
         found = {row["id"]: row for row in report.filter(chosen).to_pylist()}
         return [found.get(number) for number in rows.ids.tolist()]
 
-    return gallery.gallery_of_rows(
-        KIND, place, chosen, "3D digits", _FACETS, _MEASURES, _item, _ROWS_PER_TASK, known
-    )
+    return gallery.gallery_of_rows(KIND, place, chosen, "3D digits", _SHOWN, _item, _ROWS_PER_TASK, known)
 
 
 def _item(
     record: MeshRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None
-) -> gallery.Item:
+) -> gallery.GalleryItem:
     gallery.require_mesh(record, split)
     vertices_m, faces = record.vertices_m, record.faces
     if report is None:
         found = mesh.inspect(mesh.Mesh(vertices_m, faces))
         broken = (found.problem,) if found.problem else ()
-        report = {**found.to_row(), "warnings": (*broken, *found.warnings)}
+        report = {**found.to_row(), "warnings": [*broken, *found.warnings]}
     label = class_name(names, record.label)
     source = [("Source", record.source)] if record.source else []
-    return gallery.Item(
+    return gallery.GalleryItem(
         id=str(record.id),
         title=f"digit {label}",
-        facets={
-            "label": (label,),
-            "split": (split,),
-            "warnings": tuple(report["warnings"]) or (gallery.NONE,),
-            "bodies": (str(report["bodies"]),),
-            "writer": ("unknown" if record.writer == NO_WRITER else str(record.writer),),
-        },
-        measures={measure.name: report.get(measure.name) for measure in _MEASURES},
+        values={**report, "writer": None if record.writer == NO_WRITER else record.writer},
         thumbnail=gallery.relief_thumbnail(vertices_m, faces),
         content={
             "notes": [("Size", gallery.size_text(vertices_m)), *source],

@@ -13,9 +13,15 @@ from typing import Any
 from mnist3d.kind import KIND
 from tactile_toolkit import catalog, mesh, places, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.rows import columns
 
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
+_SHOWN = [
+    each
+    for name, each in columns(mesh.PrintReport).items()
+    if name in ("bodies", "volume_mm3", "thinnest_wall_mm")
+]
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +33,7 @@ class CheckedItem:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        lists = {name: list(getattr(self.report, name)) for name in ("warnings", "notes")}
-        values = {"name": self.name, **self.report.to_row(), **lists}
+        values = {"name": self.name, **self.report.to_row()}
         # JSON has no NaN: what is unknown of a broken mesh is null.
         return {
             name: None if isinstance(value, float) and math.isnan(value) else value
@@ -36,14 +41,14 @@ class CheckedItem:
         }
 
     def table_row(self) -> tuple[object, ...]:
-        """Return what a table shows of it."""
+        """Return what a table shows of it, below :data:`_SHOWN`."""
         report = self.report
+        numbers = [each.text(getattr(report, each.name)) for each in _SHOWN]
         if not report.is_solid:
             story = ", ".join((report.detail or report.problem or "", *report.notes))
-            return (self.name, "NO", "-", "-", report.bodies, "-", story)
+            return (self.name, "NO", "-", *numbers, story)
         size = " x ".join(f"{side:.1f}" for side in report.size_mm)
-        numbers = (f"{report.volume_mm3:,.0f}", size, report.bodies, f"{report.thinnest_wall_mm:.2f}")
-        return (self.name, "yes", *numbers, ", ".join((*report.warnings, *report.notes)) or "none")
+        return (self.name, "yes", size, *numbers, ", ".join((*report.warnings, *report.notes)) or "none")
 
 
 @dataclass(frozen=True)
@@ -84,8 +89,7 @@ class Checked:
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
         """Return header, rows and title of a table of the meshes that fail or, of a few, all."""
-        wall = "thinnest wall mm"
-        header = ("mesh", "solid", "volume mm³", "size mm", "bodies", wall, "findings")
+        header = ("mesh", "solid", "size, mm", *(each.heading for each in _SHOWN), "findings")
         worth = [item for item in self.items if not item.report.is_solid]
         shown = self.items if len(self.items) <= _ROWS_SHOWN else worth[:_ROWS_SHOWN]
         words = ", ".join(f"{word} {count:,}" for word, count in self.warnings().items())

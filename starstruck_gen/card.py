@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
 from functools import partial
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -21,43 +20,6 @@ from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import counted, markdown_text
 
-
-@dataclass(frozen=True, slots=True)
-class SplitSummary:
-    """One split: rows, shards and bytes as in the manifest, and the acceptance of its scenes."""
-
-    split: str
-    rows: int
-    shards: int
-    bytes: int
-    acceptance: Acceptance
-
-    @property
-    def bytes_per_scene(self) -> float:
-        """Parquet bytes per scene."""
-        return self.bytes / max(1, self.rows)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        per_object = [round(mean, 4) for mean in self.acceptance.attempts_per_object]
-        return {
-            **asdict(self),
-            "bytes_per_scene": round(self.bytes_per_scene, 1),
-            "acceptance": {**self.acceptance.to_dict(), "attempts_per_object": per_object},
-        }
-
-
-def summarise(manifest: store.Manifest) -> list[SplitSummary]:
-    """Sum up each split of a data set; splits of an unfinished run as far as they got."""
-    statistics = manifest.statistics()
-    return [
-        SplitSummary(
-            split, entry["rows"], entry["shards"], entry["bytes"], Acceptance.from_dict(statistics[split])
-        )
-        for split, entry in manifest.split_table().items()
-    ]
-
-
 _SCENES_SHOWN = 12
 _TILE_PX = 140
 _RULES = {
@@ -66,6 +28,11 @@ _RULES = {
 }
 
 COLUMNS = meanings(SceneRow)
+
+
+def summarise(manifest: store.Manifest) -> dict[str, Acceptance]:
+    """Return the acceptance of the scenes of each split; splits of an unfinished run as far as they got."""
+    return {split: Acceptance.from_dict(counts) for split, counts in manifest.statistics().items()}
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -81,7 +48,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         cards.write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, licence, **terms)
         return
     spec = SceneSpec.from_dict(manifest.spec["scene"])
-    summaries = summarise(manifest)
+    found = summarise(manifest)
     cards.Card(
         template=KIND.card_template,
         title="Starstruck",
@@ -89,12 +56,12 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         picture=("scenes.png", partial(_sheet, spec.cell_m), "The first scenes from above; stars are orange"),
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "counting"],
-        figures={"per class": [", ".join(f"{count:,}" for count in s.acceptance.classes) for s in summaries]},
+        figures={"per class": [", ".join(f"{count:,}" for count in each.classes) for each in found.values()]},
         limits=_limits(manifest, spec),
         values={
             **_placement_values(spec),
             "seed": str(manifest.spec["seed"]),
-            "acceptance_table": _acceptance_table(summaries),
+            "acceptance_table": _acceptance_table(found),
         },
     ).write(folder, manifest, KIND)
 
@@ -134,16 +101,16 @@ def _sheet(cell_m: tuple[float, float], facts: cards.FolderFacts) -> bytes | Non
     return cards.tiles_png(tiles, 6)
 
 
-def _acceptance_table(summaries: list[SplitSummary]) -> str:
+def _acceptance_table(found: Mapping[str, Acceptance]) -> str:
     header = ("split", "positions drawn per object (first, second, ...)", "accepted", "scenes started over")
     rows = [
         (
-            s.split,
-            ", ".join(f"{mean:.2f}" for mean in s.acceptance.attempts_per_object),
-            f"{100 * s.acceptance.accepted:.1f} %",
-            f"{s.acceptance.restarts:,}",
+            split,
+            ", ".join(f"{mean:.2f}" for mean in each.attempts_per_object),
+            f"{each.accepted:.1%}",
+            f"{each.restarts:,}",
         )
-        for s in summaries
+        for split, each in found.items()
     ]
     return cards.markdown_table(header, rows)
 

@@ -43,12 +43,16 @@ class SceneRow(mesh.MeshRow):
 
     id: int = column(pa.int64(), "", _IDS)
     label: int = column(pa.int64(), "", "the class, named by the number of stars")
-    star_count: int = column(pa.int64(), "", "number of stars")
-    distractor_count: int = column(pa.int64(), "", "number of objects that are not stars")
+    star_count: int = column(pa.int64(), "", "number of stars", role="facet", title="Stars")
+    distractor_count: int = column(
+        pa.int64(), "", "number of objects that are not stars", role="facet", title="Distractors"
+    )
     placements: Sequence[Placement] = column(_PLACEMENTS, "one per object: m, rad, frame below", _OBJECTS)
     seed: int = column(pa.int64(), "", _SEED)
     attempts: Sequence[int] = column(pa.list_(pa.int32()), "one per object", "positions drawn for it")
-    restarts: int = column(pa.int32(), "", "how often the scene was started over")
+    restarts: int = column(
+        pa.int32(), "", "how often the scene was started over", role="measure", title="Restarts"
+    )
 
 
 @cache

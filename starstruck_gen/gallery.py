@@ -2,33 +2,32 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
+import numpy as np
+import pyarrow as pa
+
+from starstruck_gen.columns import SceneRow
 from starstruck_gen.kind import KIND
 from starstruck_gen.loader import SceneRecord
 from starstruck_gen.placement import prism
 from starstruck_gen.scene import draw_scene
 from starstruck_gen.spec import SceneSpec
 from tactile_toolkit import catalog, gallery, places
-from tactile_toolkit.mesh import MM_PER_M, Mesh
+from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintReport
+from tactile_toolkit.rows import Column, columns, with_role
+from tactile_toolkit.wording import counted
 
 _ROWS_PER_TASK = 32
 _OPAQUE_FROM = 150  # levels darker than the plate, as the fill of every object is
 _PUBLISHED_CELL_M = SceneSpec.cell_m
 
-_FACETS = (
-    gallery.Facet("stars", "Stars"),
-    gallery.Facet("distractors", "Distractors"),
-    gallery.Facet("split", "Split"),
-    gallery.Facet("shapes", "Shapes"),
-)
-_MEASURES = (
-    gallery.Measure("volume_mm3", "Volume", "mm³"),
-    gallery.Measure("objects", "Objects"),
-    gallery.Measure("attempts", "Positions drawn"),
-    gallery.Measure("restarts", "Restarts"),
-    gallery.Measure("vertices", "Vertices"),
-    gallery.Measure("faces", "Triangles"),
+_SHOWN = (
+    *with_role(SceneRow, "facet", "measure"),
+    Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
+    Column(pa.int64(), name="objects", role="measure", title="Objects"),
+    Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
+    *(columns(PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
 )
 
 
@@ -36,37 +35,37 @@ def plan_gallery(
     name: places.Name | places.Place, chosen: catalog.Chosen = catalog.ALL_ROWS
 ) -> gallery.Gallery:
     """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
-    return gallery.gallery_of_rows(
-        KIND, name, chosen, "Starstruck scenes", _FACETS, _MEASURES, _item, _ROWS_PER_TASK
-    )
+    return gallery.gallery_of_rows(KIND, name, chosen, "Starstruck scenes", _SHOWN, _item, _ROWS_PER_TASK)
 
 
-def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None) -> gallery.Item:
+def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None) -> gallery.GalleryItem:
     gallery.require_mesh(record, split)
-    known = record.has_placements
     stars = record.star_count
     mesh = Mesh(record.vertices_m, record.faces)
-    seed = [("Seed", str(record.seed))] if known else []
-    return gallery.Item(
+    notes = [("Size over all", gallery.size_text(mesh.vertices_m))]
+    values: dict[str, Any] = {
+        "star_count": stars,
+        "distractor_count": None,
+        "volume_mm3": mesh.volume_m3 * MM_PER_M**3,
+        "vertices": len(mesh.vertices_m),
+        "faces": len(mesh.faces),
+    }
+    if record.has_placements:
+        notes.append(("Seed", str(record.seed)))
+        values |= {
+            "distractor_count": record.distractor_count,
+            "shapes": sorted({placement.shape for placement in record.placements}),
+            "objects": len(record.placements),
+            "positions": sum(record.scene.attempts),
+            "restarts": record.scene.restarts,
+        }
+    return gallery.GalleryItem(
         id=str(record.id),
-        title=f"{stars} star" if stars == 1 else f"{stars} stars",
-        facets={
-            "stars": (str(stars),),
-            "distractors": (str(record.distractor_count) if known else "unknown",),
-            "split": (split,),
-            "shapes": tuple(sorted({placement.shape for placement in record.placements})) if known else (),
-        },
-        measures={
-            "volume_mm3": mesh.volume_m3 * MM_PER_M**3,
-            "objects": len(record.placements) if known else None,
-            "attempts": sum(record.scene.attempts) if known else None,
-            "restarts": record.scene.restarts if known else None,
-            "vertices": len(mesh.vertices_m),
-            "faces": len(mesh.faces),
-        },
+        title=counted(stars, "stars"),
+        values=values,
         thumbnail=_thumbnail(record),
         content={
-            "notes": [("Size over all", gallery.size_text(mesh.vertices_m)), *seed],
+            "notes": notes,
             "mesh": gallery.packed_mesh(mesh.vertices_m, mesh.faces, _parts(record), flat=True),
         },
     )

@@ -24,3 +24,8 @@ from .facts import (
     viewer_files as viewer_files,
     with_head as with_head,
 )
+from .summary import (
+    SplitSummary as SplitSummary,
+    facts_table as facts_table,
+    summarise_columns as summarise_columns,
+)

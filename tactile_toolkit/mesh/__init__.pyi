@@ -20,14 +20,17 @@ from .nearness import (
     compiled as compiled,
     connected as connected,
 )
-from .printability import (
+from .print_profile import (
     PrintProfile as PrintProfile,
+)
+from .print_report import (
     PrintReport as PrintReport,
-    REPORT_COLUMNS as REPORT_COLUMNS,
     UNREADABLE as UNREADABLE,
     WARNINGS as WARNINGS,
-    inspect as inspect,
     unreadable as unreadable,
+)
+from .printability import (
+    inspect as inspect,
 )
 from .raster import (
     MOST_PIXELS as MOST_PIXELS,

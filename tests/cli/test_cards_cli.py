@@ -162,7 +162,8 @@ def test_every_column_is_explained(folders, kind):
 
 def test_numbers_are_those_of_the_data(folders):
     assert "10 handwritten digits" in card_of(folders["mnist3d"])
-    assert "| test | 10 | 1 | 0 | 1 |" in card_of(folders["mnist3d"])
+    assert "| test | 10 | 0 | 1 |" in card_of(folders["mnist3d"])
+    assert "| Class | 1 of each of 10 |" in card_of(folders["mnist3d"])
     assert "39 scenes" in card_of(folders["starstruck"])
     assert "| train | 30 | 10, 10, 10 | 1 |" in card_of(folders["starstruck"])
     assert "3 rounds, 12 touches" in card_of(folders["single"])

@@ -44,7 +44,8 @@ def test_generate_json_is_one_document(tmp_path, capsys):
     assert call("generate", *SMALL, "--out", tmp_path / "digits", "--json") == 0
     document = json.loads(capsys.readouterr().out)
     (split,) = document["splits"]
-    assert (split["split"], split["rows"], split["per_class"]) == ("test", 10, [1] * 10)
+    assert (split["split"], split["rows"]) == ("test", 10)
+    assert split["label"] == {str(digit): 1 for digit in range(10)}
     assert document["complete"] is True
     assert document["spec"]["solid"]["target_vertices"] == 2000
 
@@ -244,7 +245,7 @@ def test_an_unreadable_file_hides_no_verdict(tmp_path, capsys):
     assert call("validate", bad, other, good) == 1
     printed = capsys.readouterr()
     assert "1 of 3 meshes are valid" in printed.out
-    assert "thinnest wall" in printed.out
+    assert "Thinnest wall" in printed.out
     assert f"unreadable: {bad}" in printed.err
     assert f"unreadable: {other}" in printed.err
     assert call("validate", bad, good, "--json", "--quiet") == 1

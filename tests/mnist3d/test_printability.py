@@ -7,20 +7,15 @@ from typing import Any
 
 import manifold3d
 import numpy as np
+import pyarrow as pa
 import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.mesh.printability import (
-    REPORT_COLUMNS,
-    WARNINGS,
-    PrintProfile,
-    inspect,
-    section_area_mm2,
-    thinnest_width_mm,
-)
+from tactile_toolkit.mesh import WARNINGS, Mesh, PrintProfile, PrintReport, inspect
+from tactile_toolkit.mesh.section import section_area_mm2, thinnest_width_mm
 from tactile_toolkit.mesh.solid_check import PROBLEMS
+from tactile_toolkit.rows import columns
 
 ANGLES = st.floats(0, 2 * math.pi)
 
@@ -298,15 +293,16 @@ def test_the_story_of_a_hole_counts_its_edges() -> None:
 @pytest.mark.parametrize("mesh", [box(), BROKEN["hole"][0]], ids=["solid", "broken"])
 def test_a_row_has_the_columns_and_types_it_promises(mesh: Mesh) -> None:
     row = inspect(mesh).to_row()
-    assert list(row) == list(REPORT_COLUMNS)
-    for name, kind in REPORT_COLUMNS.items():
-        assert type(row[name]) is kind or (kind is str and row[name] is None), name
+    declared = columns(PrintReport)
+    assert list(row) == list(declared)
+    for name, column in declared.items():
+        assert pa.array([row[name]], column.data_type).to_pylist() == [pytest.approx(row[name], nan_ok=True)]
 
 
 def test_warnings_of_a_row_are_words() -> None:
     row = inspect(mesh_of(manifold3d.Manifold.cube((300, 0.5, 300)))).to_row()
-    assert set(row["warnings"].split()) <= set(WARNINGS)
-    assert len(row["warnings"].split()) >= 2
+    assert set(row["warnings"]) <= set(WARNINGS)
+    assert len(row["warnings"]) >= 2
 
 
 @pytest.mark.parametrize(

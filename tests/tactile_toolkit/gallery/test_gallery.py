@@ -19,16 +19,9 @@ from tactile_toolkit.errors import (
     StorageError,
     ToolkitError,
 )
-from tactile_toolkit.gallery import Gallery, site as site_module
-from tactile_toolkit.gallery.site import (
-    ASSETS,
-    MOST_ITEMS,
-    PAGE_FILE,
-    THREE,
-    asset,
-    build_site,
-    site_folder,
-)
+from tactile_toolkit.gallery import PAGE_FILE, Gallery, build_site, site as site_module, site_folder
+from tactile_toolkit.gallery.page import ASSETS, THREE, asset
+from tactile_toolkit.gallery.site import MOST_ITEMS
 from tactile_toolkit.run import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
 from tests.gallery_files import files_of, index_of
@@ -275,7 +268,7 @@ def test_a_failure_in_the_middle_leaves_things_as_they_were(tmp_path, there, err
         build(out)
     before = folder_bytes(tmp_path)
     tasks = (ToyTask(0, 8), ToyTask(8, 16, error=error))
-    broken = Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 16})
+    broken = Gallery("toy", "Toys", ("toy", "toys"), (), tasks, {"train": 16})
     with pytest.raises(type(error)):
         build(out, broken, overwrite=True)
     assert folder_bytes(tmp_path) == before
@@ -284,7 +277,7 @@ def test_a_failure_in_the_middle_leaves_things_as_they_were(tmp_path, there, err
 
 def test_a_worker_that_dies_leaves_nothing(tmp_path):
     tasks = (ToyTask(0, 8), ToyTask(8, 16, die=True))
-    broken = Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 16})
+    broken = Gallery("toy", "Toys", ("toy", "toys"), (), tasks, {"train": 16})
     with pytest.raises(ToolkitError):
         build_site(broken, str(tmp_path / "site"), ProcessRunner(2))
     assert entries(tmp_path) == []
@@ -412,7 +405,7 @@ def test_hostile_words_are_harmless_in_every_file(tmp_path):
 def test_item_errors_of_a_task_pass_through(tmp_path):
     tasks = (ToyTask(0, 1, error=ItemError("odd", "an odd one")),)
     with pytest.raises(ItemError, match="an odd one"):
-        build(tmp_path / "site", Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 1}))
+        build(tmp_path / "site", Gallery("toy", "Toys", ("toy", "toys"), (), tasks, {"train": 1}))
 
 
 @pytest.mark.parametrize(

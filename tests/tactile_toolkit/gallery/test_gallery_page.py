@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tactile_toolkit.gallery import Item, build_site, packed_mesh
+from tactile_toolkit.gallery import GalleryItem, build_site, packed_mesh
 from tactile_toolkit.run import InlineRunner
 from tests.gallery_browser import Opened, browser, opened
 from tests.gallery_files import files_of
@@ -26,10 +26,10 @@ COUNT = 1_000
 class OneItem:
     """Work of one item that is there already."""
 
-    item: Item
+    item: GalleryItem
     size: int = 1
 
-    def make(self) -> list[Item]:
+    def make(self) -> list[GalleryItem]:
         return [self.item]
 
 

@@ -15,18 +15,18 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.catalog import choose_rows, short_name
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.gallery.items import (
-    STEP_MM,
+from tactile_toolkit.gallery import (
     THUMBNAIL_PX,
-    Facet,
     Gallery,
-    Item,
+    GalleryItem,
     packed_mesh,
     relief_thumbnail,
     require_mesh,
     thumbnail,
 )
-from tactile_toolkit.gallery.site import index_of, script_json
+from tactile_toolkit.gallery.page import index_of, script_json
+from tactile_toolkit.gallery.viewer_mesh import STEP_MM
+from tactile_toolkit.rows import Column
 from tactile_toolkit.wording import natural_key
 from tests.gallery_toy import CORNERS_M, FACES
 
@@ -169,14 +169,23 @@ def test_a_site_does_not_tell_where_the_data_set_lay(tmp_path):
     assert short_name("somebody/touches") == "somebody/touches"
 
 
-def test_splits_stand_in_the_order_of_the_data():
-    facets = (Facet("split", "Split"), Facet("label", "Class"))
-    splits = {"train": 1, "test": 1, "holdout": 1}
+def test_values_of_a_facet_stand_in_their_order_and_unknown_ones_are_named():
+    splits = ("train", "test", "holdout")
+    facets = (
+        Column(None, name="split", role="facet", title="Split", values=splits),
+        Column(None, name="label", role="facet", title="Class"),
+        Column(None, name="gel", role="facet", title="Gel"),
+        Column(None, name="warnings", role="facet", title="Warnings"),
+    )
+    gels = {"test": None, "holdout": 12, "train": 2}
     items = [
-        Item(split, split, {"split": (split,), "label": (split,)}, {}, b"", {})
-        for split in ("test", "holdout", "train")
+        GalleryItem(split, split, {"split": split, "label": split, "gel": gel, "warnings": []}, b"", {})
+        for split, gel in gels.items()
     ]
-    columns = index_of(Gallery("toy", "Toys", ("toy", "toys"), facets, (), (), splits), items)["facets"]
+    gallery = Gallery("toy", "Toys", ("toy", "toys"), facets, (), dict.fromkeys(splits, 1))
+    columns = index_of(gallery, items)["facets"]
     assert columns[0]["values"] == ["train", "test", "holdout"]
     assert columns[1]["values"] == ["holdout", "test", "train"]
     assert columns[0]["rows"] == [[1], [2], [0]]
+    assert columns[2]["values"] == ["2", "12", "unknown"]
+    assert columns[3] == {"title": "Warnings", "values": ["none"], "rows": [[0], [0], [0]]}
