@@ -32,6 +32,9 @@ _WELDED = 1e-5
 # More of them in one place are not rounding; this bounds memory.
 _NEIGHBOURS = 16
 
+# How files of some formats begin, and the ending that they should have; few others begin so.
+_MARKS = {b"PK\3\4": ("a zip archive", ".3mf"), b"glTF": ("binary glTF", ".glb"), b"\x1f\x8b": ("gzip", "")}
+
 # Errors of parsers whose words state where a file is damaged.
 _TELLING = (zipfile.BadZipFile, expat.ExpatError, json.JSONDecodeError)
 
@@ -97,6 +100,12 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
     """Return the mesh of a file, and the unit that the file states."""
     if not data:
         raise InputError("the file is empty; expected a mesh", next="export or copy it again")
+    for mark, (content, right_ending) in _MARKS.items():
+        if data.startswith(mark) and ending != right_ending:
+            raise InputError(
+                f"its content is {content}; expected {ending[1:].upper()}",
+                next="unpack it, or give it the ending of its format",
+            )
     stated: str | None = None
     try:
         if ending == ".3mf":
@@ -165,7 +174,7 @@ def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
     # trimesh would merge within a tolerance, and numpy's unique rows take three times as long.
     rows = vertices + 0.0  # -0.0 and 0.0 are the same place
     order = np.lexsort(rows.T)
-    in_order = rows[order]
+    in_order = rows.take(order, axis=0)
     is_new = np.concatenate([[True], (in_order[1:] != in_order[:-1]).any(axis=1)])[: len(rows)]
     group = np.empty(len(rows), np.int64)
     group[order] = np.cumsum(is_new) - 1
@@ -173,7 +182,7 @@ def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
     by_appearance = np.argsort(first)
     number = np.empty(len(first), np.int32)
     number[by_appearance] = np.arange(len(first), dtype=np.int32)
-    return vertices[first[by_appearance]], number[group][faces]
+    return vertices.take(first[by_appearance], axis=0), number[group].take(faces)
 
 
 def file_ending(path: Path) -> str:
@@ -214,6 +223,9 @@ def _welded(vertices: Float64, faces: Int32) -> Mesh:
     if not len(corners) or not _is_closed(corners, len(vertices)):
         return Mesh(vertices, faces)
     used, corners_used = np.unique(corners, return_inverse=True)
+    # One corner far away makes others near: what closes then is another object.
+    if (np.abs(np.ptp(vertices[used], axis=0) - np.ptp(vertices, axis=0)) > 2 * reach_m).any():
+        return Mesh(vertices, faces)
     welded = int((moved != np.arange(len(vertices))).sum())
     kept = corners_used.reshape(-1, 3).astype(np.int32)
     return Mesh(vertices[used], kept, (f"{counted(welded, 'corners')} welded",))
@@ -221,10 +233,7 @@ def _welded(vertices: Float64, faces: Int32) -> Mesh:
 
 def _is_closed(faces: Integers, count: int) -> bool:
     """Return whether each edge leads back as often as there, but for one chance in 2^64."""
-    one, other = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
-    there = back = np.zeros(len(faces), np.uint64)
-    for start, end in ((0, 1), (1, 2), (2, 0)):
-        starts, ends = faces[:, start], faces[:, end]
-        there = there + one[starts] * other[ends]
-        back = back + one[ends] * other[starts]
-    return bool(there.sum() == back.sum())
+    corners, following = np.ascontiguousarray(faces.T), [1, 2, 0]
+    random = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
+    one, other = (numbers.take(corners) for numbers in random)
+    return bool((one * other[following]).sum() == (other * one[following]).sum())

@@ -8,13 +8,12 @@ from the size of the file, never from numbers in it.
 from __future__ import annotations
 
 import codecs
-import io
 import re
 from array import array
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -25,45 +24,52 @@ from tactile_toolkit.mesh.mesh import Surface
 _MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 # Of names and comments any encoding may be; what counts is ASCII.
 _ANY_ENCODING = "latin-1"
+# What old systems write behind the end of a text.
+_PADDING = "\0\x1a"
+_Number = TypeVar("_Number", float, int)
 
 
-def _plain_text(data: bytes) -> bytes:
-    """Return text without a byte order mark, one byte for each letter, its lines ended by newlines."""
-    for mark, encoding in _MARKS.items():
+def _plain_text(data: bytes) -> str:
+    """Return text without a byte order mark and padding, its lines ended by newlines."""
+    encoding = _ANY_ENCODING
+    for mark, stated in _MARKS.items():
         if data.startswith(mark):
-            data = data[len(mark) :].decode(encoding, "replace").encode(_ANY_ENCODING, "replace")
-    return data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+            data, encoding = data[len(mark) :], stated
+    text = data.decode(encoding, "replace").rstrip(_PADDING)
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
-def _floats(words: Sequence[bytes]) -> list[float]:
-    try:
-        return list(map(float, words))
-    except ValueError:
-        wrong = next(word for word in words if not _is_number(word))
-        raise InputError(f"{_shown(wrong)} is not a number; expected one such as -1.5 or 2e-3") from None
+def numbers_of(words: Sequence[str], kind: Callable[[str], _Number]) -> list[_Number]:
+    """Return the numbers of some words; InputError names the first that is none.
 
-
-def _is_number(word: bytes) -> bool:
+    Python takes ``1_000`` and digits of other scripts for numbers, too: formats of meshes do not.
+    """
+    joined = "".join(words)
     with suppress(ValueError):
-        float(word)
-        return True
+        if "_" not in joined and joined.isascii():
+            return list(map(kind, words))
+    wrong = next(word for word in words if not _is_number(word, kind))
+    expected = "one such as -1.5 or 2e-3" if kind is float else "an integer"
+    raise InputError(f"{wrong[:40]!r} is not a number; expected {expected}")
+
+
+def _is_number(word: str, kind: Callable[[str], _Number]) -> bool:
+    with suppress(ValueError):
+        kind(word)
+        return word.isascii() and "_" not in word
     return False
-
-
-def _shown(word: bytes) -> str:
-    return repr(word[:40].decode(_ANY_ENCODING))
 
 
 # --- STL ----------------------------------------------------------------------------------------------
 
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _HEADER_BYTES = 84
-_VERTEX = rb"vertex\s+(\S+)\s+(\S+)\s+(\S+)\s+"
+_VERTEX = r"vertex\s+(\S+)\s+(\S+)\s+(\S+)\s+"
 _FACET_TEXT = re.compile(
-    rb"facet\s+normal\s+\S+\s+\S+\s+\S+\s+outer\s+loop\s+" + _VERTEX * 3 + rb"end\s*loop\s+end\s*facet\b",
+    r"facet\s+normal\s+\S+\s+\S+\s+\S+\s+outer\s+loop\s+" + _VERTEX * 3 + r"end\s*loop\s+end\s*facet\b",
     re.IGNORECASE,
 )
-_SOLID, _SOLID_END = re.compile(rb"(end\s*)?solid\b", re.IGNORECASE), re.compile(rb"end\s*solid\b", re.I)
+_SOLID, _SOLID_END = re.compile(r"(end\s*)?solid\b", re.IGNORECASE), re.compile(r"end\s*solid\b", re.I)
 
 
 def read_stl(data: bytes) -> Surface:
@@ -75,29 +81,32 @@ def read_stl(data: bytes) -> Surface:
         corners = np.frombuffer(data, _FACET, stated, _HEADER_BYTES)["corners"]
         return _apart(corners.reshape(-1, 3).astype(np.float64))
     text = _plain_text(data)
-    if b"\0" not in data[:_HEADER_BYTES] or b"facet" in text.lower():
+    if "\0" not in text[:_HEADER_BYTES]:
         return _read_stl_text(text)
+    if stated > len(data):
+        raise InputError(f"neither text nor binary STL: its {len(data):,} bytes do not begin as one of them")
     raise InputError(
-        f"the file has {len(data):,} bytes, a binary STL file of {stated:,} triangles has {size:,}"
+        f"the file has {len(data):,} bytes, a binary STL file of {stated:,} triangles has {size:,}",
+        next="export or copy it again",
     )
 
 
-def _read_stl_text(text: bytes) -> Surface:
-    values, others, end = array("d"), [], 0
+def _read_stl_text(text: str) -> Surface:
+    words, others, end = list[str](), [], 0
     for facet in _FACET_TEXT.finditer(text):
         others.append(text[end : facet.start()])
-        values.extend(_floats(facet.groups()))
+        words.extend(facet.groups())
         end = facet.end()
-    lines = [line.strip() for part in (*others, text[end:]) if part.strip() for line in part.split(b"\n")]
+    lines = [line.strip() for part in (*others, text[end:]) if part.strip() for line in part.split("\n")]
     lines = [line for line in lines if line]
     if not lines or not _SOLID.match(lines[0]):
-        found = _shown(lines[0]) if lines else "nothing"
+        found = repr(lines[0][:40]) if lines else "nothing"
         raise InputError(f"the file begins with {found}; expected 'solid' or a binary STL file")
     if not _SOLID_END.match(lines[-1]):
         raise InputError("the text is cut short; expected one that ends with 'endsolid'")
     if unknown := [line for line in lines if not _SOLID.match(line)]:
-        raise InputError(f"{_shown(unknown[0])} is not a facet; expected 'facet normal ... endfacet'")
-    return _apart(np.array(values).reshape(-1, 3))
+        raise InputError(f"{unknown[0][:40]!r} is not a facet; expected 'facet normal ... endfacet'")
+    return _apart(np.array(numbers_of(words, float)).reshape(-1, 3))
 
 
 def _apart(vertices: Float64) -> Surface:
@@ -107,41 +116,44 @@ def _apart(vertices: Float64) -> Surface:
 
 # --- OBJ ----------------------------------------------------------------------------------------------
 
+_VERTEX_LINE = re.compile(r"^[ \t]*v[ \t]([^\n]*)", re.MULTILINE)
+_FACE_LINE = re.compile(r"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
+_FREE_FORM = re.compile(r"^[ \t]*(curv2?|surf)\b", re.MULTILINE)
 _MOST_VERTICES = 2**31 - 1
-_FREE_FORM = (b"curv", b"curv2", b"surf")
+_COMMENT, _TEXTURE_AND_NORMAL = re.compile(r"#[^\n]*"), re.compile(r"/\S*")
 
 
 def read_obj(data: bytes) -> Surface:
     """Read the faces of OBJ; lines, points, textures and names are not of the surface."""
-    values, corners, sizes = array("d"), array("q"), array("q")
-    text = _plain_text(data).replace(b"\\\n", b" ")
-    for line in io.BytesIO(text):
-        kind, *words = line.partition(b"#")[0].split() or (b"",)
-        if kind == b"v":
-            if len(words) < 3:
-                raise InputError(f"{_shown(line.strip())} has fewer than three coordinates")
-            values.extend(_floats(words[:3]))
-        elif kind == b"f":
-            corners.extend(_vertices_of(words, len(values) // 3))
-            sizes.append(len(words))
-        elif kind in _FREE_FORM:
-            raise InputError(f"{_shown(kind)} is a free-form surface; expected faces ('f')")
-    vertices = np.array(values).reshape(-1, 3)
-    return vertices, cut_polygons(vertices, np.array(sizes, np.int64), np.array(corners, np.int64))
+    text = _COMMENT.sub("", _plain_text(data).replace("\\\n", " "))
+    if free_form := _FREE_FORM.search(text):
+        raise InputError(f"{free_form[1]!r} is a free-form surface; expected faces ('f')")
+    places = list[str]()
+    for line in _VERTEX_LINE.findall(text):
+        place = line.split(None, 3)[:3]
+        if len(place) < 3:
+            raise InputError(f"{f'v {line}'[:40]!r} has fewer than three coordinates")
+        places += place
+    vertices = np.array(numbers_of(places, float)).reshape(-1, 3)
+    faces = [_TEXTURE_AND_NORMAL.sub("", line) if "/" in line else line for line in _FACE_LINE.findall(text)]
+    sizes = np.array([len(line.split()) for line in faces], np.int64)
+    numbers = numbers_of(" ".join(faces).split(), int)
+    if numbers and not -_MOST_VERTICES <= min(numbers) <= max(numbers) <= _MOST_VERTICES:
+        raise InputError(f"faces name vertices {min(numbers)} to {max(numbers)} of {len(vertices):,}")
+    corners = np.array(numbers, np.int64)
+    if (corners < 1).any():
+        corners = _from_first(corners, sizes, text)
+    return vertices, cut_polygons(vertices, sizes, corners - 1)
 
 
-def _vertices_of(words: Sequence[bytes], count: int) -> list[int]:
-    """Return the vertices, from 0, that corners such as ``3/1/2`` or ``-1`` name, of so many read so far."""
-    try:
-        numbers = list(map(int, [word.partition(b"/")[0] for word in words]))
-    except ValueError:
-        line = _shown(b"f " + b" ".join(words))
-        raise InputError(f"{line} has no corners; expected the numbers of vertices") from None
-    if numbers and min(numbers) > 0 and max(numbers) <= _MOST_VERTICES:
-        return [number - 1 for number in numbers]
-    if numbers and (min(numbers) < -count or max(numbers) > _MOST_VERTICES or 0 in numbers):
-        raise InputError(f"a face names vertices {min(numbers)} to {max(numbers)} of {count:,} so far")
-    return [number - 1 if number > 0 else count + number for number in numbers]
+def _from_first(corners: Int64, sizes: Int64, text: str) -> Int64:
+    """Return numbers that count vertices from the first, of some that count from the last one so far."""
+    places, faces = ([line.start() for line in kind.finditer(text)] for kind in (_VERTEX_LINE, _FACE_LINE))
+    so_far = np.repeat(np.searchsorted(places, faces), sizes)
+    if (wrong := (corners == 0) | (corners < -so_far)).any():
+        number, count = corners[wrong][0], so_far[wrong][0]
+        raise InputError(f"a face names vertex {number} of {count:,} so far; expected 1, or -1 for the last")
+    return np.where(corners < 0, so_far + 1 + corners, corners)
 
 
 # --- PLY ----------------------------------------------------------------------------------------------
@@ -174,6 +186,7 @@ class _Element:
 
 def read_ply(data: bytes) -> Surface:
     """Read vertices and faces of PLY, text or binary of either order."""
+    data = data.removeprefix(codecs.BOM_UTF8)
     head = _PLY_HEAD.match(data)
     if head is None:
         raise InputError("the file has no header from 'ply' to 'end_header'")
@@ -184,7 +197,7 @@ def read_ply(data: bytes) -> Surface:
     elements, body = _ply_elements(lines, _PLY_ORDERS[form], form == "ascii"), data[head.end() :]
     if form == "ascii":
         # As numbers of eight bytes, text is read as binary files are.
-        body = array("d", _floats(body.split())).tobytes()
+        body = array("d", numbers_of(body.decode(_ANY_ENCODING).split(), float)).tobytes()
     found: dict[str, dict[str, tuple[Int64, AnyArray]]] = {}
     at = 0
     for element in elements:

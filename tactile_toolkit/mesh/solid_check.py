@@ -97,7 +97,7 @@ def array_problem(mesh: Mesh) -> tuple[str, str] | None:
         return "empty", f"{len(vertices)} vertices and {len(faces)} faces; expected a closed surface"
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices)).any(axis=1).sum())
-        return "not-finite", f"{bad} vertices are NaN or infinite"
+        return "not-finite", f"{bad:,} of {len(vertices):,} vertices: NaN or infinite"
     if faces.min() < 0 or faces.max() >= len(vertices):
         found = f"faces name vertices {faces.min()} to {faces.max()}"
         return "index-out-of-range", f"{found}; there are 0 to {len(vertices) - 1}"

@@ -24,6 +24,7 @@ from tactile_toolkit.array_types import Float64
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
+from tactile_toolkit.mesh.readers import numbers_of
 from tactile_toolkit.mesh.units import MM_PER_UNIT
 from tactile_toolkit.wording import counted
 
@@ -176,18 +177,20 @@ class _Package:
         cost = 1
         match tag.removeprefix(f"{_CORE} "):
             case "vertex":
-                self._points.extend([float(given[axis]) for axis in "xyz"])
+                self._points.extend(numbers_of([given["x"], given["y"], given["z"]], float))
             case "triangle":
-                self._corners.extend([int(given[corner]) for corner in ("v1", "v2", "v3")])
+                self._corners.extend(numbers_of([given["v1"], given["v2"], given["v3"]], int))
             case "object":
-                kind = given.get("type", "model")
-                self._last = self._objects[self._path, given["id"]] = _Object(given.get("name", ""), kind)
+                named = self._path, given["id"]
+                if named in self._objects:
+                    raise InputError(f"/{self._path} has several objects {given['id'][:40]!r}; expected one")
+                self._last = self._objects[named] = _Object(given.get("name", ""), given.get("type", "model"))
             case "build":
                 self._last = self._objects[self._path, ""]
             case "item" if given.get("printable") in ("0", "false"):
                 self._left_out["objects", "not to be printed"] += self._path == self._root
             case "component" | "item":
-                numbers = [float(number) for number in given.get("transform", _UNMOVED).split()]
+                numbers = numbers_of(given.get("transform", _UNMOVED).split(), float)
                 # Each model has a unit of its own.
                 matrix = np.array(numbers).reshape(4, 3) * np.array([[1], [1], [1], [self._mm_per_unit]])
                 self._last.parts.append(((_plain(given.get(_PATH, self._path)), given["objectid"]), matrix))
@@ -245,8 +248,8 @@ class _Package:
             for (things, kind), count in self._left_out.items()
             if count
         )
-        if left_out and not items:
-            raise InputError(f"the file holds nothing to build; {', '.join(left_out)}")
+        if not items:
+            raise InputError("; ".join(["the file holds nothing to build", *left_out]))
         return Build(items, left_out, self._units[self._root])
 
     def _placed(self, named: tuple[str, str], matrix: Float64, depth: int = 0) -> Iterator[Surface]:
@@ -254,6 +257,11 @@ class _Package:
         if named not in self._objects:
             raise InputError(f"the archive holds no object {named[1]!r} of /{named[0]}")
         thing = self._objects[named]
+        if self._units[named[0]] != self._units[self._root]:
+            raise InputError(  # which of them counts is read in two ways
+                f"/{named[0]} is in {self._units[named[0]]}, and /{self._root} in {self._units[self._root]}; "
+                "expected one unit"
+            )
         if thing.type != "model":
             self._left_out["objects", f"of type {thing.type[:40]!r}"] += 1
             return

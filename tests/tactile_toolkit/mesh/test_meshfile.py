@@ -244,12 +244,18 @@ def package(path: Path, component: str, **parts: str) -> Path:
     return path
 
 
-@pytest.mark.parametrize(("unit", "mm"), [("millimeter", 1), ("centimeter", 10)])
-def test_objects_in_models_of_their_own_are_found(unit: str, mm: float, tmp_path: Path) -> None:
+def test_objects_in_models_of_their_own_are_found(tmp_path: Path) -> None:
     component = '<component p:path="/3D/Objects/a.model" objectid="1" transform="1 0 0 0 1 0 0 0 1 0 5 0"/>'
-    found = read_mesh(package(tmp_path / "a.3mf", component, a=unit, b="inch"))
-    assert found.bounds_m * 1e3 == pytest.approx(np.array([[10, 5, 0], [10 + 2 * mm, 5 + 2 * mm, 2 * mm]]))
+    found = read_mesh(package(tmp_path / "a.3mf", component, a="millimeter", b="inch"))
+    assert found.bounds_m * 1e3 == pytest.approx(np.array([[10, 5, 0], [12, 7, 2]]))
     assert inspect(found).is_solid
+
+
+def test_objects_in_another_unit_than_that_of_the_root_are_refused(tmp_path: Path) -> None:
+    """lib3mf takes the unit of the root for all of them; the specification gives each model one."""
+    component = '<component p:path="/3D/Objects/a.model" objectid="1"/>'
+    with pytest.raises(InputError, match=r"/3d/objects/a\.model is in cm, and /3d/3dmodel\.model in mm"):
+        read_mesh(package(tmp_path / "a.3mf", component, a="centimeter"))
 
 
 @pytest.mark.parametrize(
