@@ -192,7 +192,7 @@ def test_scenes_are_counted_in_words(tmp_path):
     made = ("generate", "--scenes", "4", "--distractors", "2", "--workers", "1", "--quiet")
     assert call("starstruck", *made, "--out", tmp_path / "two") == 0
     assert "A scene holds 2 objects that are not stars" in card_of(tmp_path / "two")
-    assert "in every split their\ncounts differ by one at most" in card_of(tmp_path / "two")
+    assert "in every split the counts of\nthe classes differ by at most one" in card_of(tmp_path / "two")
 
 
 def test_digits_in_several_pieces_are_counted(folders, tmp_path):
@@ -296,8 +296,8 @@ FINGERPRINTS = {
         ("synthetic", "mit", "seed 3, 1,400 digits"),
         ("hwdplus", "other", "shape [13580, 500, 500], dtype `|u1`, fingerprint `abababababab`"),
         ("mnist", "cc-by-sa-3.0", "10,000 images of 28 x 28 pixels, fingerprint `cdcdcdcdcdcd`"),
-        ("folder", "other", "70 pictures of a folder, ink dark, fingerprint `efefefefefef`"),
-        ("mine", "other", "`mine`: a source of its maker's own"),
+        ("folder", "other", "70 images of a folder, ink dark, fingerprint `efefefefefef`"),
+        ("mine", "other", "`mine`: a custom source"),
     ],
 )
 def test_sources_of_digits_are_named_with_their_terms(name, licence, words):

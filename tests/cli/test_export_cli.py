@@ -281,7 +281,7 @@ def test_tables_are_a_data_set_folder(
     assert '"operation": "export"' in capsys.readouterr().out
     card = before["README.md"].decode()
     assert "license: mit" in card, "as drawn digits are"
-    assert "MIT, as the toolkit: no one's handwriting is in it." in card
+    assert "MIT, as the toolkit: the data set contains no one's handwriting." in card
     table = out / "data" / "printed_train-00000-of-00001.parquet"
     table.write_bytes(table.read_bytes()[:-9])
     assert call("verify", out) == 3
