@@ -7,11 +7,13 @@ import io
 import json
 from functools import partial
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import trimesh
 
+import mnist3d
 from tactile_toolkit.mesh import check_manifold, read_mesh
 from tests import command_line
 from tests.tactile_toolkit.toy import folder_bytes
@@ -49,6 +51,27 @@ def test_other_formats_and_scales(kind: str, folder: Path, tmp_path: Path) -> No
     assert other.suffix == f".{kind}"
     sizes = [np.ptp(read_mesh(path).bounds_m, axis=0) for path in (one, other)]
     assert sizes[1] == pytest.approx(sizes[0] * 1.5, rel=1e-4)
+
+
+def test_bodies_have_the_density_and_the_friction_asked_for(folder: Path, tmp_path: Path) -> None:
+    digits = mnist3d.load(folder, "printed_test")
+    (digit,) = digits[digits.labels == 3]
+    material = ("--density-kg-m3", 500, "--friction", 0.25)
+    found = {}
+    for ending, suffix in (("mjcf", "xml"), ("urdf", "urdf")):
+        out = tmp_path / ending
+        assert (
+            call("export", folder, "--ids", digit.id, *material, "-q", "--format", ending, "--out", out) == 0
+        )
+        (file,) = out.rglob(f"*.{suffix}")
+        found[ending] = ElementTree.parse(file)
+    for each in ("inertial", "mass"):
+        (body,) = found["mjcf" if each == "inertial" else "urdf"].iter(each)
+        mass_kg = float(body.attrib["mass" if each == "inertial" else "value"])
+        assert mass_kg == pytest.approx(digit.mesh.volume * 500, rel=1e-3)
+    frictions = [geom.attrib["friction"] for geom in found["mjcf"].iter("geom") if "friction" in geom.attrib]
+    assert frictions
+    assert {float(friction.split()[0]) for friction in frictions} == {0.25}
 
 
 def test_all_splits_ids_and_json(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

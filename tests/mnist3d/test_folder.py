@@ -115,6 +115,13 @@ def test_lossy_formats(tmp_path: Path, suffix: str) -> None:
     assert ink_box(read(tmp_path)) == BOX
 
 
+@pytest.mark.parametrize(("paper", "ink"), [(60, 180), (180, 60)])
+def test_two_grey_levels_become_black_and_white(tmp_path: Path, paper: int, ink: int) -> None:
+    save(tmp_path / "7" / "a.png", np.where(bar() < 128, ink, paper).astype(np.uint8))
+    made = FolderSource(str(tmp_path), ink="light" if ink > paper else "dark", threshold="global")
+    np.testing.assert_array_equal(made.image(0).pixels, bar())
+
+
 @pytest.mark.parametrize(
     "mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "I", "I;16", "F", "F1", "YCbCr"]
 )

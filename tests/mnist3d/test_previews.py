@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -25,6 +26,7 @@ from tactile_toolkit.mesh import Mesh, write_mesh
 from tactile_toolkit.pictures import OBLIQUE, Body, draw_bodies, relief, relief_of
 from tactile_toolkit.pictures.sheets import INK, bar_length_mm
 from tests.mnist3d import mnist_files
+from tests.sealed import edit
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
 
@@ -323,6 +325,13 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(folder), PreviewSpec(kinds=("shoe",)))
     with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)
+
+
+def test_steps_of_a_set_that_names_no_source_are_refused(folder, tmp_path):
+    copy = shutil.copytree(folder, tmp_path / "set")
+    edit(copy / "manifest.json", lambda values: values["spec"].pop("source"))
+    with pytest.raises(InputError, match="does not name the source of its images"):
+        plan_previews(str(copy), PreviewSpec(kinds=("steps",)))
 
 
 def test_an_image_without_ink_is_named(tmp_path):

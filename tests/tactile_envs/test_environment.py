@@ -253,6 +253,8 @@ def test_meshes_of_ones_own(assets, tmp_path):
     observation, _ = env.reset(seed=0)
     assert observation in env.observation_space
     assert {record.label for record in env.current_data_points} <= {0, 1}
+    # Under an id with classes of its own, too: those of the meshes count.
+    assert make_vector(DEPTH, num_envs=1, assets=tmp_path).reset(seed=0)
     one, other = (make_vector(DEPTH, assets=place) for place in (assets, assets / "mnist3d"))
     assert (one.reset(seed=0)[0]["sensor_img"] == other.reset(seed=0)[0]["sensor_img"]).all()
     with pytest.raises(InputError, match="give `assets`, a folder of meshes"):

@@ -407,6 +407,26 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
     assert not verdicts[0]  # the first process speaks for all
     with pytest.raises(SpecMismatchError, match="trained by 2 processes"):
         train(pairs, out, config, device="cpu")
+    # Each process continues with the pictures that it had drawn.
+    state = torch.load(io.BytesIO((out / "checkpoint.pt").read_bytes()[32:]), weights_only=True)
+    for pool in state["pools"]:
+        model = CycleGan(config, "cpu")
+        model.load_state(state, pool)
+        assert repr(model.pool_state()) == repr(pool)
+    assert repr(state["pools"][0]) != repr(state["pools"][1])
+
+
+def test_generators_are_compiled_where_that_is_asked_for(pairs, tmp_path, monkeypatch):
+    from cli.tactile_sim import app
+
+    compiled = []
+    monkeypatch.setattr(torch, "compile", lambda network: compiled.append(type(network)) or network)
+    out = ("--out", str(tmp_path), "--filters", "2", "--blocks", "0", "--steps", "1", "--crop", "1")
+    for option, count in ((), 0), (("--compile",), 2):
+        folder = (*out[:1], f"{out[1]}/{count}", *out[2:])
+        done = CliRunner().invoke(app, ["train", pairs, *folder, "--device", "cpu", *option])
+        assert done.exit_code == 0, done.output
+        assert compiled == [Generator] * count
 
 
 def test_what_is_known_without_pairs_is_learned(pairs, tmp_path):

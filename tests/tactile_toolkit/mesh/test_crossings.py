@@ -254,6 +254,28 @@ def test_bodies_that_touch_and_a_body_that_touches_itself_are_solids() -> None:
     assert self_crossing(*surface_of(chain)) is None
 
 
+def test_the_proof_keeps_what_lies_over_or_under_an_overhang() -> None:
+    """Two cones on one rim, of which one leans over it: where it does, faces may cross."""
+    turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    here, following = np.arange(24), np.roll(np.arange(24), -1)
+    rim = np.stack([10 * np.cos(turn), 10 * np.sin(turn), np.zeros(24)], axis=1)
+    vertices = np.concatenate([rim, [[14, 0, 5], [0, 0, -5]]])
+    faces = np.concatenate(
+        [
+            np.stack([np.full(24, 24), here, following], axis=1),
+            np.stack([np.full(24, 25), following, here], axis=1),
+        ]
+    )
+    corners = vertices[faces]
+    up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    odd = up * np.repeat([1, -1], 24) <= 0
+    low, high = corners.min(axis=1)[:, None, :2], corners.max(axis=1)[:, None, :2]
+    meets = ((low <= high.swapaxes(0, 1)) & (high >= low.swapaxes(0, 1))).all(axis=2)
+    kept = solid_check.faces_not_proven_free(vertices, faces)
+    assert kept.tolist() == np.flatnonzero(meets[:, odd].any(axis=1)).tolist()
+    assert 0 < odd.sum() < len(kept) < len(faces)
+
+
 @pytest.mark.parametrize("bulge", [0.1, 0.3])
 def test_two_reliefs_back_to_back_over_a_line_that_winds_twice_are_named(bulge: float) -> None:
     """All faces of each half look the same way, so that only the line between the halves tells it."""
