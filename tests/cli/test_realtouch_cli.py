@@ -128,13 +128,6 @@ def test_what_is_fetched_is_told(capsys):
     assert "split 'test'" in told[1]
 
 
-def test_numbers_that_are_none(images, tmp_path, capsys):
-    assert call("select", images, "--out", tmp_path / "out", "--ids", "²") == 2
-    assert "--ids has '²'" in capsys.readouterr().err
-    assert call("select", images, "--out", tmp_path / "out", "--labels", "²") == 2
-    assert "no class '²'" in capsys.readouterr().err
-
-
 def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
     out = tmp_path / "single"
     assert call("clips-to-images", clips, "--out", out, "--frame", "peak", "--workers", 1) == 0
@@ -229,13 +222,6 @@ def test_load_checks_headers_unless_told_not_to_and_verify_can_be_quick(tmp_path
         name, *options = command.split()
         assert call(name, tmp_path / folder, *options, "--json") == code, (folder, command)
     assert not json.loads(capsys.readouterr().out)["checked"]
-
-
-def test_preview_writes_a_picture(clips, tmp_path, capsys):
-    assert call("preview", clips, "--split", "train", "--round", 1, "--out", tmp_path / "sheet.png") == 0
-    assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
-    assert call("preview", clips, "--split", "train", "--round", 9) == 2
-    assert "rounds 0 to 1" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,6 @@ from mnist3d.sources.canvas import fit
 from mnist3d.sources.synthetic import SyntheticSource
 from mnist3d.spec import SolidSpec
 from tactile_toolkit.errors import ItemError
-from tests.mnist3d import photographs
 from tests.mnist3d.photographs import (
     EASY,
     HARD,
@@ -173,11 +172,3 @@ def test_noise_of_any_shape_is_refused(shape: tuple[int, int], ink: str) -> None
     noise = np.random.default_rng(1).integers(0, 256, (*shape, 3), np.uint8)
     with pytest.raises(ItemError):
         even_out(noise, ink)
-
-
-def test_the_generator_has_a_seed() -> None:
-    covers = [drawn(4, 0, 300.0)]
-    first, again, other = (compose(covers, "desk", seed).pixels for seed in (3, 3, 4))
-    assert np.array_equal(first, again)
-    assert not np.array_equal(first, other)
-    assert first.shape == (photographs.SIDE_PX, photographs.SIDE_PX, 3)

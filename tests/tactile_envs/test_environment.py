@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import pickle
-import resource
 import threading
 from pathlib import Path
 from typing import Any
@@ -269,21 +268,6 @@ def test_an_unwritable_cache_costs_time_alone(assets, tmp_path, monkeypatch):
     (tmp_path / "file").write_text("")
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "file"))
     assert make_vector(DEPTH, assets=assets).reset(seed=0)
-
-
-@pytest.mark.thorough
-def test_memory_stays(assets):
-    """256 environments, 4,000 steps."""
-    env = make_vector(DEPTH, num_envs=256, assets=assets)
-    env.reset(seed=0)
-    env.action_space.seed(0)
-    actions = [env.action_space.sample() for _ in range(50)]
-    held = []
-    for step in range(4_000):
-        env.step(actions[step % 50])
-        if step in (1000, 3999):
-            held.append(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)
-    assert held[1] - held[0] < 2048  # KiB
 
 
 def test_ids_are_registered():

@@ -112,25 +112,6 @@ def test_beyond_the_plate_lies_what_is_twice_its_longer_side_away():
     assert pressed.depth_m[:, 16:] == pytest.approx(np.full((24, 16), 0.002125 + 2 * 0.08), abs=1e-12)
 
 
-def test_windows_of_the_presets():
-    assert tactile_sim.full_view(64, 64).window_m == (0.01888, 0.01416)
-    assert tactile_sim.center_view(64, 64).window_m == (0.01416, 0.01416)
-    assert tactile_sim.center_view(320, 240).window_m == pytest.approx((0.01888, 0.01416), abs=1e-12)
-
-
-def test_several_touches_are_single_ones_in_a_row():
-    solids, sensor = [ball(), block(), ball(0.004)], tactile_sim.center_view(32, 32)
-    poses = np.stack([tactile_sim.pose(0.001 * k, turn_rad=0.3 * k) for k in range(3)])
-    targets = np.stack([tactile_sim.pose(0.002 * k) for k in range(3)])
-    together = _press(solids, poses, targets, sensor)
-    for k in range(3):
-        alone = _press(solids[k], poses[k], targets[k], sensor)
-        assert (alone.depth_m == together.depth_m[k]).all()
-        assert alone.sensor_z_m == together.sensor_z_m[k]
-    spread = _press(solids[0], poses[0], targets, sensor)
-    assert spread.depth_m.shape == (3, 32, 32)
-
-
 def _open_mesh():
     mesh = ball()
     mesh.update_faces(np.arange(len(mesh.faces)) > 3)

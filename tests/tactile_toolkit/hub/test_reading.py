@@ -87,20 +87,6 @@ def test_two_processes_fetch_a_file_once(server, tmp_path):
     assert [request.sent for request in server.content_requests(SHARD)] == [len(CONTENT)]
 
 
-LATE = """
-from tactile_toolkit.hub.repository import open_repository
-looked = open_repository({name!r})
-open_repository({name!r}).local_paths([{path!r}])  # as another process does meanwhile
-looked.fetch([looked.file({path!r})])
-"""
-
-
-def test_a_process_that_looked_before_another_had_fetched_a_file_takes_that(server, tmp_path):
-    done = run_here(LATE.format(name=BIG, path=SHARD), settings(server, tmp_path), tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert len(server.content_requests(SHARD)) == 1
-
-
 OTHERS = """
 from huggingface_hub import HfApi, constants, hf_hub_download, scan_cache_dir, snapshot_download
 found = scan_cache_dir(constants.HF_HUB_CACHE)

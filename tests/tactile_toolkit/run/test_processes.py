@@ -30,8 +30,8 @@ from tactile_toolkit.errors import (
     ToolkitError,
 )
 from tactile_toolkit.run import skip_pandas
-from tactile_toolkit.run.processes import ProcessRunner, unpack_result
-from tests.processes import PATIENCE_S, alive, printed_by
+from tactile_toolkit.run.processes import ProcessRunner
+from tests.processes import PATIENCE_S, alive
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -147,13 +147,6 @@ def test_an_exception_tells_where_in_the_worker_it_was_raised() -> None:
     assert "in fails\n    raise ZeroDivisionError" in raised.value.__notes__[0]
 
 
-def test_what_is_known_of_a_failed_task_is_noted_on_its_error() -> None:
-    with pytest.raises(InputError, match="what") as raised:
-        unpack_result(pickle.dumps((None, InputError("what"))), "task 3", "on machine b")
-    assert raised.value.__notes__ == ["task 3", "on machine b"]
-    assert unpack_result(pickle.dumps((5, None)), "task 3") == 5
-
-
 def large(size: int) -> bytes:
     return bytes(size)
 
@@ -184,25 +177,6 @@ def test_an_iterator_that_is_closed_stops_the_work(tmp_path: Path) -> None:
     results.close()
     assert not any(alive(int(file.name)) for file in tmp_path.iterdir())
     assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_a_run_without_tasks_or_workers() -> None:
-    assert list(ProcessRunner(3).run(operator.neg, [])) == []
-    with pytest.raises(InputError, match="the number of workers is 0; expected at least 1"):
-        ProcessRunner(0)
-
-
-def test_workers_and_command_lines_do_without_pandas() -> None:
-    code = """
-import sys
-from tactile_toolkit.run.threads import skip_pandas
-skip_pandas()
-import pyarrow as pa
-pa.array([1, 2]), pa.Table.from_pylist([{"x": "a"}])
-assert "pandas" not in sys.modules
-import pandas  # whoever wants it has it
-"""
-    printed_by(code)
 
 
 def test_pyarrow_misses_no_package_but_pandas(monkeypatch: pytest.MonkeyPatch) -> None:

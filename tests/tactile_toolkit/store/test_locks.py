@@ -179,15 +179,6 @@ def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: s
 
 
 @needs_list
-def test_a_run_that_cannot_begin_waits_once(tmp_path: Path, clock: Clock) -> None:
-    for options in ({}, {"overwrite": True}):
-        with held(tmp_path), pytest.raises(BusyError, match="which was stopped, holds"):
-            build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner(), **options)
-        assert 60 <= clock.now_s < 61
-        clock.now_s = 0.0
-
-
-@needs_list
 def test_a_stopped_reader_keeps_no_other_from_reading(tmp_path: Path, clock: Clock) -> None:
     build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
     (shard, *_) = open_place(str(tmp_path)).shards("train")

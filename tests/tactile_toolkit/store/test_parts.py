@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run import Check, Finish, InlineRunner, Part, ProcessRunner, part_of
 from tactile_toolkit.store import DataFolder, build, read_manifest, verify
-from tactile_toolkit.store.job import BuildPlan, MissingPartsError, array_text, manifest_so_far
-from tests.processes import printed_by
+from tactile_toolkit.store.job import MissingPartsError, array_text, manifest_so_far
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 SHARDS = 6
 
 
@@ -108,22 +105,6 @@ def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
     assert folder_bytes(tmp_path / "set") == whole
 
 
-def test_parts_make_the_same_set_whatever_their_number(tmp_path, whole):
-    """An array that was given again in another length continues with what is there."""
-    make(tmp_path / "set", Part(0, 4))
-    made = []
-    for part in (Part(1, 5), Part(2, 3), Part(1, 1)):
-        make(tmp_path / "set", part, on_progress=lambda told: made.append(told.record))
-    shards = [record.shard for record in made if record is not None]
-    assert sorted([*shards, *shards_of_part(0, 4)]) == sorted(shards_of_part(0, 1))
-    make(tmp_path / "set", Finish())
-    assert folder_bytes(tmp_path / "set") == whole
-
-
-def shards_of_part(index, count):
-    return [task.shard for task in toy_plan().tasks[index::count]]
-
-
 def test_parts_of_other_sets_are_refused(tmp_path):
     plan = toy_plan()
     make(tmp_path / "set", Part(0, 4))
@@ -186,33 +167,6 @@ def test_a_folder_that_was_not_made_in_parts_is_finished_too(tmp_path, whole):
     assert folder_bytes(tmp_path / "set") == whole
 
 
-def test_a_split_is_added_in_parts_beside_a_finished_one(tmp_path, whole):
-    place, folder = tmp_path / "set", DataFolder(str(tmp_path / "set"))
-    make(place, plan=toy_plan(("train",)))
-    before = (place / "manifest.json").read_bytes()
-    make(place, Part(0, 2), toy_plan(("test",)))
-    assert (place / "manifest.json").read_bytes() == before
-    assert not manifest_so_far(folder).complete
-    with pytest.raises(MissingPartsError, match="1 of 2 shards"):
-        make(place, Finish(), toy_plan(("test",)))
-    make(place, Part(1, 2), toy_plan(("test",)))
-    make(place, Finish(), toy_plan(("test",)))
-    assert folder_bytes(place) == whole
-
-
-def test_a_part_that_fails_takes_nothing_of_the_others_along(tmp_path, whole):
-    make(tmp_path / "set", Part(0, 2))
-    before = folder_bytes(tmp_path / "set")
-    plan = toy_plan()
-    broken = replace(plan.tasks[1], error=InputError("no place"))
-    with pytest.raises(InputError, match="no place"):
-        make(tmp_path / "set", Part(1, 2), replace(plan, tasks=(plan.tasks[0], broken, *plan.tasks[2:])))
-    assert folder_bytes(tmp_path / "set") == before
-    make(tmp_path / "set", Part(1, 2))
-    make(tmp_path / "set", Finish())
-    assert folder_bytes(tmp_path / "set") == whole
-
-
 def test_finishing_clears_up_after_all_writers(tmp_path, whole):
     for index in range(2):
         make(tmp_path / "set", Part(index, 2))
@@ -223,37 +177,6 @@ def test_finishing_clears_up_after_all_writers(tmp_path, whole):
     make(tmp_path / "set", Finish())
     assert folder_bytes(tmp_path / "set") == whole
     assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
-
-
-def test_a_writer_whose_temporary_file_was_removed_writes_again(tmp_path, monkeypatch):
-    """By a user who finished a set there, for instance."""
-    folder, replaced = DataFolder(str(tmp_path)), Path.replace
-    gone = []
-
-    def remove_first(self, target):
-        if len(gone) < 3:
-            gone.append(self)
-            self.unlink()
-        return replaced(self, target)
-
-    monkeypatch.setattr(Path, "replace", remove_first)
-    folder.write_bytes("data/a", b"content")
-    assert folder_bytes(tmp_path) == {"data/a": b"content"}
-    assert len(gone) == 3
-
-
-def test_who_makes_the_rest_without_parts_ends_them(tmp_path, whole):
-    """A part that is at work notices, leaves nothing behind, and has not failed."""
-    finished = []
-
-    def others(progress):
-        if progress.record is not None and not finished:
-            make(tmp_path / "set")
-            finished.append(folder_bytes(tmp_path / "set"))
-
-    assert make(tmp_path / "set", Part(0, 2), on_progress=others).complete
-    assert finished == [whole]
-    assert folder_bytes(tmp_path / "set") == whole
 
 
 @pytest.mark.parametrize("moment", ["at the first look", "between two shards"])
@@ -272,18 +195,6 @@ def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, momen
         make(tmp_path / "set", Part(0, 2), on_progress=others)
     assert started
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "other")
-
-
-def test_a_part_begins_while_others_write_their_shards(tmp_path, whole, monkeypatch):
-    """Of many parts some one always writes."""
-    monkeypatch.setattr("tactile_toolkit.store.locks.PATIENCE_S", 0.0)
-    folder = DataFolder(str(tmp_path / "set"))
-    folder.require_folder()
-    with folder.locked(shared=True):
-        for number in range(2):
-            make(folder.url, Part(number, 2))
-    make(folder.url, Finish())
-    assert folder_bytes(tmp_path / "set") == whole
 
 
 def test_parts_in_a_store_of_objects(whole):
@@ -364,91 +275,3 @@ def test_of_a_part_of_an_array_the_number_of_parts_is_to_be_said(array):
 def test_numbers_are_written_as_slurm_takes_them():
     assert array_text([44, 3, 17, 41, 40, 42, 43, 3]) == "3,17,40-44"
     assert array_text([7]) == "7"
-
-
-# Forks a child for every moment, which ends itself as `kill -9` would when it touches the folder for the n-th
-# time: a part, and then the end. What the next ones make of it must be the same.
-DIES_EVERYWHERE = """
-import os, shutil, signal, sys
-from pathlib import Path
-from tactile_toolkit.run.processes import Check, Finish, Part
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import MissingPartsError
-from tests.tactile_toolkit.store.test_parts import few_shards
-from tests.tactile_toolkit.toy import folder_bytes
-
-base, plan = Path(sys.argv[1]), few_shards()
-build(DataFolder(str(base / "few")), plan, InlineRunner())
-whole = folder_bytes(base / "few")
-
-def dies_at(moment, place, runner):
-    process = os.fork()
-    if process == 0:
-        seen = 0
-        def watch(event, arguments):
-            nonlocal seen
-            if event not in ("open", "os.link", "os.rename", "os.remove", "os.rmdir", "os.mkdir"):
-                return
-            if not str(arguments[0]).startswith(str(place)):
-                return
-            if event == "open" and not (arguments[2] or 0) & os.O_CREAT:
-                return
-            seen += 1
-            if seen == moment:
-                os.kill(os.getpid(), signal.SIGKILL)
-        sys.addaudithook(watch)
-        try:
-            build(DataFolder(str(place)), plan, runner)
-            os._exit(0)
-        finally:
-            os._exit(1)
-    _, status = os.waitpid(process, 0)
-    assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0, moment
-    return os.WIFSIGNALED(status)
-
-def every_moment(before, runner, after):
-    moment = 0
-    while True:
-        moment += 1
-        place = base / f"at-{moment}"
-        if before.exists():
-            shutil.copytree(before, place)
-        was_killed = dies_at(moment, place, runner)
-        after(str(place), was_killed)
-        assert folder_bytes(place) == whole, (runner, moment)
-        shutil.rmtree(place)
-        if not was_killed:
-            return moment - 1
-
-def go_on(place, was_killed):
-    build(DataFolder(place), plan, Part(1, 2))
-    try:
-        build(DataFolder(place), plan, Finish())
-        complete = True
-    except MissingPartsError as error:
-        assert (error.array, error.parts) == ("0", 2), moment
-        complete = False
-    assert complete or was_killed
-    build(DataFolder(place), plan, Part(0, 2))
-    build(DataFolder(place), plan, Finish())
-
-parts = every_moment(base / "none", Part(0, 2), go_on)
-for index in range(2):
-    build(DataFolder(str(base / "ready")), plan, Part(index, 2))
-ends = every_moment(base / "ready", Finish(), lambda place, _: build(DataFolder(place), plan, Finish()))
-print(parts, ends)
-"""
-
-
-def few_shards() -> BuildPlan:
-    """Two shards of one split, one for each of two parts: all moments there are, each of them once."""
-    plan = toy_plan(("test",))
-    return replace(plan, tasks=tuple(replace(task, ids=task.ids[:2]) for task in plan.tasks))
-
-
-def test_killed_at_any_moment_the_same_again_leads_to_the_same_bytes(tmp_path):
-    parts, ends = map(int, printed_by(DIES_EVERYWHERE, tmp_path).split())
-    assert parts > 15
-    assert ends > 15
