@@ -109,6 +109,7 @@ def test_the_whole_way_of_digits(tmp_path):
         assert ways[0].startswith("10 ")
 
 
+@pytest.mark.thorough
 def test_the_whole_way_of_scenes(server, folder, tmp_path):
     logging.getLogger("huggingface_hub").setLevel(logging.INFO)
     assert call("starstruck", "upload", folder, NAME, "--yes", "--quiet") == 0

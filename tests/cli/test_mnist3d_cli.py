@@ -240,6 +240,7 @@ def own_pictures(tmp_path_factory) -> Path:
     return root
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("asked", "rows"),
     [

@@ -76,6 +76,7 @@ def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole,
     assert folder_bytes(place) == whole
 
 
+@pytest.mark.thorough
 def test_what_is_said_of_a_run_that_was_stopped_before_its_first_shard(tmp_path):
     process = start_held("starstruck", 0, tmp_path / "marker", *SCENES, tmp_path / "scenes", "-q")
     process.send_signal(signal.SIGINT)
@@ -119,6 +120,7 @@ class BlindNode:
         yield from pickle.loads(done.stdout)
 
 
+@pytest.mark.thorough
 def test_a_node_that_does_not_see_the_folder(tmp_path):
     """What it has written lies in a folder of its own."""
     place = tmp_path / "set"

@@ -39,6 +39,7 @@ def _rows(*folders: Path) -> dict[str, list[dict[str, object]]]:
     return {split: sorted(each, key=lambda row: row["id"]) for split, each in rows.items()}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("kind", ["mnist3d", "starstruck", "realtouch"])
 def test_parts_are_data_sets_and_together_what_was_divided(kind, tmp_path, capsys):
     folder = _made(kind, tmp_path / "all")

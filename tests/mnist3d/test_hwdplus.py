@@ -302,6 +302,7 @@ _READ_WITHIN_LIMITS = """
 """
 
 
+@pytest.mark.thorough
 def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
     """6 GB of (sparse) float64 within some MB of what one image takes."""
     made = _sparse_source(tmp_path, 3000)

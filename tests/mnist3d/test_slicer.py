@@ -164,6 +164,7 @@ def write_plate(digits: mnist3d.MeshDataset, labels: str, folder: Path) -> tuple
     return plate, folder / "plate-01.3mf"
 
 
+@pytest.mark.thorough
 def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
     plate, path = write_plate(digits, "0123456789", tmp_path)
     seen = seen_in(path)

@@ -90,6 +90,7 @@ def test_the_vertex_budget_is_met(target: int) -> None:
     assert 0.5 * target < len(rough.vertices_m) <= 1.5 * target
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     "width_px", [16, *(pytest.param(width, marks=pytest.mark.thorough) for width in (20, 26, 32, 38)), 45]
 )
@@ -237,6 +238,7 @@ def test_the_size_of_the_image_moves_only_the_origin() -> None:
 # --- what is narrower than the lattice -------------------------------------------------------------
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("angle_deg", [0, 30, 71])
 @pytest.mark.parametrize("width_mm", [0.4, 0.8])
 def test_the_fast_way_keeps_necks_as_wide_as_the_literal_one(width_mm: float, angle_deg: float) -> None:
@@ -254,6 +256,7 @@ def test_a_whisker_is_as_long_as_it_was_drawn() -> None:
     assert mesh.bounds_m[1, 0] * 1000 == pytest.approx((309.5 - 249.5) * 0.2, abs=0.1)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("gap_px", "turns"), [(2, 3), pytest.param(6, 3, marks=pytest.mark.thorough), (12, 3), (3, 4)]
 )

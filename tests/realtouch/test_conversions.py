@@ -185,6 +185,7 @@ def conversions(source: str, out: str, runner: Any) -> None:
     realtouch.clips_to_images(source, out, workers=runner)
 
 
+@pytest.mark.thorough
 def test_workers_and_interruptions_change_no_byte(
     seq_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

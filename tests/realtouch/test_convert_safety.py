@@ -137,6 +137,7 @@ def test_what_is_no_picture_is_found_though_its_checksum_is_right(small: Path, t
     assert "cannot be decoded" in wrong[name]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     "name",
     ["../../../escaped", "/tmp/escaped", "..", ".", "", "a/b", "a\\b", "x" * 300, "x\0y", "two\nlines"],
@@ -182,6 +183,7 @@ def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Pat
     assert [item.message for item in rows.shards[0].skipped] == [skipped.message]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("damage", ["remove", "change"])
 def test_running_again_mends_pictures(damage: str, single_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"

@@ -134,6 +134,7 @@ def zarr_array(group: zipfile.ZipFile, path: str) -> np.ndarray:
     return np.concatenate(chunks)[: stated["shape"][0]]
 
 
+@pytest.mark.one_at_a_desk
 def test_diffusion_policy_reads_the_replay_buffer(
     source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -131,6 +131,7 @@ def test_webdataset_reads_the_tars(source: Path, tmp_path: Path) -> None:
     assert realtouch.verify(out).ok
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.usefixtures("small_shards")
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_parts_kills_and_damage_end_in_the_same_bytes(

@@ -19,6 +19,7 @@ from tests.realtouch.images_of_others import COLUMNS, POSE, line, picture, write
 from tests.tactile_toolkit.toy import folder_bytes
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])
 def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> None:
     there, back = tmp_path / "there", tmp_path / "back"
@@ -53,6 +54,7 @@ def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> Non
     assert again.split_table()["train"]["rows"] == 15
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("layout", [each for each in get_args(ImportLayout) if each != "folder"])
 def test_what_an_export_wrote_is_imported_by_its_own_path(
     layout: Any, single_folder: Path, tmp_path: Path

@@ -37,6 +37,7 @@ def assert_common(record: realtouch.TouchRound, truth: RoundTruth) -> None:
     np.testing.assert_allclose(record.info["object_pose"].translation, [0, 0.001 * truth.label, 0])
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("layout", LAYOUTS.values(), ids=LAYOUTS.keys())
 def test_every_field_of_clips(layout: Layout, truth: list[RoundTruth], tmp_path: Path) -> None:
     factories.write_set(tmp_path, {"train": factories.seq_rows(truth, layout)}, "seq", layout)

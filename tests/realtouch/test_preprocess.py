@@ -32,6 +32,7 @@ def test_the_background_of_many_pictures(count: int):
     assert (median_of(lambda: [pictures[:99], pictures[99:]]) == realtouch.background(pictures)).all()
 
 
+@pytest.mark.thorough
 def test_the_background_of_pictures_read_a_few_at_a_time(single_folder: Path, seq_folder: Path, monkeypatch):
     rounds = realtouch.load(single_folder, split="train")
     clips = realtouch.load(seq_folder, split="train")

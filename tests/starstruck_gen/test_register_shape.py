@@ -58,6 +58,7 @@ def test_registered_shape_goes_through_specification_json_and_key():
         Kite(2)
 
 
+@pytest.mark.thorough
 def test_workers_know_a_registered_shape(tmp_path):
     register_shape(Kite)
     generate(GenerateSpec(_kite_spec(), {"train": 20}), tmp_path / "set", ("train",))
@@ -67,6 +68,7 @@ def test_workers_know_a_registered_shape(tmp_path):
     assert shapes == {"star", "kite", "kite(width=0.4)"}
 
 
+@pytest.mark.thorough
 def test_process_that_never_registered_the_kind_learns_it_from_a_pickle():
     register_shape(Kite)
     code = (

@@ -38,6 +38,7 @@ TASKS = (
 WAY = st.floats(-1e3, 1e3, width=32)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("env_id", [*TASKS, "TactileMNISTSnap-Depth-train-sparse-v0"])
 def test_checkers_pass(env_id, assets):
     single = gym.make(f"tactile_envs:{env_id}", assets=str(assets))

@@ -75,11 +75,13 @@ which convert arrays alone: ``info`` holds poses, as that of the published class
 """
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", APPLY)
 def test_wrappers_of_gymnasium(assets, name):
     drive(APPLY[name](make(assets)))
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("name", "wrap"),
     [
@@ -204,6 +206,7 @@ class _Pictures(ap_gym.ActivePerceptionVectorWrapper):
         return {**observation, "pixels": np.asarray(self.env.render())}, *rest
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("sparse", [False, True])
 def test_the_stack_of_apple(assets, sparse):
     """From the image spaces that it looks for to the statistics and videos that it logs."""

@@ -49,6 +49,7 @@ def touches(scenes, tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough
 def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, touches, tmp_path, monkeypatch):
     monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 60_000)
     whole, parts = tmp_path / "whole", tmp_path / "parts"

@@ -69,6 +69,7 @@ def _rays(mesh: trimesh.Trimesh, object_pose, target, sensor):
     return found.reshape(x.shape)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("lean", [0.0, 0.2, 0.7])
 @pytest.mark.parametrize("solid", [ball(subdivisions=3), block()], ids=["ball", "block"])
 def test_every_pixel_is_where_a_ray_meets_the_surface(solid, lean):

@@ -249,6 +249,7 @@ BOMBS = {
 }
 
 
+@pytest.mark.thorough
 def test_meshes_that_state_more_than_they_hold_are_refused_before_it_is_made(tmp_path: Path) -> None:
     for name, (content, _) in BOMBS.items():
         (tmp_path / name).write_bytes(content())
@@ -273,6 +274,7 @@ def test_meshes_that_state_more_than_they_hold_are_refused_before_it_is_made(tmp
     assert peak < 128
 
 
+@pytest.mark.thorough
 def test_a_row_of_millions_of_vertices_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     count = 6_000_000
     monkeypatch.setenv(UNPACKED_VARIABLE, "64")

@@ -19,6 +19,7 @@ from tests.tactile_toolkit.toy import folder_bytes
 MAKING = boxes.BoxMaking(boxes.BoxSpec(9, seed=4))
 
 
+@pytest.mark.thorough
 def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Path) -> None:
     whole = tmp_path / "whole"
     view = forecast(MAKING, whole, None, 1)

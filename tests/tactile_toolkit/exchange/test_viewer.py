@@ -102,6 +102,7 @@ def test_each_row_is_shown_in_3d_and_the_fast_columns_stay_the_default(server, m
     assert again.sent == (), "the same rows give the same files"
 
 
+@pytest.mark.thorough
 def test_a_copy_of_the_repository_is_whole_with_and_without_it(sent, made, tmp_path):
     for path, content in sent.items():
         (tmp_path / "copy" / path).parent.mkdir(parents=True, exist_ok=True)

@@ -93,6 +93,7 @@ def test_no_other_foreign_code_lies_in_the_package():
     assert max(file.stat().st_size for file in code) < 20_000
 
 
+@pytest.mark.thorough
 def test_same_gallery_same_bytes_whoever_works(tmp_path):
     build(tmp_path / "a")
     build_site(toy_gallery(), str(tmp_path / "b"), ProcessRunner(2))

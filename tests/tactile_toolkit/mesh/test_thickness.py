@@ -97,6 +97,7 @@ DIVIDED = {
 }
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", DIVIDED)
 def test_a_wall_does_not_change_when_faces_are_divided(name: str) -> None:
     make, wall_mm = DIVIDED[name]
@@ -124,6 +125,7 @@ def test_thick_walls_are_those_of_the_middle_section() -> None:
     assert report_of(Solid.cube((40, 30, 4))).thinnest_wall_mm == pytest.approx(4, rel=0.02)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(("ink_px", "angle"), [(6, 0), (8, 17), (10, 45)])
 def test_a_thin_stroke_of_a_digit_is_found(ink_px: int, angle: float) -> None:
     picture = Image.new("L", (350, 350), 255)

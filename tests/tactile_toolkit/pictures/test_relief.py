@@ -123,6 +123,7 @@ print(hashlib.sha256(png_bytes(drawn)).hexdigest())
 """
 
 
+@pytest.mark.thorough
 def test_every_process_draws_the_same_bytes():
     printed = {printed_by(DRAW, PYTHONHASHSEED=seed) for seed in ("1", "2")}
     assert len(printed) == 1

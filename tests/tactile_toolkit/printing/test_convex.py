@@ -25,6 +25,7 @@ def outside_mm(mesh: Mesh, parts: list[Mesh]) -> float:
 
 
 # The last one has a stroke that swells: its outline has no bay, and yet its hull adds a tenth.
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("seed", "number"),
     [

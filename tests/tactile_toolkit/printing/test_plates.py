@@ -156,6 +156,7 @@ def written_on(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> list[str]:
     return written
 
 
+@pytest.mark.thorough
 def test_words_that_have_no_room_are_left_out_and_counted(monkeypatch: pytest.MonkeyPatch) -> None:
     written = written_on(monkeypatch, lay_out(named([box(1.5, 1.5)] * 40), PlateSpec(256, 256, 0.5, 0.0)))
     assert written[:26] == [f"{at_mm}" for at_mm in range(0, 256, 20)] * 2

@@ -141,6 +141,7 @@ def test_damaged_blocks_are_made_anew(shard_file: Path, tmp_path: Path) -> None:
     assert values_of(shard_file) == expected
 
 
+@pytest.mark.thorough
 def test_a_shard_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
     clips = [np.random.default_rng(row).bytes(1 << 16) for row in range(2400)]
     table = pa.table({"id": range(2400), "clip": clips})

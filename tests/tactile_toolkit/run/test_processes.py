@@ -123,6 +123,7 @@ class Missing:
         return import_module, ("nowhere_to_be_found",)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("function", "task", "error", "words"),
     [
@@ -155,6 +156,7 @@ def size_of(content: bytes) -> int:
     return len(content)
 
 
+@pytest.mark.thorough
 def test_tasks_and_answers_may_be_larger_than_a_pipe_holds() -> None:
     assert [len(answer) for answer in ProcessRunner(2).run(large, [10_000_000] * 4)] == [10_000_000] * 4
     assert list(ProcessRunner(2).run(size_of, [bytes(10_000_000)] * 4)) == [10_000_000] * 4
@@ -213,6 +215,7 @@ def test_errors_cross_the_border_of_a_process(error: Exception) -> None:
     assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("finished", "doomed"),
     [
@@ -247,6 +250,7 @@ def begins(folder: Path, dies_first: bool) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.thorough
 def test_a_worker_that_dies_takes_no_other_with_it(tmp_path: Path) -> None:
     assert list(ProcessRunner(2).run(partial(begins, tmp_path), [False, True])) == [None, None]
     assert (tmp_path / "False").read_text().split() == ["begun"]

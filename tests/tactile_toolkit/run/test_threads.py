@@ -46,6 +46,7 @@ assert len(tactile_toolkit.store.parquet.read_report(DataFolder(sys.argv[1]), "r
 }
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
 @pytest.mark.parametrize("what", READS)
 def test_reading_starts_no_thread(tmp_path, what):
@@ -103,6 +104,7 @@ def ball() -> Mesh:
     return Mesh(found.vertices.astype("float32"), found.faces.astype("int32"))
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
 def test_workers_limit_threads_before_their_first_task():
     for before, after in ProcessRunner(2).run(threads_of_a_check, [0, 1]):

@@ -83,6 +83,7 @@ def test_failure_keeps_finished_shards_and_the_next_run_goes_on(tmp_path):
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("damage", ["cut", "flip", "remove"])
 @pytest.mark.parametrize("victim", ["data/train-00001-of-00004.parquet", "reports/toy.parquet"])
 def test_damaged_file_is_found_and_made_again(tmp_path, damage, victim):
@@ -157,6 +158,7 @@ def test_a_set_is_complete_only_with_the_shards_of_all_tasks(tmp_path):
         make(tmp_path / "part", runner=Part(0, 2, Forgetful(1)))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("shards", NUMBERS)
 def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, shards):
     make(tmp_path / "whole")
@@ -184,6 +186,7 @@ def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, sh
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
 
+@pytest.mark.thorough
 def test_task_that_always_kills_its_worker_ends_the_run(tmp_path):
     plan = toy_plan(("test",))
     tasks = (replace(plan.tasks[0], die_always=True), plan.tasks[1])

@@ -109,6 +109,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 needs_list = pytest.mark.skipif(not Path("/proc/locks").exists(), reason="asks Linux who holds a lock")
 
 
+@pytest.mark.one_at_a_desk
 @needs_list
 @pytest.mark.parametrize("how", ["alone", "shared"])
 @pytest.mark.parametrize("is_patient", [False, True])
@@ -125,6 +126,7 @@ def test_who_waits_for_a_stopped_process_is_told_which(
         pass
 
 
+@pytest.mark.thorough
 @needs_list
 def test_who_is_patient_waits_for_a_process_that_is_at_work(tmp_path: Path, clock: Clock) -> None:
     with held(tmp_path, is_stopped=False) as process:
@@ -166,6 +168,7 @@ def stopped_beside(place: Path, moment: str) -> BusyError:
         return caught.value
 
 
+@pytest.mark.one_at_a_desk
 @needs_list
 @pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 6)])
 def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: str, finished: int) -> None:

@@ -44,6 +44,7 @@ def fresh(tmp_path_factory):
     return {seed: folder_bytes(base / str(seed)) for seed in (10, 20)}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
 @pytest.mark.parametrize("shards", [0, 1, 4, 6])
 def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runner, shards):
@@ -235,6 +236,7 @@ def test_at_every_moment_another_run_leaves_one_finished_set(tmp_path, scenario)
     assert first > 0 or scenario.startswith("undone")
 
 
+@pytest.mark.thorough
 def test_a_command_whose_set_was_replaced_says_so_in_one_sentence(tmp_path, capfd):
     place, marker = tmp_path / "set", tmp_path / "held"
     words = ("generate", "--scenes", "3000", "--split", "train", "--out", place)
@@ -252,6 +254,7 @@ def test_a_command_whose_set_was_replaced_says_so_in_one_sentence(tmp_path, capf
     assert call("starstruck", "verify", place) == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("beside", [("--workers", 1), ("--finish",), ("--check",)])
 def test_a_set_that_another_process_is_about_to_replace_is_left_to_it(tmp_path, capfd, beside):
     """Runs of the set that is there have nothing to do, and remove nothing of the other one."""

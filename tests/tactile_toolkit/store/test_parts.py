@@ -26,6 +26,7 @@ def whole(tmp_path) -> dict[str, bytes]:
     return folder_bytes(tmp_path / "whole")
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("count", [1, 2, 4, SHARDS, 100])
 def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count):
     folder = DataFolder(str(tmp_path / "set"))
@@ -60,6 +61,7 @@ def test_damage_of_the_same_size_counts_as_missing_where_all_is_read(tmp_path, w
     assert folder_bytes(tmp_path / "set") == whole
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [1, ProcessRunner(2)], ids=["inline", "processes"])
 def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner):
     for index in (0, 5):

@@ -124,6 +124,7 @@ def test_nothing_outside_the_folder_goes_with_the_former_set(tmp_path):
     assert folder_bytes(tmp_path) == before
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [InlineRunner(), Part(0, 1), Finish()], ids=["run", "part", "finish"])
 @pytest.mark.parametrize("name", [".pending", ".next", "data", "previews", "reports"])
 def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, name, runner):

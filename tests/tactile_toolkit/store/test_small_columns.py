@@ -82,6 +82,7 @@ def test_a_file_that_is_wrong_costs_speed_only(tmp_path: Path, monkeypatch: pyte
         assert first.read_bytes() == content, "made again"
 
 
+@pytest.mark.thorough
 def test_bytes_do_not_depend_on_how_a_set_was_made(tmp_path: Path) -> None:
     make(tmp_path / "one")
     plan = toy_plan()
