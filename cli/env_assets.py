@@ -130,7 +130,9 @@ def list_environments(
     for note in dict.fromkeys(each["note"] for each in found if each["note"]):
         sink.line(note)
     if any(each["native"] for each in found):
-        sink.line("native: `tactile_envs:ID` runs the same episodes, without OpenGL and much faster than software OpenGL")
+        sink.line(
+            "native: `tactile_envs:ID` runs the same episodes, without OpenGL and much faster than software OpenGL"
+        )
 
 
 for _shared in (export, verify, merge, split, show, cache):

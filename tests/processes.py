@@ -71,11 +71,6 @@ def start_held(command_line: str, shards: int, marker: Path, *words: object) -> 
     return process
 
 
-def wait_for_death(pid: int) -> None:
-    """Wait until a child has ended, and leave it a zombie."""
-    os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
-
-
 def children(pid: int) -> list[int]:
     """List the processes that a process has started itself."""
     try:

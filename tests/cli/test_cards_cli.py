@@ -17,9 +17,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from starstruck_gen.scene import draw_scene
-from tactile_toolkit.cards import check_card
 from tactile_toolkit.pictures import relief
-from tactile_toolkit.store import DataFolder
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -98,25 +96,6 @@ def test_the_card_was_written_with_the_data_and_is_written_the_same_again(folder
     assert call(command_of(kind), "card", folder) == 0
     assert re.search(r"wrote README.md, previews/\w+\.png; all of it matches", capsys.readouterr().out)
     assert folder_bytes(folder) == before
-
-
-def test_the_card_is_true_and_has_every_part(folders, kind):
-    folder = folders[kind]
-    assert check_card(DataFolder(str(folder))) == []
-    text = card_of(folder)
-    assert not re.search(r"more information needed|\$\w|TODO", text, flags=re.IGNORECASE)
-    parts = ("What it is", "How it was made", "Splits", "Fields", "Printability", "Known limits", "Loading")
-    for part in (*parts, "Licence", "Citation"):
-        assert f"\n## {part}\n" in text
-    assert re.search(r"\n## Coordinate frames?\n\n```\n.*\^", text, flags=re.DOTALL)
-    assert "schneider2025tactilemnist" in text
-    data = DatasetCard(text).data
-    assert data.language is None
-    assert data.license
-    assert data.task_ids
-    assert data.tags
-    picture = next((folder / "previews").iterdir())
-    assert picture.stat().st_size < 150_000
 
 
 def test_the_picture_of_a_card_shows_the_first_scenes_or_a_digit_of_each_class(folders):
@@ -206,12 +185,6 @@ def test_digits_in_several_pieces_are_counted(folders, tmp_path):
     assert "1 of 1 digits are in several pieces that print apart" in card_of(tmp_path / "set")
 
 
-def test_own_sizes_of_splits_are_listed(tmp_path):
-    small = ("generate", "--split", "test", "--split-sizes", "train=2,test=1", "--vertices", "2000")
-    assert call("mnist3d", *small, "--workers", "1", "--quiet", "--out", tmp_path / "own") == 0
-    assert "digits per class: train 2, test 1 |" in card_of(tmp_path / "own")
-
-
 def run_block(block: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
     exec(compile(block.replace('"FOLDER"', repr(str(folder))), "card", "exec"), {})
@@ -260,25 +233,6 @@ def test_a_folder_of_another_kind_is_refused(folders, tmp_path, capsys, command,
     assert call(command, "card", folders[kind]) == 2
     assert words in capsys.readouterr().err
     assert folder_bytes(folders[kind]) == before
-
-
-def test_every_command_says_of_what_kind_a_folder_is(folders, capsys):
-    for command in ("mnist3d", "starstruck", "tactile-sim"):
-        for kind in {"mnist3d", "starstruck"} - {command}:
-            for verb in ("info", "verify"):
-                assert call(command, verb, folders[kind]) == 2
-                said = capsys.readouterr()
-                content = {"mnist3d": "digits", "starstruck": "scenes"}[kind]
-                assert f"holds {content}; `{command} {verb}` is for" in said.err
-                assert f"; next: run `{kind} {verb} " in said.err
-                assert said.out == ""
-
-
-def test_an_empty_folder_is_refused(tmp_path, capsys):
-    for command in ("mnist3d", "starstruck", "realtouch"):
-        assert call(command, "card", tmp_path) == 2
-        assert "; next: " in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
 
 
 FINGERPRINTS = {

@@ -1,11 +1,6 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -68,11 +63,6 @@ def test_dry_run_counts_the_items_of_each_split_and_writes_nothing(program, fold
     assert folder_bytes(out) == files
 
 
-def test_quiet_says_nothing(folders, tmp_path, capsys):
-    assert call("starstruck", "gallery", folders["starstruck"], "-o", tmp_path / "site", "-q", "-w", "1") == 0
-    assert capsys.readouterr() == ("", "")
-
-
 def test_refusals_and_overwrite(folders, tmp_path, capsys):
     out = tmp_path / "site"
     arguments = ("starstruck", "gallery", folders["starstruck"], "--out", out, "--quiet", "--workers", "1")
@@ -95,36 +85,3 @@ def test_refusals_and_overwrite(folders, tmp_path, capsys):
     assert call("mnist3d", "gallery", folders["mnist3d"], "--out", "s3://bucket/site") == 2
     assert "is a remote address" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
-
-
-def test_ctrl_c_leaves_nothing_and_says_so(folders, tmp_path):
-    code = (
-        "import pathlib, sys, time\n"
-        "from tactile_toolkit.gallery.items import RowsTask\n"
-        "from cli.starstruck import main\n"
-        "alive = sys.argv.pop()\n"
-        "def wait(task):\n"
-        "    pathlib.Path(alive).touch()\n"
-        "    time.sleep(600)\n"
-        "RowsTask.make = wait\n"
-        "main()\n"
-    )
-    alive, place = tmp_path / "alive", tmp_path / "place"
-    place.mkdir()
-    command = [sys.executable, "-c", code, "gallery", str(folders["starstruck"])]
-    options = ["--out", str(place / "site"), "--workers", "1", str(alive)]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
-    with subprocess.Popen(
-        [*command, *options], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
-    ) as process:
-        deadline = time.monotonic() + 120
-        while not alive.exists():
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        process.send_signal(signal.SIGINT)
-        _, words = process.communicate()
-    assert process.returncode == 130
-    assert "interrupted; nothing was left behind" in words
-    assert "Traceback" not in words
-    assert list(place.iterdir()) == []

@@ -85,6 +85,7 @@ def commands() -> dict[str, str]:
     return project["project"]["scripts"]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("module", ["typer", "cli.output", "pyarrow"])
 @pytest.mark.parametrize(
     "command",

@@ -12,7 +12,6 @@ import mnist3d
 from mnist3d.sources.folder import FolderSource
 from tactile_toolkit.errors import InputError
 from tests import command_line
-from tests.tactile_toolkit.toy import folder_bytes
 
 SMALL = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1")
 
@@ -50,49 +49,12 @@ def test_generate_json_is_one_document(tmp_path, capsys):
     assert document["spec"]["solid"]["target_vertices"] == 2000
 
 
-def test_quiet_says_nothing(tmp_path, capsys):
-    assert call("generate", *SMALL, "--limit", 1, "--out", tmp_path / "digits", "--quiet") == 0
-    assert capsys.readouterr() == ("", "")
-
-
-def test_dry_run_writes_nothing(tmp_path, capsys, folder):
-    out = tmp_path / "digits"
-    assert call("generate", *SMALL, "--out", out, "--dry-run") == 0
-    printed = capsys.readouterr().out
-    assert "would make 10 digits" in printed
-    assert "nothing was written" in printed
-    assert not out.exists()
-    before = folder_bytes(folder)
-    assert call("generate", *SMALL, "--out", folder, "--dry-run", "--json") == 0
-    view = json.loads(capsys.readouterr().out)
-    assert view["rows_to_make"] == 0
-    assert view["splits"] == [{"split": "test", "rows": 10, "shards": 1, "finished": 10}]
-    assert folder_bytes(folder) == before
-
-
 def test_info(folder, capsys):
     assert call("info", folder) == 0
     printed = capsys.readouterr().out
     assert "solid.target_vertices = 2000" in printed
     assert call("info", folder, "--json") == 0
     assert json.loads(capsys.readouterr().out)["splits"][0]["rows"] == 10
-
-
-def test_verify(folder, tmp_path, capsys):
-    import shutil
-
-    assert call("verify", folder) == 0
-    assert "all as in manifest.json" in capsys.readouterr().out
-    copy = tmp_path / "copy"
-    shutil.copytree(folder, copy)
-    victim = copy / "data" / "test-00000-of-00001.parquet"
-    victim.write_bytes(victim.read_bytes()[:-1])
-    assert call("verify", copy) == 3
-    printed = capsys.readouterr()
-    assert "damaged: data/test-00000-of-00001.parquet: sha256 is" in printed.err
-    assert "generate` with --check" in printed.err
-    assert call("generate", *SMALL, "--out", copy, "--quiet") == 0
-    assert folder_bytes(copy) == folder_bytes(folder)
 
 
 def test_validate_a_folder(folder, capsys):
@@ -181,20 +143,6 @@ def test_bad_input_is_named_in_two_lines(tmp_path, monkeypatch, capsys, argument
     assert list(tmp_path.iterdir()) == []
 
 
-def test_debug_shows_the_traceback(tmp_path):
-    from tactile_toolkit.errors import InputError
-
-    with pytest.raises(InputError):
-        call("generate", "--source", "hwdplus", "--debug")
-
-
-def test_another_spec_is_refused(folder, capsys):
-    before = folder_bytes(folder)
-    assert call("generate", *SMALL, "--seed", "1", "--out", folder) == 2
-    assert "source.seed is 0 there, 1 was asked for" in capsys.readouterr().err
-    assert folder_bytes(folder) == before
-
-
 def test_real_pictures_in_a_folder(shared, tmp_path, capsys):
     arguments = ("generate", "--source", "folder", "--images", shared / "digits" / "png", *SMALL)
     assert call(*arguments, "--out", tmp_path / "digits") == 0
@@ -280,19 +228,6 @@ def test_generate_counts_what_was_made(tmp_path, capsys):
     assert "nothing was left to make" in capsys.readouterr().out
 
 
-def test_generate_in_which_nothing_can_be_made_is_refused(tmp_path, capsys):
-    source = ("--source", "folder", "--images", pictures(tmp_path / "none", 255, 255), "--split", "test")
-    sizes = ("--split-sizes", "test=2", "--workers", 1, "--out", tmp_path / "set")
-    assert call("generate", *source, *sizes) == 2
-    printed = capsys.readouterr()
-    assert "no row is left: all 2 were left out" in printed.err
-    assert "no-ink: digit " in printed.err
-    assert "made" not in printed.out
-    assert not (tmp_path / "set").exists()
-    assert call("generate", *source, *sizes, "--dry-run") == 2
-    assert "no row is left: all 2 were left out" in capsys.readouterr().err
-
-
 @pytest.fixture(scope="module")
 def own_pictures(tmp_path_factory) -> Path:
     """Six strokes of one class, five of another."""
@@ -306,6 +241,7 @@ def own_pictures(tmp_path_factory) -> Path:
     return root
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("asked", "rows"),
     [

@@ -13,13 +13,10 @@ from pathlib import Path
 
 import pytest
 
-from realtouch import frames
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run import Part
 from tactile_toolkit.store import DataFolder, build
 from tests import command_line
 from tests.processes import start_held
-from tests.realtouch.factories import make_round, single_rows, write_set
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 REPOSITORY = Path(__file__).resolve().parents[2]
@@ -80,16 +77,6 @@ def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole,
 
 
 @pytest.mark.thorough
-def test_two_generators_at_once_in_one_folder(tmp_path, whole):
-    """Without parts, too: each makes what the other has not, and the last one leaves what both would."""
-    place = tmp_path / "scenes"
-    both = [start(*SCENES, place, "-q") for _ in range(2)]
-    for each in both:
-        code, _, talked = ended(each)
-        assert code == 0, talked
-    assert folder_bytes(place) == whole
-
-
 def test_what_is_said_of_a_run_that_was_stopped_before_its_first_shard(tmp_path):
     process = start_held("starstruck", 0, tmp_path / "marker", *SCENES, tmp_path / "scenes", "-q")
     process.send_signal(signal.SIGINT)
@@ -133,6 +120,7 @@ class BlindNode:
         yield from pickle.loads(done.stdout)
 
 
+@pytest.mark.thorough
 def test_a_node_that_does_not_see_the_folder(tmp_path):
     """What it has written lies in a folder of its own."""
     place = tmp_path / "set"
@@ -144,15 +132,3 @@ def test_a_node_that_does_not_see_the_folder(tmp_path):
     with pytest.raises(IntegrityError, match=told):
         build(DataFolder(str(place)), toy_plan(("test",)), workers=BlindNode(place))
     assert not (place / "data").exists()
-
-
-def test_plain_pictures_are_made_in_parts_too(tmp_path):
-    """Their index is written at the end, by who finishes."""
-    rounds = [make_round(index, 2, (64, 48), (12, 16)) for index in range(20)]
-    source = str(write_set(tmp_path / "source", {"train": single_rows(rounds)}, "single"))
-    frames(source, tmp_path / "whole")
-    for index in (1, 0):
-        frames(source, tmp_path / "parts", part=Part(index, 2))
-        assert not (tmp_path / "parts" / "index.csv").exists()
-    frames(source, tmp_path / "parts", finish=True)
-    assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole")

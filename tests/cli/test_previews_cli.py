@@ -120,20 +120,6 @@ def test_every_process_writes_the_same_bytes(digits, scenes, clips, tmp_path, ru
         assert content.startswith(b"\x89PNG")
 
 
-@pytest.mark.thorough
-def test_everything_is_drawn_alike_twice(digits, tmp_path, run):
-    arguments = (digits, "--kind", "all", "--per-class", 1)
-    for done in (
-        run("mnist3d", *arguments, "--out", "one"),
-        process(("mnist3d", *arguments, "--out", "other"), cwd=tmp_path),
-    ):
-        assert done.returncode == 0, done.stderr
-        assert "left out" not in done.stderr
-    written = contents(tmp_path / "one")
-    assert len(written) == 2
-    assert written == contents(tmp_path / "other")
-
-
 def test_one_picture_goes_into_the_file_that_is_named(digits, scenes, clips, tmp_path, run):
     corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01)])
     faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)
@@ -194,11 +180,3 @@ def test_bad_input_ends_with_a_line_and_code_2(room, arguments, words, digits, s
     assert words in done.stderr
     assert "Traceback" not in done.stderr
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_place_that_cannot_be_written_is_named(digits, tmp_path, run):
-    (tmp_path / "file").touch()
-    done = run("mnist3d", digits, "--kind", "sheet", "--out", "file/inside")
-    assert done.returncode == 2
-    assert "Not a directory" in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]

@@ -128,13 +128,6 @@ def test_what_is_fetched_is_told(capsys):
     assert "split 'test'" in told[1]
 
 
-def test_numbers_that_are_none(images, tmp_path, capsys):
-    assert call("select", images, "--out", tmp_path / "out", "--ids", "²") == 2
-    assert "--ids has '²'" in capsys.readouterr().err
-    assert call("select", images, "--out", tmp_path / "out", "--labels", "²") == 2
-    assert "no class '²'" in capsys.readouterr().err
-
-
 def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
     out = tmp_path / "single"
     assert call("clips-to-images", clips, "--out", out, "--frame", "peak", "--workers", 1) == 0
@@ -202,11 +195,33 @@ def test_verify_names_all_damage_and_leaves_with_3(images, tmp_path, capsys):
     assert "Traceback" not in printed.err
 
 
-def test_preview_writes_a_picture(clips, tmp_path, capsys):
-    assert call("preview", clips, "--split", "train", "--round", 1, "--out", tmp_path / "sheet.png") == 0
-    assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
-    assert call("preview", clips, "--split", "train", "--round", 9) == 2
-    assert "rounds 0 to 1" in capsys.readouterr().err
+def test_load_checks_headers_unless_told_not_to_and_verify_can_be_quick(tmp_path, capsys):
+    """Damage in the body of an image is seen where it is decoded; a header that is gone is seen at once."""
+
+    def damage(row, index):
+        first, second, *others = row["sensor_image"]
+        content = second["bytes"]
+        content = content[:-300] if index == 0 else b"?" + content[1:]
+        row["sensor_image"] = [first, {**second, "bytes": content}, *others]
+
+    rows = factories.single_rows([factories.make_round(index, 3, (64, 48)) for index in range(2)])
+    layout = factories.Layout(edit=damage)
+    factories.write_set(tmp_path / "body", {"train": rows[:1]}, "single", layout)
+    rows[0]["sensor_image"] = rows[1]["sensor_image"]
+    damage(rows[0], 1)
+    factories.write_set(tmp_path / "header", {"train": rows[:1]}, "single")
+    for folder, command, code in (
+        ("body", "verify --quick", 0),
+        ("body", "verify", 3),
+        ("body", "load", 0),
+        ("header", "verify --quick", 3),
+        ("header", "load", 3),
+        ("header", "load --no-check", 0),
+    ):
+        capsys.readouterr()
+        name, *options = command.split()
+        assert call(name, tmp_path / folder, *options, "--json") == code, (folder, command)
+    assert not json.loads(capsys.readouterr().out)["checked"]
 
 
 @pytest.mark.parametrize(

@@ -96,33 +96,6 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         assert stored(s3, bucket, "back") == copied
 
 
-def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):
-    import realtouch
-
-    assert call("starstruck", *SCENES, "--out", f"s3://{bucket}/objects") == 0
-    press = ("--split", "test", "--rounds", "1", "--touches", "2", "--optics", "depth", "--size", "16x16")
-    touches, local = f"s3://{bucket}/touches", tmp_path / "touches"
-    for out in (touches, local):
-        words = ("generate", f"s3://{bucket}/objects", *press, "--workers", "1", "--quiet", "--out", out)
-        assert call("tactile_sim", *words) == 0
-    assert stored(s3, bucket, "touches") == folder_bytes(local)
-    assert call("tactile_sim", "info", touches) == 0
-    assert call("tactile_sim", "verify", touches) == 0
-    assert call("realtouch", "info", touches) == 0
-    assert call("realtouch", "verify", touches) == 0
-    assert call("realtouch", "load", touches, "--split", "test") == 0
-    there, here = realtouch.load(touches, "test"), realtouch.load(local, "test")
-    for mine, other in zip(there.touches(), here.touches(), strict=True):
-        np.testing.assert_array_equal(mine.image, other.image)
-    small = f"s3://{bucket}/small"
-    assert (
-        call("realtouch", "resize", touches, "--out", small, "--size", "8x8", "--workers", "1", "--quiet")
-        == 0
-    )
-    assert call("realtouch", "verify", small) == 0
-    assert call("realtouch", "resize", touches, "--out", f"{touches}/inside", "--size", "8x8", "--quiet") == 2
-
-
 def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):
     from tests.realtouch import factories
 

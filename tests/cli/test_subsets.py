@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from importlib import import_module
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
-import realtouch
 from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import DataFolder, read_manifest
@@ -41,6 +39,7 @@ def _rows(*folders: Path) -> dict[str, list[dict[str, object]]]:
     return {split: sorted(each, key=lambda row: row["id"]) for split, each in rows.items()}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("kind", ["mnist3d", "starstruck", "realtouch"])
 def test_parts_are_data_sets_and_together_what_was_divided(kind, tmp_path, capsys):
     folder = _made(kind, tmp_path / "all")
@@ -109,23 +108,6 @@ def test_rounds_are_taken_by_their_ids(tmp_path, capsys):
     assert not (tmp_path / "none").exists()
 
 
-def test_terms_of_imported_touches_are_kept(tmp_path):
-    folder = _made("realtouch", tmp_path / "all")
-    assert (
-        call("realtouch", "frames", folder, "--format", "jpeg", "--out", tmp_path / "pictures", *ALONE) == 0
-    )
-    words = ("import", tmp_path / "pictures", "--format", "folder", "--out", tmp_path / "imported", *ALONE)
-    assert call("realtouch", *words) == 0
-    words = ("split", tmp_path / "imported", "--fractions", "0.5", "--out", tmp_path / "parts", *ALONE)
-    assert call("realtouch", *words) == 0
-    manifest = json.loads((tmp_path / "parts/part-1/manifest.json").read_text())
-    assert manifest["spec"]["options"]["touches"] == "imported"
-    assert len(realtouch.load(tmp_path / "parts/part-1", "train")) == 3
-    assert (
-        call("realtouch", "split", tmp_path / "pictures", "--fractions", "0.5", "--out", tmp_path / "n") == 2
-    )
-
-
 def test_a_killed_merge_continues_and_damage_is_not_copied(tmp_path, capsys):
     folder = _made("mnist3d", tmp_path / "all")
     assert call("mnist3d", "split", folder, "--fractions", "0.5,0.5", "--out", tmp_path, *ALONE) == 0
@@ -159,11 +141,3 @@ def test_an_unknown_split_and_an_empty_choice_are_named(tmp_path, capsys):
     scenes = [("train", import_module("starstruck_gen").load(str(folder), "train"))]
     with pytest.raises(InputError, match="no object is chosen"):
         choose_rows(scenes, ids=[])
-
-
-def test_sets_of_another_kind_are_not_merged(tmp_path, capsys):
-    scenes = _made("starstruck", tmp_path / "scenes")
-    capsys.readouterr()
-    assert call("mnist3d", "merge", scenes, scenes, "--out", tmp_path / "both", *ALONE) == 2
-    assert "starstruck" in capsys.readouterr().err
-    assert not (tmp_path / "both").exists()

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import numpy as np
 import pytest
 
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import inspect, read_mesh
-from tactile_toolkit.printing import PlateSpec, PrintObject, arrange, choose, export_files, measure
+from tactile_toolkit.printing import PrintObject, choose
 
 
 @pytest.fixture(scope="module")
@@ -60,23 +56,3 @@ def test_what_is_not_there_is_named(digits: mnist3d.MeshDataset) -> None:
         chosen(digits, ids=[int(digits.ids[0])], labels=[other])
     with pytest.raises(InputError, match="two objects would be called"):
         choose([("printed_test", digits), ("printed_test", digits)])
-
-
-def test_digits_stand_as_they_were_stored(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
-    made = export_files(chosen(digits), str(tmp_path), "stl")
-    assert (len(made.files), made.failed) == (20, ())
-    for record, file in zip(digits, made.files, strict=True):
-        back = read_mesh(tmp_path / file.file)
-        low_m = record.vertices_m.min(axis=0) * (0, 0, 1)
-        expected = np.stack([record.vertices_m.min(axis=0), record.vertices_m.max(axis=0)]) - low_m
-        assert back.bounds_m == pytest.approx(expected, abs=1e-7)
-        report = inspect(back)
-        assert report.is_solid
-        assert report.contact_mm2 > 0
-
-
-def test_every_digit_finds_a_place(digits: mnist3d.MeshDataset) -> None:
-    spec = PlateSpec(180, 180, 2.0)
-    layout = arrange(measure(chosen(digits), spec))
-    assert sum(map(len, layout.plates)) == 20
-    assert layout.least_plates <= len(layout.plates) <= 2

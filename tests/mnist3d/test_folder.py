@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import os
-import pickle
 import re
 from pathlib import Path
 from typing import Any
@@ -115,6 +114,13 @@ def test_lossy_formats(tmp_path: Path, suffix: str) -> None:
     assert ink_box(read(tmp_path)) == BOX
 
 
+@pytest.mark.parametrize(("paper", "ink"), [(60, 180), (180, 60)])
+def test_two_grey_levels_become_black_and_white(tmp_path: Path, paper: int, ink: int) -> None:
+    save(tmp_path / "7" / "a.png", np.where(bar() < 128, ink, paper).astype(np.uint8))
+    made = FolderSource(str(tmp_path), ink="light" if ink > paper else "dark", threshold="global")
+    np.testing.assert_array_equal(made.image(0).pixels, bar())
+
+
 @pytest.mark.parametrize(
     "mode", ["1", "L", "LA", "P", "RGB", "RGBA", "CMYK", "I", "I;16", "F", "F1", "YCbCr"]
 )
@@ -145,11 +151,6 @@ def test_transparent_paper(tmp_path: Path, mode: str, ink_level: int) -> None:
     Image.fromarray(rgba).convert(mode).save(tmp_path / "7" / "a.png")
     np.testing.assert_array_equal(read(tmp_path), bar())
     np.testing.assert_array_equal(read(tmp_path, "light" if ink_level else "dark"), bar())
-
-
-def test_weak_contrast_is_stretched(tmp_path: Path) -> None:
-    save(tmp_path / "7" / "a.png", np.where(bar() > 0, 190, 120).astype(np.uint8))
-    np.testing.assert_array_equal(read(tmp_path), bar())
 
 
 @pytest.mark.parametrize(
@@ -211,13 +212,6 @@ def test_aspect_is_kept_and_paper_fills_the_rest(
     assert (pixels[:, :99] == 255).all()
     assert (pixels[:, 401:] == 255).all()
     np.testing.assert_allclose(ink_box(pixels), [100, 250, 160, 220], atol=2)
-
-
-def test_extreme_shapes_do_not_fail(tmp_path: Path) -> None:
-    for number, shape in enumerate([(1, 1), (1, 3000), (3000, 1), (2, 2)]):
-        save(tmp_path / "7" / f"{number}.png", np.zeros(shape, np.uint8))
-    for digit_id in range(4):
-        assert FolderSource(str(tmp_path)).image(digit_id).pixels.shape == (500, 500)
 
 
 class TestUnreadable:
@@ -310,15 +304,6 @@ def test_a_picture_that_takes_long_or_much_memory_is_left_out(tmp_path: Path) ->
     (tmp_path / "1" / "slow.jpg").unlink()
     Image.new("LA", (6_000, 6_000)).save(tmp_path / "1" / "large.png")
     assert "6000 x 6000 pixels unpacks to 864,000,000 bytes" in item_refusal(tmp_path, "unreadable")
-
-
-def test_it_pickles_small_and_works_afterwards(tmp_path: Path) -> None:
-    save(tmp_path / "0" / "a.png")
-    made = FolderSource(str(tmp_path))
-    made.image(0)
-    data = pickle.dumps(made)
-    assert len(data) < 500
-    np.testing.assert_array_equal(pickle.loads(data).image(0).pixels, bar())
 
 
 def test_fingerprint_knows_content_names_and_no_path(tmp_path: Path) -> None:

@@ -18,7 +18,6 @@ from tactile_toolkit.gallery import build_site
 from tactile_toolkit.store import DataFolder, read_report
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, index_of
-from tests.tactile_toolkit.toy import folder_bytes
 
 
 @pytest.fixture(scope="module")
@@ -67,16 +66,6 @@ def test_a_set_without_a_report_is_inspected(folder, tmp_path):
     assert inspected["facets"] == of_report["facets"]
     for told, seen in zip(of_report["measures"], inspected["measures"], strict=True):
         assert seen["values"] == pytest.approx(told["values"], rel=1e-3, abs=0.02)
-
-
-def test_workers_do_not_show_and_a_choice_is_kept(folder, tmp_path):
-    chosen = Chosen(limit=5, per_class=1)
-    one = build_site(plan_gallery(str(folder), chosen), str(tmp_path / "a"), 1)
-    build_site(plan_gallery(str(folder), chosen), str(tmp_path / "b"), 2)
-    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
-    assert one.splits == {"train": 5, "test": 5}
-    labels = column(index_of(tmp_path / "a"), "Class")
-    assert len({row[0] for row in labels[:5]}) == 5
 
 
 def test_what_cannot_be_shown_is_named(folder, tmp_path):

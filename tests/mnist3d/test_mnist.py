@@ -4,7 +4,6 @@ import gc
 import gzip
 import hashlib
 import importlib.util
-import pickle
 import sys
 import threading
 from collections.abc import Iterator
@@ -37,14 +36,6 @@ def test_every_layout_gives_the_same_digits(tmp_path: Path, folder: str, mark: s
     np.testing.assert_array_equal(made.image(3).pixels, plain.image(3).pixels)
 
 
-def test_files_in_folders_of_their_own_names(tmp_path: Path) -> None:
-    for kind, array in zip(("images", "labels"), bars(2), strict=True):
-        folder = tmp_path / name_of("train", kind)
-        folder.mkdir()
-        (folder / folder.name).write_bytes(idx(array))
-    assert len(MnistSource(str(tmp_path)).catalog()) == 2
-
-
 def test_training_digits_come_before_test_digits(tmp_path: Path) -> None:
     (first, first_labels), (then, then_labels) = bars(5, 1), bars(3, 2)
     write(tmp_path, "train", first, first_labels)
@@ -72,11 +63,6 @@ def test_training_digits_come_before_test_digits(tmp_path: Path) -> None:
         np.testing.assert_array_equal(digit.pixels, alone.pixels)
 
 
-def test_one_part_alone_begins_at_zero(tmp_path: Path) -> None:
-    write(tmp_path, "test")
-    assert MnistSource(str(tmp_path)).catalog().ids.tolist() == [0, 1, 2, 3]
-
-
 @pytest.mark.parametrize("digit_id", [-1, 4])
 def test_unknown_id(tmp_path: Path, digit_id: int) -> None:
     write(tmp_path)
@@ -96,18 +82,6 @@ def test_ink_is_dark_and_where_it_was(tmp_path: Path) -> None:
     assert pixels[pixels < 128].mean() < 10
     np.testing.assert_allclose([rows.min(), rows.max() + 1], [4 * scale, 12 * scale], atol=4)
     np.testing.assert_allclose([columns.min(), columns.max() + 1], [12 * scale, 16 * scale], atol=4)
-
-
-def test_it_pickles_small_and_works_afterwards(tmp_path: Path) -> None:
-    write(tmp_path)
-    made = MnistSource(str(tmp_path))
-    before = made.image(0).pixels
-    data = pickle.dumps(made)
-    assert len(data) < 500
-    np.testing.assert_array_equal(pickle.loads(data).image(0).pixels, before)
-    # A manifest says what a set was made of, and it stays what it was.
-    with pytest.raises(AttributeError):
-        made.root = "elsewhere"  # type: ignore[misc]
 
 
 def test_fingerprint_knows_content_and_no_path(tmp_path: Path) -> None:

@@ -14,14 +14,12 @@ import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh, write_mesh
 from tactile_toolkit.printing import PlateSpec, write_plates
 from tactile_toolkit.printing.objects import choose, export_files, place_on_plate
 from tactile_toolkit.printing.packing import Placed, arrange, measure
 from tests.processes import PATIENCE_S
-from tests.tactile_toolkit.printing.solids import box, named
 
 SLICER = shutil.which("prusa-slicer") or ""
 pytestmark = [
@@ -166,6 +164,7 @@ def write_plate(digits: mnist3d.MeshDataset, labels: str, folder: Path) -> tuple
     return plate, folder / "plate-01.3mf"
 
 
+@pytest.mark.thorough
 def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
     plate, path = write_plate(digits, "0123456789", tmp_path)
     seen = seen_in(path)
@@ -178,31 +177,6 @@ def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.MeshDataset,
     assert {count for counts in repairs.values() for count in counts} == {0}
 
 
-@pytest.mark.thorough
-def test_a_plate_slices_where_it_lies(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
-    plate, path = write_plate(digits, "17", tmp_path)
-    sliced = slice_file(path, tmp_path, "--dont-arrange")
-    for placed in plate:
-        assert sliced.top_mm[placed.item.name] == pytest.approx(placed.height_mm, abs=LAYER_MM)
-    assert len(sliced.top_mm) == len(plate)
-    assert min(sliced.low_mm) >= 0
-    assert max(sliced.high_mm) <= PLATE_MM
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("spec", "fits"), [(PlateSpec(PLATE_MM, PLATE_MM), True), (PlateSpec(PLATE_MM, PLATE_MM, 3, 0), False)]
-)
-def test_the_usual_margin_leaves_room_for_a_skirt(spec: PlateSpec, fits: bool, tmp_path: Path) -> None:
-    width_mm, depth_mm = (side - 1 for side in spec.inner_mm)
-    layout = arrange(measure(named([box(width_mm, depth_mm)]), spec))
-    assert not write_plates(layout, str(tmp_path)).failed
-    path = tmp_path / "plate-01.3mf"
-    distance = ("--skirts", "1", "--skirt-distance", "6")
-    sliced = slice_file(path, tmp_path, "--dont-arrange", *distance)
-    assert (min(sliced.low_mm) >= 0 and max(sliced.high_mm) <= PLATE_MM) == fits
-
-
 def test_the_check_sees_a_broken_file(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
     """What is asserted above fails for a surface without three triangles."""
     whole = place_on_plate(digits[0])
@@ -210,16 +184,3 @@ def test_the_check_sees_a_broken_file(digits: mnist3d.MeshDataset, tmp_path: Pat
     (seen,) = seen_in(tmp_path / "broken.stl")
     assert "manifold = no" in seen.complaints
     assert any(complaint.startswith("open_edges") for complaint in seen.complaints)
-
-
-@pytest.mark.thorough
-def test_real_handwriting_loads_whole(shared: Path, tmp_path: Path) -> None:
-    folder = str(tmp_path / "digits")
-    spec = mnist3d.GenerateSpec(FolderSource(str(shared / "digits" / "png")), per_class=1)
-    mnist3d.generate(spec, folder, ("test",))
-    made = export_files(choose([("test", mnist3d.load(folder, "test"))]), str(tmp_path / "out"), "3mf")
-    assert len(made.files) == 10
-    for file in made.files:
-        (seen,) = seen_in(tmp_path / "out" / file.file)
-        assert seen.complaints == ()
-        assert seen.size_mm == pytest.approx(file.size_mm, abs=2e-3)

@@ -17,7 +17,6 @@ from mnist3d.solid import SolidSpec, binarise, solidify
 from mnist3d.surface import Surface, decimate, isosurface, scale, smooth
 from tactile_toolkit.mesh import Mesh, inspect
 from tests.mnist3d.drawings import six
-from tests.mnist3d.surface_distances import symmetric_distances_mm
 
 
 @given(
@@ -104,11 +103,6 @@ def test_smoothing_evens_out_and_keeps_the_volume() -> None:
     assert Mesh(smoothed, faces).volume_m3 == pytest.approx(Mesh(vertices, faces).volume_m3, rel=0.01)
 
 
-def test_no_rounds_of_smoothing_move_nothing() -> None:
-    surface = Surface(*isosurface(np.pad(np.ones((3, 3, 3)), 1), 0.5))
-    assert np.array_equal(smooth(surface, 0, 0.5).vertices_px, surface.vertices_px)
-
-
 def test_scale_puts_the_image_centre_at_the_origin_and_the_lowest_point_on_the_plate() -> None:
     corners = np.array([[0, 0, -3], [9, 0, 0], [0, 19, 2]], dtype=np.float32)
     surface = Surface(corners, np.array([[0, 1, 2]], np.int32))
@@ -127,17 +121,3 @@ def test_decimation_keeps_to_the_budget_and_to_the_solid() -> None:
     assert (report.is_solid, report.bodies, report.genus) == (True, 1, 1)
     assert coarse.volume_m3 == pytest.approx(fine.volume_m3, rel=0.03)
     assert decimate(coarse, 5000) is coarse
-
-
-def test_little_too_much_is_decimated_to_what_a_mesh_may_have() -> None:
-    spec = SolidSpec(lattice_pitch_mm=0.85)
-    fine = solidify(six(), spec)
-    most = int(len(fine.vertices_m) / 1.2)
-    coarse = decimate(fine, math.ceil(most / 1.5))
-    report = inspect(coarse)
-    assert 0.75 * most < len(coarse.vertices_m) <= most
-    assert (report.problem, report.bodies, report.genus) == (None, 1, 1)
-    distances = symmetric_distances_mm(coarse, fine)
-    assert distances.mean() <= 0.005
-    assert np.percentile(distances, 99.9) <= 0.1
-    assert coarse.volume_m3 == pytest.approx(fine.volume_m3, rel=0.001)

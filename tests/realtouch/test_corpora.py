@@ -14,19 +14,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
 import realtouch
 from realtouch.exchange import replay
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
-from tests.tactile_toolkit.toy import folder_bytes
 
 PLACES = {"fota": "fota/train", "sparsh": "sparsh/train", "anytouch": "anytouch"}
 
@@ -137,6 +134,7 @@ def zarr_array(group: zipfile.ZipFile, path: str) -> np.ndarray:
     return np.concatenate(chunks)[: stated["shape"][0]]
 
 
+@pytest.mark.one_at_a_desk
 def test_diffusion_policy_reads_the_replay_buffer(
     source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -208,32 +206,6 @@ def test_they_come_back_as_they_were(layout: Any, single_folder: Path, tmp_path:
         assert realtouch.load(tmp_path / "back", "test").ids.tolist() == (
             realtouch.load(single_folder, "test").ids.tolist()
         )
-
-
-@pytest.mark.parametrize("layout", [*PLACES, "replay"])
-def test_parts_and_damage_end_in_the_same_bytes(
-    layout: Any, single_folder: Path, tmp_path: Path, small_shards: None
-) -> None:
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    realtouch.export(single_folder, whole, layout, split="train")
-    for number in (1, 0):
-        realtouch.export(single_folder, parts, layout, split="train", part=Part(number, 2))
-    realtouch.export(single_folder, parts, layout, split="train", finish=True)
-    assert folder_bytes(parts) == folder_bytes(whole)
-    checked = realtouch.verify(parts)
-    assert (checked.ok, checked.rounds, checked.touches) == (True, 3, 15)
-    foreign = (path for path in (parts / layout).rglob("*.*") if not path.name.startswith("."))
-    victim = min(
-        path for path in foreign if path.suffix in (".tar", ".pkl", ".jpg", ".zip") and path.is_file()
-    )
-    content = bytearray(victim.read_bytes())
-    content[len(content) // 2] ^= 1
-    victim.write_bytes(content)
-    assert {finding.file for finding in realtouch.verify(parts).findings} == {str(victim.relative_to(parts))}
-    realtouch.export(single_folder, parts, layout, split="train", check=True)
-    assert folder_bytes(parts) == folder_bytes(whole)
-    realtouch.export(single_folder, parts, "flat", split="train", overwrite=True)
-    assert not (parts / layout).exists()
 
 
 def test_foreign_fota_has_poses_in_millimetres(tmp_path: Path) -> None:
@@ -321,17 +293,6 @@ def test_an_image_damaged_in_its_middle_is_named(
         realtouch.export(tmp_path / "cut", tmp_path / "out", layout)
 
 
-@pytest.mark.parametrize("layout", ["sparsh", "anytouch"])
-def test_a_round_of_two_sizes_has_no_background(layout: Any, single_rows: list[dict], tmp_path: Path) -> None:
-    def shrink(row: dict[str, Any], index: int) -> None:
-        first = {"bytes": factories.encode_jpeg(np.zeros((10, 20, 3), np.uint8)), "path": None}
-        row["sensor_image"] = [first, *row["sensor_image"][1:]]
-
-    factories.write_set(tmp_path / "two", {"train": single_rows[:1]}, "single", Layout(edit=shrink))
-    with pytest.raises(InputError, match=r"20 x 10, 96 x 72 pixels have no common background.*resize"):
-        realtouch.export(tmp_path / "two", tmp_path / "out", layout)
-
-
 def test_lines_that_cannot_be_used_are_left_out_and_named(single_folder: Path, tmp_path: Path) -> None:
     realtouch.export(single_folder, tmp_path / "there", "anytouch", split="train")
     home = tmp_path / "there" / "anytouch"
@@ -349,21 +310,6 @@ def test_lines_that_cannot_be_used_are_left_out_and_named(single_folder: Path, t
     ):
         with pytest.raises(InputError, match=words):
             realtouch.import_images(tmp_path / "back", tmp_path / "none", layout)  # type: ignore[arg-type]
-
-
-def test_a_file_of_fota_is_never_empty(single_rows: list[dict], tmp_path: Path, small_shards: None) -> None:
-    def cut(row: dict[str, Any], index: int) -> None:
-        if index == 1:
-            row["sensor_image"] = [{**each, "bytes": each["bytes"][:-400]} for each in row["sensor_image"]]
-
-    factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
-    with pytest.raises(IntegrityError, match=r"no round is left.*numbered without gaps"):
-        realtouch.export(tmp_path / "cut", tmp_path / "out", "fota")
-    left = realtouch.export(tmp_path / "cut", tmp_path / "lists", "anytouch")
-    assert left.split_table()["train"] == left.split_table()["train"] | {"rows": 10, "skipped": 1}
-    assert realtouch.verify(tmp_path / "lists").ok
-    table = pq.read_table(tmp_path / "lists" / "data")
-    assert {"file", "sha256", "meta_file", "meta_sha256"} < set(table.column_names)
 
 
 def test_a_replay_buffer_comes_back(source: Path, tmp_path: Path) -> None:
@@ -419,19 +365,3 @@ def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
     stated.write_text(stated.read_text().replace('"id": "zlib"', '"id": "blosc"'))
     monkeypatch.setitem(sys.modules, "numcodecs.blosc", None)
     refused(MissingExtraError, "reading this Zarr group needs the package 'numcodecs'.*the extra `zarr`")
-
-
-def test_a_replay_buffer_that_zarr_wrote_is_read(tmp_path: Path) -> None:
-    """A folder, with another compressor and names of its own, as Diffusion Policy saves it."""
-    zarr = pytest.importorskip("zarr", reason="needs zarr, of the extra zarr")
-    frames = np.random.default_rng(0).integers(0, 256, (5, 24, 32, 3), np.uint8)
-    group = zarr.open_group(tmp_path / "other.zarr", mode="w", zarr_format=2)
-    group.create_array("data/camera", data=frames, chunks=(2, 24, 32, 3))
-    group.create_array("data/digit", data=np.array([3, 3, 3, 7, 7]))
-    group.create_array("meta/episode_ends", data=np.array([3, 5]))
-    columns = realtouch.ImportColumns(image="camera", label="digit")
-    realtouch.import_images(tmp_path / "other.zarr", tmp_path / "back", "replay", columns)
-    back = realtouch.load(tmp_path / "back", "train")
-    assert (back.ids.tolist(), back.labels.tolist()) == (["episode-000000", "episode-000001"], [3, 7])
-    for touch, frame in zip(back.touches(), frames, strict=True):
-        assert np.array_equal(touch.image, frame)

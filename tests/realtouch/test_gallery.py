@@ -12,7 +12,6 @@ from PIL import Image
 import realtouch
 from realtouch.gallery import plan_gallery
 from tactile_toolkit.catalog import Chosen
-from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, files_of, index_of
@@ -95,29 +94,6 @@ def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
     build_site(plan_gallery(str(tmp_path / "bare")), str(tmp_path / "site"))
     assert column(index_of(tmp_path / "site"), "Touches with contact") == [["unknown"]] * 3
     assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
-
-
-def test_a_set_without_metadata_is_shown_too(single_rows, tmp_path):
-    names = [name for name in single_rows[0] if name.startswith("info.")]
-    assert names
-    factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", Layout(leave_out=tuple(names)))
-    build_site(plan_gallery(str(tmp_path / "bare")), str(tmp_path / "site"))
-    assert column(index_of(tmp_path / "site"), "Gel") == [["unknown"]] * 3
-
-
-def test_a_damaged_picture_is_named_and_nothing_is_left(single_rows, tmp_path):
-    def cut(row: dict, _index: int) -> None:
-        row["sensor_image"] = [{"bytes": b"\xff\xd8 no jpeg", "path": "0.jpg"}, *row["sensor_image"][1:]]
-
-    factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
-    with pytest.raises(IntegrityError, match="touch 0"):
-        build_site(plan_gallery(str(tmp_path / "cut")), str(tmp_path / "site"))
-    assert [entry.name for entry in tmp_path.iterdir()] == ["cut"]
-
-
-def test_no_touches_are_refused(seq_folder):
-    with pytest.raises(InputError, match="--touches is 0; expected 1 or more"):
-        plan_gallery(str(seq_folder), touches=0)
 
 
 @pytest.mark.browser

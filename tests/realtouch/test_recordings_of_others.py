@@ -53,17 +53,6 @@ def test_tables_of_spreadsheets_and_other_systems(
     assert bytes(found[1].sensor_image.encoded(0)) == (home / "pictures" / "1.jpg").read_bytes()
 
 
-def test_a_table_is_named_from_the_working_folder(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_table(home, [line("pictures/0.jpg", "inside")])
-    write_table(tmp_path, [line("pictures/1.jpg", "outside")], "mine.csv")
-    monkeypatch.chdir(tmp_path)
-    for name, label in ((None, "inside"), ("mine.csv", "outside"), ("home/index.csv", "inside")):
-        out = tmp_path / f"out {name and name[0]}"
-        assert imported(home, out, table=name).label_names == (label,)
-
-
 def poses_in(unit: str, scale: float, decimal: str = ".") -> list[dict[str, str]]:
     """Return a line whose pose is (0.01, -0.02, 0.003) m, in columns that end in a unit or say none."""
     ending = f"_{unit}" if unit else ""
@@ -307,16 +296,6 @@ def test_no_importer_opens_what_is_no_file_below_the_source(home: Path, tmp_path
             ):
                 realtouch.import_images(source, tmp_path / "none", layout)  # type: ignore[arg-type]
             assert not (tmp_path / "none").exists()
-
-
-def test_the_user_may_name_a_link(home: Path, tmp_path: Path) -> None:
-    write_table(home, [line("pictures/0.jpg")])
-    write_tar(tmp_path / "real.tar", [("a.jpg", picture(1))])
-    (tmp_path / "folder").symlink_to(home)
-    (tmp_path / "linked.tar").symlink_to(tmp_path / "real.tar")
-    (tmp_path / "table.csv").symlink_to(home / "index.csv")
-    assert len(imported(tmp_path / "folder", tmp_path / "1", table=str(tmp_path / "table.csv"))) == 1
-    assert len(imported(tmp_path / "linked.tar", tmp_path / "2", layout="webdataset")) == 1
 
 
 def test_what_is_stored_holds_no_text_of_libraries_nor_addresses_of_objects(

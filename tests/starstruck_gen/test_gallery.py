@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import io
-import pickle
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,6 @@ from PIL import Image
 import starstruck_gen
 from starstruck_gen.gallery import plan_gallery
 from tactile_toolkit.catalog import Chosen
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, files_of, index_of
@@ -76,17 +74,6 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
     mesh = content_of(tmp_path / "site", 0)["mesh"]
     assert mesh["parts"] == [[mesh["face_count"], "other"]]  # none is painted as a star
     assert (files_of(tmp_path / "site") / "thumbs" / "000005.png").stat().st_size > 200
-
-
-def test_tasks_travel(folder, tmp_path):
-    chosen = Chosen(per_class=2)
-    for task in plan_gallery(str(folder), chosen).tasks:
-        assert pickle.loads(pickle.dumps(task)).make() == task.make()
-
-
-def test_a_split_that_is_not_there_is_named(folder):
-    with pytest.raises(InputError, match="no split 'holdout'"):
-        plan_gallery(str(folder), Chosen("holdout"))
 
 
 @pytest.mark.browser

@@ -20,10 +20,8 @@ from starstruck_gen.spec import SceneSpec
 from starstruck_gen.validate import validate_folder
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.making import plan_build
-from tactile_toolkit.run import ProcessRunner
-from tactile_toolkit.store import DataFolder, inspect_job, manifest_so_far, read_manifest, verify
+from tactile_toolkit.store import DataFolder, inspect_job, read_manifest, verify
 from tests.command_line import call
-from tests.processes import start_held
 
 
 @cache
@@ -88,18 +86,6 @@ def test_statistics_are_those_of_all_scenes(whole):
     assert sum(stored["distractors"]) == stored["objects"][0] == 2_100
 
 
-def test_scenes_are_small(whole):
-    for counts in read_manifest(DataFolder(str(whole))).split_table().values():
-        limit = 1_500 if counts["rows"] > 100 else 2_500
-        assert counts["bytes"] / counts["rows"] < limit
-
-
-def test_bytes_do_not_depend_on_workers_or_order(whole, tmp_path):
-    generate(small(), str(tmp_path / "parts"), ("test",))
-    generate(small(), str(tmp_path / "parts"), ("train",), workers=ProcessRunner(2))
-    assert folder_hashes(tmp_path / "parts") == folder_hashes(whole)
-
-
 def test_limit_gives_the_first_rows(whole, tmp_path):
     generate(replace(small(), limit=10), str(tmp_path / "few"))
     few = pq.read_table(tmp_path / "few" / "data" / "train-00000-of-00001.parquet")
@@ -125,75 +111,11 @@ def test_another_seed_or_specification_is_refused_and_named(whole):
     assert folder_hashes(whole) == before
 
 
-def test_second_run_makes_nothing(whole):
-    state = inspect_job(DataFolder(str(whole)), plan_build(SceneMaking(small()), ("train", "test")))
-    assert state.remaining == ()
-    calls = []
-    generate(small(), str(whole), on_progress=calls.append)
-    assert [(call.done, call.total) for call in calls] == [(0, 0)]
-
-
-def test_killed_run_resumes_to_the_same_bytes(tmp_path):
-    spec = GenerateSpec(scenes=(("train", 2_000), ("test", 10)))
-    words = (
-        "generate",
-        "--quiet",
-        "--scenes",
-        "train=2000,test=10",
-        "--workers",
-        1,
-        "--out",
-        tmp_path / "killed",
-    )
-    process = start_held("starstruck", 1, tmp_path / "held", *words)
-    process.kill()
-    process.communicate()
-    state = inspect_job(
-        DataFolder(str(tmp_path / "killed")), plan_build(SceneMaking(spec), ("train", "test"))
-    )
-    assert 1 <= len(state.finished) < len(state.finished) + len(state.remaining) == 3
-    generate(spec, str(tmp_path / "killed"))
-    generate(spec, str(tmp_path / "whole"), workers=1)
-    assert folder_hashes(tmp_path / "killed") == folder_hashes(tmp_path / "whole")
-
-
 def test_impossible_specification_leaves_nothing_behind(tmp_path):
     crowded = GenerateSpec(scene=SceneSpec(stars=(1, 40), restarts=5))
     with pytest.raises(SamplingExhausted, match="a star"):
         generate(crowded, str(tmp_path / "set"))
     assert not (tmp_path / "set").exists()
-
-
-def test_exhausted_worker_says_so(tmp_path):
-    """The error of a worker process reaches the caller as what it is."""
-    nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=4, restarts=3)
-    spec = GenerateSpec(scene=nearly, scenes=(("train", 2_000),), seed=1)
-    with pytest.raises(SamplingExhausted, match="of 8"):
-        generate(spec, str(tmp_path / "set"), ("train",), workers=2)
-    assert not (tmp_path / "set").exists()
-
-
-def test_scene_that_cannot_be_made_late_leaves_the_folder_free_for_another_specification(tmp_path):
-    nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=4, restarts=3)
-    with pytest.raises(
-        SamplingExhausted,
-        match=r"raise --cell-mm \(cell_m\), or in Python raise attempts or restarts of SceneSpec$",
-    ):
-        generate(GenerateSpec(nearly, (("train", 100),), seed=1), str(tmp_path), ("train",))
-    assert list(tmp_path.iterdir()) == []
-    assert generate(GenerateSpec(scenes=(("train", 3),)), str(tmp_path), ("train",)).complete
-
-
-def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept(tmp_path):
-    """Scene 2,304 of this split is the first that needs more restarts than are allowed."""
-    nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=10, restarts=4)
-    spec = GenerateSpec(nearly, (("train", 3_000),))
-    with pytest.raises(SamplingExhausted, match="of 8"):
-        generate(spec, str(tmp_path / "set"), ("train",))
-    so_far = manifest_so_far(DataFolder(str(tmp_path / "set")))
-    assert not so_far.complete
-    assert [record.shard.index for record in so_far.shards] == [0, 1]
-    assert summarise(so_far)["train"].classes == (2_000,)
 
 
 @pytest.mark.parametrize(
@@ -318,13 +240,6 @@ def test_validate_finds_what_is_wrong(whole, tmp_path, change, finding):
     assert checked.checked == 30
     assert [failure.id for failure in checked.failures] == [1_000_000_004]
     assert finding in checked.failures[0].problem
-
-
-def test_validate_refuses_what_holds_no_scenes(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
-        validate_folder(str(tmp_path / "nowhere"))
-    with pytest.raises(InputError, match="is empty; expected a data set"):
-        validate_folder(str(tmp_path))
 
 
 def test_a_dry_run_of_a_part_tells_what_that_part_would_make(tmp_path, capsys):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import starstruck_gen
-from starstruck_gen import SceneSpec, sample_scene, scene_rng
+from starstruck_gen import SceneSpec
 from starstruck_gen.make import GenerateSpec, generate
 from starstruck_gen.previews import plan_previews
 from starstruck_gen.scene import draw_scene
@@ -28,17 +28,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("previews") / "scenes"
     generate(GenerateSpec(crowded(), (("train", 9), ("test", 2)), seed=4), str(out))
     return out
-
-
-def test_the_plain_picture_is_as_before():
-    scene = sample_scene(SceneSpec(), scene_rng(5))
-    picture = np.asarray(draw_scene(scene.placements, (0.12, 0.12), 4.0))
-    assert picture.shape == (480, 480, 3)
-    assert np.array_equal(picture, np.asarray(scene.draw()))
-    for placement in scene.placements:
-        column, row = 240 + 4000 * placement.x_m, 240 - 4000 * placement.y_m
-        colour = (214, 140, 20) if placement.is_star else (92, 110, 132)
-        assert tuple(picture[int(row), int(column)]) == colour
 
 
 def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp_path):
@@ -105,14 +94,6 @@ def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     tops = {count: {row for each, (row, _) in places if each == count} for count in (1, 2, 3)}
     assert all(len(rows) == 1 for rows in tops.values())
     assert max(tops[1]) < max(tops[2]) < max(tops[3])
-
-
-def test_the_usual_pictures_are_sheets_of_all_splits(folder):
-    plan = plan_previews(str(folder), PreviewSpec())
-    assert [picture.name for picture in plan.pictures] == ["scenes-train-sheet.png", "scenes-test-sheet.png"]
-    assert len(plan_previews(str(folder), PreviewSpec(kinds=("all",))).pictures) == 2
-    with pytest.raises(InputError, match="no pictures of kind 'scene'; expected sheet or all"):
-        plan_previews(str(folder), PreviewSpec(kinds=("scene",)))
 
 
 def test_bad_input_is_named(folder, tmp_path):

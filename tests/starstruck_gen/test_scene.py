@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.loader import SceneDataset
 from starstruck_gen.placement import build_meshes, prism
 from starstruck_gen.sampling import sample_scenes
 from starstruck_gen.scene import Scene
@@ -98,20 +97,6 @@ def test_impossible_scene_is_refused_by_field(values, message):
         Scene.from_json(json.dumps(values))
 
 
-def test_scene_that_is_no_json_is_not_written():
-    scene = Scene.from_dict(_object())
-    broken = Scene(1, (scene.placements[0]._replace(x_m=math.nan),), (1,), 0)
-    with pytest.raises(InputError, match="not finite"):
-        broken.to_json()
-
-
-def test_mesh_is_that_of_a_record_as_trimesh():
-    record = SceneDataset(size=1)[0]
-    mesh = record.scene.mesh().to_trimesh()
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(record.mesh.volume)
-
-
 @pytest.mark.parametrize(
     ("text", "message"),
     [
@@ -153,15 +138,6 @@ def test_picture_shows_every_object_where_it_stands():
         red, _, blue = pixels[row, column].tolist()
         assert (red > blue) == placement.is_star
     assert pixels[0, 0].tolist() == pixels[-1, -1].tolist()
-
-
-def test_hole_of_a_ring_shows_the_plate():
-    values = {"shape": "ring", "x_m": 0, "y_m": 0, "angle_rad": 0, "radius_m": 0.01, "height_m": 0.005}
-    ring = Scene.from_dict({"star_count": 0, "placements": [values], "attempts": [1], "restarts": 0})
-    pixels = np.asarray(ring.draw(cell_m=(0.03, 0.02), px_per_mm=2.0))
-    assert pixels.shape == (40, 60, 3)
-    assert pixels[20, 30].tolist() == pixels[0, 0].tolist()
-    assert pixels[20, 30 + 15].tolist() != pixels[0, 0].tolist()
 
 
 def test_object_inside_a_hole_stays_visible():

@@ -107,6 +107,7 @@ def test_shapes_too_fine_for_stored_coordinates_are_refused_with_what_to_change(
         assert part in str(caught.value)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     "side_m", [*(pytest.param(side, marks=pytest.mark.thorough) for side in (0.16, 0.2, 0.4)), 0.24]
 )

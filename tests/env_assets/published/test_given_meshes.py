@@ -99,17 +99,6 @@ def test_meshes_of_another_split_are_not_taken(tmp_path, in_classes):
         env_assets.make("ABCVolume-Depth-test-v0", assets=tmp_path / "meshes")
 
 
-def test_the_fast_renderer_feels_the_same(folder):
-    images = []
-    for renderer in ("opengl", "fast"):
-        env = env_assets.make("Minecraft-Depth-v0", assets=folder, num_envs=2, renderer=renderer)
-        try:
-            images.append(np.array([step["sensor_img"] for step in roll(env, 8, 3).observations]))
-        finally:
-            env.close()
-    assert np.median(np.abs(images[0] - images[1])) < 1e-3
-
-
 def test_what_may_be_given(folder, tmp_path, packages, assets):
     """Folders of classes, one file, data sets by folder, opened ones, lists, and the package's own."""
     import datasets

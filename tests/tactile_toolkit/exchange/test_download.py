@@ -181,17 +181,6 @@ def test_another_data_set_is_not_overwritten(server, tmp_path):
     assert folder_bytes(own) == before
 
 
-def test_a_damaged_file_of_the_folder_is_fetched_again(server, tmp_path):
-    out = tmp_path / "out"
-    fetch(server, tmp_path, script(out=out))
-    shard = out / "data" / "train-00002-of-00004.parquet"
-    content = bytearray(shard.read_bytes())
-    content[50] ^= 1
-    shard.write_bytes(content)
-    assert fetch(server, tmp_path, script(out=out))[1] == ["data/train-00002-of-00004.parquet"]
-    assert verify(DataFolder(str(out)), SCHEMA).ok
-
-
 @pytest.mark.parametrize("to_folder", [False, True])
 def test_a_bit_that_the_disk_has_flipped_is_found_though_size_and_time_are_kept(server, tmp_path, to_folder):
     out = tmp_path / "out" if to_folder else None
@@ -203,13 +192,6 @@ def test_a_bit_that_the_disk_has_flipped_is_found_though_size_and_time_are_kept(
     os.utime(file, ns=(before.st_atime_ns, before.st_mtime_ns))
     assert fetch(server, tmp_path, script(BIG, out=out))[1:] == [[SHARD], [], False]
     assert Path(fetch(server, tmp_path, script(BIG, out=out))[0], SHARD).read_bytes() == CONTENT
-
-
-def test_unknown_splits_are_named(server, tmp_path):
-    code, kind, words = fetch(server, tmp_path, script(NAME, "trian", out=tmp_path / "out"))
-    assert (code, kind) == (2, "InputError")
-    assert "no split 'trian' in 'someone/toy': it has" in words
-    assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize("to_folder", [False, True])
@@ -279,15 +261,6 @@ def test_a_broken_connection_is_gone_on_with(server, tmp_path, reset):
         assert begins == [0, 1_000_000, 2_200_000]
 
 
-def test_an_answer_cut_short_is_asked_for_again(server, tmp_path):
-    server.faults.truncate(f"*/{SHARD}", at=2_000_000)
-    place = Path(fetch(server, tmp_path, script(BIG))[0])
-    assert (place / SHARD).read_bytes() == CONTENT
-    first, second = (request.sent for request in server.content_requests(SHARD))
-    # Early releases of the client continue within the file.
-    assert (first, second in (len(CONTENT), len(CONTENT) - first)) == (2_000_000, True)
-
-
 @pytest.mark.parametrize("kept_in_git", [False, True])
 def test_a_flipped_byte_is_repaired(server, tmp_path, kept_in_git):
     files = {"README.md": b"#", SHARD: CONTENT}
@@ -354,25 +327,6 @@ def test_offline(server, tmp_path):
     assert folder_bytes(out) == before
 
 
-def test_a_file_system_without_links(server, tmp_path):
-    before = (
-        "from huggingface_hub import file_download; file_download.are_symlinks_supported = lambda *_: False\n"
-    )
-    place = Path(fetch(server, tmp_path, script(BIG, before=before))[0])
-    assert (place / SHARD).read_bytes() == CONTENT
-    assert not (place / SHARD).is_symlink()
-    count = len(server.fetched)
-    assert fetch(server, tmp_path, script(BIG, before=before))[3] is True
-    assert fetch("http://127.0.0.1:9", tmp_path, script(BIG, before=before))[3] is True
-    assert len(server.fetched) == count
-
-
-def test_a_hub_in_trouble_does_not_stop_who_has_all(server, tmp_path):
-    fetch(server, tmp_path, script(NAME))
-    server.faults.fail("/api/*", 503, times=1)
-    assert fetch(server, tmp_path, script(NAME))[3] is True
-
-
 def test_private_and_gated(server, tmp_path):
     token, stranger = server.account("someone"), server.account("else")
     server.repository(BIG).private = True
@@ -387,9 +341,3 @@ def test_private_and_gated(server, tmp_path):
     for file in [file for file in tmp_path.rglob("*") if file.is_file()]:
         assert token.encode() not in file.read_bytes(), file
         assert stranger.encode() not in file.read_bytes(), file
-
-
-def test_a_bad_token_is_named_even_for_what_is_public(server, tmp_path):
-    code, _, words = fetch(server, tmp_path, script(BIG), "hf_NobodyHasThisToken0000")
-    assert code == 4
-    assert "needs a token that the Hub knows" in words

@@ -13,7 +13,7 @@ import pytest
 import trimesh
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.catalog import choose_rows, short_name
+from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.gallery import (
     THUMBNAIL_PX,
@@ -130,16 +130,6 @@ def test_a_relief_fills_its_tile_whatever_its_size(sides_m):
     assert relief_thumbnail(np.add(box.vertices, (0.5, -0.25, 1.0)), box.faces) == content
 
 
-def test_smoothed_edges_keep_the_colour_of_the_ink():
-    paper, ink = np.array([245.0, 243, 238]), np.array([40.0, 40, 40])
-    shares = np.linspace(0, 1, 9)[:, None]
-    pixels = np.round((1 - shares) * paper + shares * ink).astype(np.uint8)[None]
-    small = read_png(thumbnail(pixels, opaque_from=205))[0]
-    assert small[0, 3] == 0
-    assert np.abs(small[2:, :3].astype(int) - 40).max() <= 4
-    assert (np.diff(small[:, 3].astype(int)) > 0).all()
-
-
 def test_rows_are_chosen_per_class_then_limited():
     labels = np.array([1, 0, 1, 1, 0, 2])
 
@@ -161,12 +151,6 @@ def test_rows_are_chosen_per_class_then_limited():
 def test_values_are_in_the_order_people_count_in():
     counted = ["9", "10", "-1", "a01", "a1", "a10"]
     assert sorted(set(counted), key=natural_key) == counted
-
-
-def test_a_site_does_not_tell_where_the_data_set_lay(tmp_path):
-    (tmp_path / "secret" / "digits").mkdir(parents=True)
-    assert short_name(str(tmp_path / "secret" / "digits")) == "digits"
-    assert short_name("somebody/touches") == "somebody/touches"
 
 
 def test_values_of_a_facet_stand_in_their_order_and_unknown_ones_are_named():

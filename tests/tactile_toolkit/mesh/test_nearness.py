@@ -190,6 +190,7 @@ def two_hulls(rng: np.random.Generator) -> Any:
 SOLIDS = [sheared_box, wedge, two_blocks_joined, cut_from_both_sides, dented, flat_ball, two_hulls]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("make", SOLIDS)
 @settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
@@ -198,6 +199,7 @@ def test_no_wall_is_left_out(make: Any, seed: int) -> None:
     require_same(turned(vertices, seed), faces)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     "taper_deg", [*(pytest.param(taper, marks=pytest.mark.thorough) for taper in (15, 17)), 18]
 )

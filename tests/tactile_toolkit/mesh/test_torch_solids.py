@@ -145,21 +145,6 @@ def workers_give_what_this_process_gives(form: Any, method: str, workers: int) -
         start += len(vertices)
 
 
-def test_epochs_reach_workers_that_live_on() -> None:
-    from torch.utils.data import DataLoader
-
-    from starstruck_gen.torch import SceneTensors
-
-    data = SceneTensors(SCENES, points=20, target=None)
-    loader = DataLoader(data, batch_size=6, num_workers=1, persistent_workers=True)
-    (first,), (again,) = list(loader), list(loader)
-    data.set_epoch(5)
-    (other,) = list(loader)
-    assert torch.equal(first, again)
-    assert torch.equal(other, torch.stack([data[index] for index in range(6)]))
-    assert not torch.equal(other, first)
-
-
 def test_what_cannot_be_is_refused() -> None:
     from starstruck_gen.torch import SceneTensors
 

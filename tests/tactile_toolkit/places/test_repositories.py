@@ -87,11 +87,6 @@ def test_a_folder_of_a_repository_is_opened_by_its_address(server, tmp_path):
     assert server.fetched == [LARGE]
 
 
-def test_the_kind_of_data_costs_no_request_of_its_own(server, tmp_path):
-    assert opened(server, tmp_path, "'someone/named'") == ["realtouch", "train", 2]
-    assert server.fetched == [SMALL]
-
-
 @pytest.mark.parametrize(
     "name", ["../../victim.parquet", "data/../x.parquet", "C:\\x.parquet", "con/x.parquet"]
 )

@@ -10,8 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import readable
 from tests.forked import run_forked
 
 CODE = """
@@ -100,9 +98,3 @@ def test_a_folder_is_not_called_damaged(tmp_path: Path, name: str) -> None:
             raise AssertionError
     """
     run_forked(code, tmp_path, name)
-
-
-def test_too_little_memory_is_named_with_the_file() -> None:
-    words = "'a' cannot be read: Cannot allocate memory; next: end programs"
-    with pytest.raises(InputError, match=words), readable("a"):
-        raise MemoryError

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator, Sequence
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +13,6 @@ import starstruck_gen
 from realtouch.dataset import TouchSingleDataset
 from starstruck_gen.loader import MadeScenes
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.mesh import RecordStream
 from tactile_toolkit.read import ChosenGroups, Row, RowGroup, RowSource, Shard, ShardedTable, all_blocks
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -85,11 +82,3 @@ def test_rows_before_the_damage_of_their_row_group_are_left_out_with_it(
     whole = realtouch.load(shard.path, on_error="skip")
     assert [record._row.number for record in whole] == [0, 1, 4, 5]
     assert [(damage.row, damage.touch) for damage in whole.skipped] == [(2, None)]
-
-
-def test_scenes_that_are_made_are_a_stream_too() -> None:
-    scenes = starstruck_gen.SceneDataset(size=5, seed=3)
-    stream: Any = RecordStream(scenes._table.shards, scenes.record_class, ())
-    assert list(stream) == list(scenes)
-    assert Path(scenes._table.shards[0].path) == Path()
-    assert scenes._table.files == ()

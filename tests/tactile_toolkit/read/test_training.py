@@ -10,7 +10,6 @@ import socket
 import subprocess
 import sys
 import textwrap
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +21,6 @@ from hypothesis import given, strategies as st
 
 import realtouch
 import starstruck_gen
-from tactile_toolkit.bounds import CACHE_LIMIT_VARIABLE
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
@@ -270,20 +268,6 @@ def test_impossible_numbers_are_refused(rows: Rows, options: dict[str, Any], fou
         TrainingBatches([1, 2], 2)
 
 
-def test_a_loader_without_workers_needs_no_shared_memory(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = [each for batch in batches_of(rows) for each in batch]
-
-    def refuse(_: object) -> None:
-        message = "unable to open shared memory object in read-write mode: Read-only file system (30)"
-        raise RuntimeError(message)
-
-    monkeypatch.setattr(torch.Tensor, "share_memory_", refuse)
-    batches = batches_of(rows)
-    loader = torch.utils.data.DataLoader(batches, batch_size=None)
-    assert [each for batch in loader for each in batch] == expected
-    assert batches.epoch == 1
-
-
 def test_ranks_are_those_of_the_launcher(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (batches_of(rows).rank, batches_of(rows).world_size) == (0, 1)
     monkeypatch.setenv("RANK", "3")
@@ -371,39 +355,6 @@ def test_damage_is_named_where_it_is_met(tmp_path: Path) -> None:
     damaged.write_bytes(content)
     with pytest.raises(IntegrityError, match="train-00004"):
         list(batches_of(rows))
-
-
-def test_no_more_than_two_windows_are_unpacked_ahead(
-    paths: list[str], tmp_path: Path, monkeypatch: Any
-) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    rows = Rows(ShardedTable(tuple(map(Shard, paths))))
-    passing = iter(batches_of(rows, window=1))
-    _ = next(passing)
-    passing.close()
-    largest = sorted((len(Shard(path).group_starts) - 1 for path in paths), reverse=True)
-    unpacked = list((tmp_path / "cache" / "blocks").glob("*.arrow"))
-    assert 1 <= len(unpacked) <= largest[0] + largest[1]
-
-
-def test_a_cache_that_is_too_small_or_not_there_costs_speed_only(
-    paths: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = Rows(ShardedTable(tuple(map(Shard, paths))))
-    expected = epoch_ids(rows, 0)
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "small"))
-    monkeypatch.setenv(CACHE_LIMIT_VARIABLE, "0")
-    assert flat(batches_of(Rows(ShardedTable(tuple(map(Shard, paths)))))) == expected
-    monkeypatch.delenv(CACHE_LIMIT_VARIABLE)
-    (tmp_path / "file").touch()
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        assert flat(batches_of(Rows(ShardedTable(tuple(map(Shard, paths)))))) == expected
-    monkeypatch.setenv(CACHE_LIMIT_VARIABLE, "much")
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "other"))
-    with pytest.raises(InputError, match="expected an integer of MiB"):
-        flat(batches_of(Rows(ShardedTable(tuple(map(Shard, paths))))))
 
 
 UNPACK = """

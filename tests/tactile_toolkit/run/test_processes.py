@@ -30,8 +30,8 @@ from tactile_toolkit.errors import (
     ToolkitError,
 )
 from tactile_toolkit.run import skip_pandas
-from tactile_toolkit.run.processes import ProcessRunner, unpack_result
-from tests.processes import PATIENCE_S, alive, printed_by
+from tactile_toolkit.run.processes import ProcessRunner
+from tests.processes import PATIENCE_S, alive
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -123,6 +123,7 @@ class Missing:
         return import_module, ("nowhere_to_be_found",)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("function", "task", "error", "words"),
     [
@@ -147,13 +148,6 @@ def test_an_exception_tells_where_in_the_worker_it_was_raised() -> None:
     assert "in fails\n    raise ZeroDivisionError" in raised.value.__notes__[0]
 
 
-def test_what_is_known_of_a_failed_task_is_noted_on_its_error() -> None:
-    with pytest.raises(InputError, match="what") as raised:
-        unpack_result(pickle.dumps((None, InputError("what"))), "task 3", "on machine b")
-    assert raised.value.__notes__ == ["task 3", "on machine b"]
-    assert unpack_result(pickle.dumps((5, None)), "task 3") == 5
-
-
 def large(size: int) -> bytes:
     return bytes(size)
 
@@ -162,6 +156,7 @@ def size_of(content: bytes) -> int:
     return len(content)
 
 
+@pytest.mark.thorough
 def test_tasks_and_answers_may_be_larger_than_a_pipe_holds() -> None:
     assert [len(answer) for answer in ProcessRunner(2).run(large, [10_000_000] * 4)] == [10_000_000] * 4
     assert list(ProcessRunner(2).run(size_of, [bytes(10_000_000)] * 4)) == [10_000_000] * 4
@@ -184,25 +179,6 @@ def test_an_iterator_that_is_closed_stops_the_work(tmp_path: Path) -> None:
     results.close()
     assert not any(alive(int(file.name)) for file in tmp_path.iterdir())
     assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_a_run_without_tasks_or_workers() -> None:
-    assert list(ProcessRunner(3).run(operator.neg, [])) == []
-    with pytest.raises(InputError, match="the number of workers is 0; expected at least 1"):
-        ProcessRunner(0)
-
-
-def test_workers_and_command_lines_do_without_pandas() -> None:
-    code = """
-import sys
-from tactile_toolkit.run.threads import skip_pandas
-skip_pandas()
-import pyarrow as pa
-pa.array([1, 2]), pa.Table.from_pylist([{"x": "a"}])
-assert "pandas" not in sys.modules
-import pandas  # whoever wants it has it
-"""
-    printed_by(code)
 
 
 def test_pyarrow_misses_no_package_but_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,6 +215,7 @@ def test_errors_cross_the_border_of_a_process(error: Exception) -> None:
     assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("finished", "doomed"),
     [
@@ -273,6 +250,7 @@ def begins(folder: Path, dies_first: bool) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.thorough
 def test_a_worker_that_dies_takes_no_other_with_it(tmp_path: Path) -> None:
     assert list(ProcessRunner(2).run(partial(begins, tmp_path), [False, True])) == [None, None]
     assert (tmp_path / "False").read_text().split() == ["begun"]

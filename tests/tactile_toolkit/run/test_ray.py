@@ -374,16 +374,6 @@ def test_where_no_cluster_answers_nothing_is_written(tmp_path: Path, listens: bo
 
 
 @all_of(needs_ray)
-def test_the_environment_says_which_cluster_is_meant(tmp_path: Path) -> None:
-    for address, words in (
-        ("127.0.0.1:1", "no Ray cluster can be joined at 127.0.0.1:1: "),
-        ("ray://head:10001", "'ray://head:10001' is not the address of a Ray cluster"),
-    ):
-        assert words in printed_by(REFUSED, tmp_path / "set", RAY_ADDRESS=address)
-    assert not (tmp_path / "set").exists()
-
-
-@all_of(needs_ray)
 @pytest.mark.parametrize("address", ["ray://head:10001", "head", "head:", ":6379", "head:six", "head:123456"])
 def test_addresses_are_refused_that_are_none(address: str) -> None:
     with pytest.raises(InputError, match=r"is not the address of a Ray cluster; expected HOST:PORT.*next: "):

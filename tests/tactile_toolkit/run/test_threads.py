@@ -46,6 +46,7 @@ assert len(tactile_toolkit.store.parquet.read_report(DataFolder(sys.argv[1]), "r
 }
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
 @pytest.mark.parametrize("what", READS)
 def test_reading_starts_no_thread(tmp_path, what):
@@ -56,26 +57,6 @@ def test_reading_starts_no_thread(tmp_path, what):
         [sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-
-
-LIMITED = """
-import pathlib
-from tactile_toolkit.run.threads import limit_threads
-limit_threads()
-import numpy
-numpy.ones((500, 500)) @ numpy.ones((500, 500))
-print(len(list(pathlib.Path("/proc/self/task").iterdir())))
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
-def test_a_process_that_is_limited_starts_no_threads_for_sums():
-    """Machines of one core prove nothing here: their libraries start none by themselves."""
-    settings = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED], env=settings, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "1"
 
 
 # OpenBLAS is loaded with pyarrow, before a command begins; what is left are the threads of manifold3d.
@@ -123,6 +104,7 @@ def ball() -> Mesh:
     return Mesh(found.vertices.astype("float32"), found.faces.astype("int32"))
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
 def test_workers_limit_threads_before_their_first_task():
     for before, after in ProcessRunner(2).run(threads_of_a_check, [0, 1]):

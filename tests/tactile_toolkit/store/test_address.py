@@ -82,6 +82,7 @@ def test_an_address_of_this_machine_is_a_local_folder(tmp_path):
     assert folder.sizes() == {}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("address", "words"),
     [

@@ -58,13 +58,6 @@ def test_bytes_do_not_depend_on_workers(tmp_path, workers):
     assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "many")
 
 
-def test_splits_can_be_made_in_any_order(tmp_path):
-    make(tmp_path / "whole")
-    for split in ("test", "train"):
-        make(tmp_path / "parts", toy_plan((split,)))
-    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "parts")
-
-
 def test_second_run_changes_nothing(tmp_path):
     make(tmp_path / "set")
     before = {f: f.stat().st_mtime_ns for f in (tmp_path / "set").rglob("*") if f.is_file()}
@@ -90,6 +83,7 @@ def test_failure_keeps_finished_shards_and_the_next_run_goes_on(tmp_path):
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("damage", ["cut", "flip", "remove"])
 @pytest.mark.parametrize("victim", ["data/train-00001-of-00004.parquet", "reports/toy.parquet"])
 def test_damaged_file_is_found_and_made_again(tmp_path, damage, victim):
@@ -107,17 +101,6 @@ def test_damaged_file_is_found_and_made_again(tmp_path, damage, victim):
     make(tmp_path / "set", check=damage == "flip")
     assert verify(folder, SCHEMA).ok
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
-
-
-@pytest.mark.parametrize("share", [0.05, 0.25, 0.5, 0.75])
-def test_a_report_of_which_one_byte_changed_is_made_again(tmp_path, share):
-    whole = make(tmp_path / "set") and folder_bytes(tmp_path / "set")
-    report = tmp_path / "set" / "reports" / "toy.parquet"
-    content = bytearray(report.read_bytes())
-    content[int(share * len(content))] ^= 1
-    report.write_bytes(bytes(content))
-    make(tmp_path / "set")
-    assert folder_bytes(tmp_path / "set") == whole
 
 
 def test_another_spec_is_refused_and_named(tmp_path):
@@ -138,28 +121,12 @@ def test_folder_with_strange_files_is_never_touched(tmp_path, overwrite):
     assert folder_bytes(tmp_path) == {"thesis.tex": b"years of work"}
 
 
-def test_file_in_place_of_the_folder(tmp_path):
-    (tmp_path / "set").write_text("")
-    with pytest.raises(InputError, match="is a file, a folder was expected"):
-        make(tmp_path / "set")
-
-
 def test_damaged_manifest_is_named(tmp_path):
     make(tmp_path / "set")
     (tmp_path / "set" / "manifest.json").write_text('{"schema_version": 1')
     with pytest.raises(IntegrityError, match=r"manifest\.json' is damaged: "):
         make(tmp_path / "set")
     assert gc.isenabled(), "manifests are read without collecting garbage"
-
-
-def test_dead_worker_is_replaced(tmp_path):
-    make(tmp_path / "whole")
-    flag = tmp_path / "died"
-    plan = toy_plan()
-    tasks = (replace(plan.tasks[0], die_once=str(flag)), *plan.tasks[1:])
-    make(tmp_path / "set", replace(plan, tasks=tasks), workers=ProcessRunner(2))
-    assert flag.exists()
-    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
 
 class Forgetful:
@@ -191,6 +158,7 @@ def test_a_set_is_complete_only_with_the_shards_of_all_tasks(tmp_path):
         make(tmp_path / "part", part=Part(0, 2), workers=Forgetful(1))
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("shards", NUMBERS)
 def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, shards):
     make(tmp_path / "whole")
@@ -218,6 +186,7 @@ def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, sh
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
 
+@pytest.mark.thorough
 def test_task_that_always_kills_its_worker_ends_the_run(tmp_path):
     plan = toy_plan(("test",))
     tasks = (replace(plan.tasks[0], die_always=True), plan.tasks[1])
@@ -382,18 +351,6 @@ def test_workers_leave_with_a_killed_parent(tmp_path):
     process.kill()
     process.wait()
     wait_until_gone(workers)
-
-
-def test_half_written_receipt_of_a_killed_writer_is_no_receipt(tmp_path):
-    make(tmp_path / "whole")
-    plan = toy_plan()
-    broken = replace(plan.tasks[1], error=StorageError("stop"))
-    with pytest.raises(StorageError):
-        make(tmp_path / "set", replace(plan, tasks=(plan.tasks[0], broken)))
-    parts = tmp_path / "set" / ".pending"
-    (parts / "tmp-0123456789abcdef0123456789abcdef").write_text('{"file": "data/tr')
-    make(tmp_path / "set")
-    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
 
 
 def test_other_versions_of_libraries_are_not_mixed(tmp_path, monkeypatch):

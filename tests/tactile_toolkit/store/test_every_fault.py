@@ -244,6 +244,7 @@ def check(name: str, tmp_path: Path, drawn: int | None) -> None:
         disturb(command, tmp_path / "set", case, expected)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_fault_at_any_point(name: str, tmp_path: Path) -> None:
     """At a desk at twenty points, always the same ones; with `-m ""` at all."""

@@ -108,6 +108,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 needs_list = pytest.mark.skipif(not Path("/proc/locks").exists(), reason="asks Linux who holds a lock")
 
 
+@pytest.mark.one_at_a_desk
 @needs_list
 @pytest.mark.parametrize("how", ["alone", "shared"])
 @pytest.mark.parametrize("is_patient", [False, True])
@@ -124,6 +125,7 @@ def test_who_waits_for_a_stopped_process_is_told_which(
         pass
 
 
+@pytest.mark.thorough
 @needs_list
 def test_who_is_patient_waits_for_a_process_that_is_at_work(tmp_path: Path, clock: Clock) -> None:
     with held(tmp_path, is_stopped=False) as process:
@@ -165,6 +167,7 @@ def stopped_beside(place: Path, moment: str) -> BusyError:
         return caught.value
 
 
+@pytest.mark.one_at_a_desk
 @needs_list
 @pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 6)])
 def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: str, finished: int) -> None:
@@ -175,15 +178,6 @@ def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: s
     build(DataFolder(str(tmp_path / "set")), toy_plan())
     build(DataFolder(str(tmp_path / "whole")), toy_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
-
-
-@needs_list
-def test_a_run_that_cannot_begin_waits_once(tmp_path: Path, clock: Clock) -> None:
-    for options in ({}, {"overwrite": True}):
-        with held(tmp_path), pytest.raises(BusyError, match="which was stopped, holds"):
-            build(DataFolder(str(tmp_path)), toy_plan(), **options)
-        assert 60 <= clock.now_s < 61
-        clock.now_s = 0.0
 
 
 @needs_list

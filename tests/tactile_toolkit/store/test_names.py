@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import pytest
@@ -166,15 +165,6 @@ def test_a_wild_manifest_is_refused_and_nothing_is_touched(finished, tmp_path, f
     assert (tmp_path / "victim").read_text() == "years of work"
 
 
-def test_what_systems_leave_in_a_finished_set_is_passed_over(finished: Path) -> None:
-    (finished / "data" / "Thumbs.db").touch()
-    (finished / "desktop.ini").touch()
-    assert not verify(DataFolder(str(finished))).findings
-    before = folder_bytes(finished)
-    build(DataFolder(str(finished)), toy_plan())
-    assert folder_bytes(finished) == before
-
-
 @pytest.mark.parametrize("digest", ["../../../evil", "0" * 63, "0" * 64 + "\n", "G" * 64, 0, None])
 @pytest.mark.parametrize("field", ["files", "shards"])
 def test_digests_of_a_manifest_are_digests(finished, field, digest):
@@ -194,17 +184,6 @@ def test_overwriting_removes_only_what_sets_of_ours_have(finished, name):
     before = folder_bytes(finished)
     with pytest.raises(InputError, match=rf"more than a data set .*\(found '{name}.*nothing was changed"):
         build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), overwrite=True)
-    assert folder_bytes(finished) == before
-
-
-def test_a_new_set_does_not_take_over_a_folder_of_somebody(finished):
-    """The pictures of the new set would lie in `images`; those that lie there are not of the former one."""
-    photo = finished / "images" / "2019" / "beach" / "001.png"
-    photo.parent.mkdir(parents=True)
-    photo.write_bytes(b"sand")
-    before, plan = folder_bytes(finished), replace(toy_plan(spec={"seed": 2}), extra_dirs=("images",))
-    with pytest.raises(InputError, match=r"found 'images/2019/beach/001\.png'\); nothing was changed"):
-        build(DataFolder(str(finished)), plan, overwrite=True)
     assert folder_bytes(finished) == before
 
 

@@ -44,6 +44,7 @@ def fresh(tmp_path_factory):
     return {seed: folder_bytes(base / str(seed)) for seed in (10, 20)}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
 @pytest.mark.parametrize("shards", [0, 1, 4, 6])
 def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runner, shards):
@@ -106,18 +107,6 @@ def test_the_first_of_two_that_create_a_file_wins_on_file_systems_without_links_
         folder.create_bytes("manifest.json", content)
         assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
         assert (tmp_path / "manifest.json").read_bytes() == b"first"
-
-
-def test_undoing_leaves_what_a_run_of_the_same_set_has_made(tmp_path, fresh):
-    """Its manifest is the same to the byte."""
-
-    def hold(progress):
-        make(tmp_path / "set", seeded(10))
-        raise InputError("no place for the third object")
-
-    with pytest.raises(InputError, match="third object"):
-        make(tmp_path / "set", seeded(10), on_progress=hold)
-    assert folder_bytes(tmp_path / "set") == fresh[10]
 
 
 # Two runs: when the first touches the folder for the n-th time, the second begins, and ends before the first
@@ -247,61 +236,7 @@ def test_at_every_moment_another_run_leaves_one_finished_set(tmp_path, scenario)
     assert first > 0 or scenario.startswith("undone")
 
 
-# Started at the same moment, without any order between them.
-AT_ONCE = """
-import os, shutil, sys
-from pathlib import Path
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
-from tests.tactile_toolkit.store.test_ownership import seeded
-from tests.tactile_toolkit.toy import folder_bytes
-
-base, overwrite, attempts = Path(sys.argv[1]), sys.argv[2] == "overwrite", int(sys.argv[3])
-seeds = (10, 20, 30)
-whole = {}
-for seed in seeds:
-    build(DataFolder(str(base / str(seed))), seeded(seed))
-    whole[seed] = folder_bytes(base / str(seed))
-for attempt in range(attempts):
-    place = base / "set"
-    if overwrite:
-        shutil.copytree(base / "10", place)
-    ready, start = os.pipe()
-    runs = {}
-    for seed in seeds:
-        runs[os.fork()] = seed
-        if 0 in runs:
-            os.close(start)
-            os.read(ready, 1)
-            try:
-                build(DataFolder(str(place)), seeded(seed), overwrite=overwrite)
-                os._exit(0)
-            except InputError:
-                os._exit(2)
-            finally:
-                os._exit(1)
-    os.close(ready)
-    os.close(start)
-    ended = {}
-    for process, seed in runs.items():
-        ended[seed] = os.waitstatus_to_exitcode(os.waitpid(process, 0)[1])
-    assert set(ended.values()) <= {0, 2}, ended
-    done = [seed for seed in seeds if ended[seed] == 0]
-    assert len(done) == 1 or (overwrite and done), ended
-    assert folder_bytes(place) in [whole[seed] for seed in done], ended
-    shutil.rmtree(place)
-print("fine")
-"""
-
-
-@pytest.mark.parametrize("how", ["create", "overwrite"])
-def test_of_runs_that_start_at_once_those_that_succeed_leave_their_set(tmp_path, how):
-    attempts = min(settings.default.max_examples // 4, 20)
-    assert printed_by(AT_ONCE, tmp_path, how, attempts) == "fine\n"
-
-
+@pytest.mark.thorough
 def test_a_command_whose_set_was_replaced_says_so_in_one_sentence(tmp_path, capfd):
     place, marker = tmp_path / "set", tmp_path / "held"
     words = ("generate", "--scenes", "3000", "--split", "train", "--out", place)
@@ -319,6 +254,7 @@ def test_a_command_whose_set_was_replaced_says_so_in_one_sentence(tmp_path, capf
     assert call("starstruck", "verify", place) == 0
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("beside", [("--workers", 1), ("--finish",), ("--check",)])
 def test_a_set_that_another_process_is_about_to_replace_is_left_to_it(tmp_path, capfd, beside):
     """Runs of the set that is there have nothing to do, and remove nothing of the other one."""
@@ -342,17 +278,3 @@ def test_a_set_that_another_process_is_about_to_replace_is_left_to_it(tmp_path, 
     assert json.loads(after["manifest.json"])["spec"]["seed"] == 2
     assert not [path for path in after if path.startswith(".")]
     assert call("starstruck", "verify", place) == 0
-
-
-def test_what_a_killed_run_was_about_to_put_in_place_goes_with_the_next_one(tmp_path):
-    place, marker = tmp_path / "set", tmp_path / "held"
-    words = ("generate", "--scenes", "600", "--split", "train", "--out", place, "--workers", 1)
-    assert call("starstruck", *words, "--seed", 1) == 0
-    slow = start_held("starstruck", 1, marker, *words, "--seed", 2, "--overwrite")
-    slow.kill()
-    slow.communicate()
-    assert (place / ".next").is_dir()
-    assert call("starstruck", *words, "--seed", 3, "--overwrite") == 0
-    after = folder_bytes(place)
-    assert json.loads(after["manifest.json"])["spec"]["seed"] == 3
-    assert not [path for path in after if path.startswith(".")]

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run import Part, ProcessRunner, parse_part
 from tactile_toolkit.store import DataFolder, build, read_manifest, verify
-from tactile_toolkit.store.job import BuildPlan, MissingPartsError, array_text, manifest_so_far
-from tests.processes import printed_by
+from tactile_toolkit.store.job import MissingPartsError, array_text, manifest_so_far
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 SHARDS = 6
 
 
@@ -29,6 +26,7 @@ def whole(tmp_path) -> dict[str, bytes]:
     return folder_bytes(tmp_path / "whole")
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("count", [1, 2, 4, SHARDS, 100])
 def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count):
     folder = DataFolder(str(tmp_path / "set"))
@@ -63,6 +61,7 @@ def test_damage_of_the_same_size_counts_as_missing_where_all_is_read(tmp_path, w
     assert folder_bytes(tmp_path / "set") == whole
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [1, ProcessRunner(2)], ids=["inline", "processes"])
 def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner):
     for index in (0, 5):
@@ -106,22 +105,6 @@ def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
     assert [record.shard for record in made[1:]] == [shard]
     make(tmp_path / "set", finish=True)
     assert folder_bytes(tmp_path / "set") == whole
-
-
-def test_parts_make_the_same_set_whatever_their_number(tmp_path, whole):
-    """An array that was given again in another length continues with what is there."""
-    make(tmp_path / "set", part=Part(0, 4))
-    made = []
-    for part in (Part(1, 5), Part(2, 3), Part(1, 1)):
-        make(tmp_path / "set", part=part, on_progress=lambda told: made.append(told.record))
-    shards = [record.shard for record in made if record is not None]
-    assert sorted([*shards, *shards_of_part(0, 4)]) == sorted(shards_of_part(0, 1))
-    make(tmp_path / "set", finish=True)
-    assert folder_bytes(tmp_path / "set") == whole
-
-
-def shards_of_part(index, count):
-    return [task.shard for task in toy_plan().tasks[index::count]]
 
 
 def test_parts_of_other_sets_are_refused(tmp_path):
@@ -183,33 +166,6 @@ def test_a_folder_that_was_not_made_in_parts_is_finished_too(tmp_path, whole):
     assert folder_bytes(tmp_path / "set") == whole
 
 
-def test_a_split_is_added_in_parts_beside_a_finished_one(tmp_path, whole):
-    place, folder = tmp_path / "set", DataFolder(str(tmp_path / "set"))
-    make(place, plan=toy_plan(("train",)))
-    before = (place / "manifest.json").read_bytes()
-    make(place, toy_plan(("test",)), part=Part(0, 2))
-    assert (place / "manifest.json").read_bytes() == before
-    assert not manifest_so_far(folder).complete
-    with pytest.raises(MissingPartsError, match="1 of 2 shards"):
-        make(place, toy_plan(("test",)), finish=True)
-    make(place, toy_plan(("test",)), part=Part(1, 2))
-    make(place, toy_plan(("test",)), finish=True)
-    assert folder_bytes(place) == whole
-
-
-def test_a_part_that_fails_takes_nothing_of_the_others_along(tmp_path, whole):
-    make(tmp_path / "set", part=Part(0, 2))
-    before = folder_bytes(tmp_path / "set")
-    plan = toy_plan()
-    broken = replace(plan.tasks[1], error=InputError("no place"))
-    with pytest.raises(InputError, match="no place"):
-        make(tmp_path / "set", replace(plan, tasks=(plan.tasks[0], broken, *plan.tasks[2:])), part=Part(1, 2))
-    assert folder_bytes(tmp_path / "set") == before
-    make(tmp_path / "set", part=Part(1, 2))
-    make(tmp_path / "set", finish=True)
-    assert folder_bytes(tmp_path / "set") == whole
-
-
 def test_finishing_clears_up_after_all_writers(tmp_path, whole):
     for index in range(2):
         make(tmp_path / "set", part=Part(index, 2))
@@ -220,37 +176,6 @@ def test_finishing_clears_up_after_all_writers(tmp_path, whole):
     make(tmp_path / "set", finish=True)
     assert folder_bytes(tmp_path / "set") == whole
     assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
-
-
-def test_a_writer_whose_temporary_file_was_removed_writes_again(tmp_path, monkeypatch):
-    """By a user who finished a set there, for instance."""
-    folder, replaced = DataFolder(str(tmp_path)), Path.replace
-    gone = []
-
-    def remove_first(self, target):
-        if len(gone) < 3:
-            gone.append(self)
-            self.unlink()
-        return replaced(self, target)
-
-    monkeypatch.setattr(Path, "replace", remove_first)
-    folder.write_bytes("data/a", b"content")
-    assert folder_bytes(tmp_path) == {"data/a": b"content"}
-    assert len(gone) == 3
-
-
-def test_who_makes_the_rest_without_parts_ends_them(tmp_path, whole):
-    """A part that is at work notices, leaves nothing behind, and has not failed."""
-    finished = []
-
-    def others(progress):
-        if progress.record is not None and not finished:
-            make(tmp_path / "set")
-            finished.append(folder_bytes(tmp_path / "set"))
-
-    assert make(tmp_path / "set", part=Part(0, 2), on_progress=others).complete
-    assert finished == [whole]
-    assert folder_bytes(tmp_path / "set") == whole
 
 
 @pytest.mark.parametrize("moment", ["at the first look", "between two shards"])
@@ -269,18 +194,6 @@ def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, momen
         make(tmp_path / "set", part=Part(0, 2), on_progress=others)
     assert started
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "other")
-
-
-def test_a_part_begins_while_others_write_their_shards(tmp_path, whole, monkeypatch):
-    """Of many parts some one always writes."""
-    monkeypatch.setattr("tactile_toolkit.store.locks.PATIENCE_S", 0.0)
-    folder = DataFolder(str(tmp_path / "set"))
-    folder.require_folder()
-    with folder.locked(shared=True):
-        for number in range(2):
-            make(folder.url, part=Part(number, 2))
-    make(folder.url, finish=True)
-    assert folder_bytes(tmp_path / "set") == whole
 
 
 def test_parts_in_a_store_of_objects(whole):
@@ -361,92 +274,3 @@ def test_of_a_part_of_an_array_the_number_of_parts_is_to_be_said(array):
 def test_numbers_are_written_as_slurm_takes_them():
     assert array_text([44, 3, 17, 41, 40, 42, 43, 3]) == "3,17,40-44"
     assert array_text([7]) == "7"
-
-
-# Forks a child for every moment, which ends itself as `kill -9` would when it touches the folder for the n-th
-# time: a part, and then the end. What the next ones make of it must be the same.
-DIES_EVERYWHERE = """
-import os, shutil, signal, sys
-from pathlib import Path
-from tactile_toolkit.run import Part
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import MissingPartsError
-from tests.tactile_toolkit.store.test_parts import few_shards
-from tests.tactile_toolkit.toy import folder_bytes
-
-base, plan = Path(sys.argv[1]), few_shards()
-build(DataFolder(str(base / "few")), plan)
-whole = folder_bytes(base / "few")
-
-def dies_at(moment, place, options):
-    process = os.fork()
-    if process == 0:
-        seen = 0
-        def watch(event, arguments):
-            nonlocal seen
-            if event not in ("open", "os.link", "os.rename", "os.remove", "os.rmdir", "os.mkdir"):
-                return
-            if not str(arguments[0]).startswith(str(place)):
-                return
-            if event == "open" and not (arguments[2] or 0) & os.O_CREAT:
-                return
-            seen += 1
-            if seen == moment:
-                os.kill(os.getpid(), signal.SIGKILL)
-        sys.addaudithook(watch)
-        try:
-            build(DataFolder(str(place)), plan, **options)
-            os._exit(0)
-        finally:
-            os._exit(1)
-    _, status = os.waitpid(process, 0)
-    assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0, moment
-    return os.WIFSIGNALED(status)
-
-def every_moment(before, options, after):
-    moment = 0
-    while True:
-        moment += 1
-        place = base / f"at-{moment}"
-        if before.exists():
-            shutil.copytree(before, place)
-        was_killed = dies_at(moment, place, options)
-        after(str(place), was_killed)
-        assert folder_bytes(place) == whole, (options, moment)
-        shutil.rmtree(place)
-        if not was_killed:
-            return moment - 1
-
-def go_on(place, was_killed):
-    build(DataFolder(place), plan, part=Part(1, 2))
-    try:
-        build(DataFolder(place), plan, finish=True)
-        complete = True
-    except MissingPartsError as error:
-        assert (error.array, error.parts) == ("0", 2), moment
-        complete = False
-    assert complete or was_killed
-    build(DataFolder(place), plan, part=Part(0, 2))
-    build(DataFolder(place), plan, finish=True)
-
-parts = every_moment(base / "none", {"part": Part(0, 2)}, go_on)
-for index in range(2):
-    build(DataFolder(str(base / "ready")), plan, part=Part(index, 2))
-finish = {"finish": True}
-ends = every_moment(base / "ready", finish, lambda place, _: build(DataFolder(place), plan, **finish))
-print(parts, ends)
-"""
-
-
-def few_shards() -> BuildPlan:
-    """Two shards of one split, one for each of two parts: all moments there are, each of them once."""
-    plan = toy_plan(("test",))
-    return replace(plan, tasks=tuple(replace(task, ids=task.ids[:2]) for task in plan.tasks))
-
-
-def test_killed_at_any_moment_the_same_again_leads_to_the_same_bytes(tmp_path):
-    parts, ends = map(int, printed_by(DIES_EVERYWHERE, tmp_path).split())
-    assert parts > 15
-    assert ends > 15

@@ -74,23 +74,7 @@ def test_what_no_whole_receipt_vouches_for_is_not_counted_and_made_again(interru
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
 
 
-def test_finishing_one_split_costs_nothing_of_another_that_is_under_way(interrupted, tmp_path):
-    manifest = make(interrupted, toy_plan(("test",)))
-    assert manifest.complete, "all that it lists is there"
-    assert not manifest_so_far(DataFolder(str(interrupted))).complete
-    assert manifest.splits == ("test",)
-    assert indices(manifest_so_far(DataFolder(str(interrupted)))) == [0, 1]
-    kept = inspect_job(DataFolder(str(interrupted)), toy_plan()).finished
-    assert {str(record.shard) for record in kept} == {
-        *(f"train-0000{index}-of-00004" for index in range(2)),
-        *(f"test-0000{index}-of-00002" for index in range(2)),
-    }
-    assert make(interrupted, toy_plan(("train",))).complete
-    make(tmp_path / "whole", toy_plan())
-    assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
-
-
-def made_by(path, plan, **options):
+def made_by(path, plan, runner=None, **options):
     """Make a plan, and return which shards this run made."""
     told = []
     build(DataFolder(str(path)), plan, on_progress=told.append, **options)
@@ -103,15 +87,6 @@ def test_the_same_command_takes_up_records_whose_manifest_is_gone(interrupted, t
     assert made_by(interrupted, toy_plan(("train",)), overwrite=overwrite) == [2, 3]
     make(tmp_path / "whole", toy_plan(("train",)))
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
-
-
-def test_finishing_takes_them_up_too(tmp_path):
-    for number in (0, 1):
-        made_by(tmp_path / "set", toy_plan(), part=Part(number, 2))
-    (tmp_path / "set" / "manifest.json").unlink()
-    assert made_by(tmp_path / "set", toy_plan(), finish=True) == []
-    make(tmp_path / "whole", toy_plan())
-    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
 
 
 def test_records_of_another_command_are_not_taken_up(interrupted):

@@ -9,20 +9,16 @@ import sys
 import tempfile
 import threading
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, SpecMismatchError
-from tactile_toolkit.run import Part, ProcessRunner
+from tactile_toolkit.errors import InputError, IntegrityError, RemoteError
+from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import (
     DataFolder,
-    MissingPartsError,
-    ParquetStyle,
     build,
-    parquet,
     read_manifest,
     remote,
     verify,
@@ -196,11 +192,6 @@ def test_no_bucket_is_ever_made(s3, act):
     )
 
 
-def test_a_name_that_no_bucket_can_have_is_named(s3):
-    with pytest.raises(InputError, match=r"'s3://two words/set.*' holds no name that a bucket or file can"):
-        DataFolder("s3://two words/set").names()
-
-
 def test_a_file_in_the_place_of_the_folder_is_refused(folder, bucket):
     folder.write_bytes("data/a", b"1")
     with pytest.raises(InputError, match="is a file, a folder was expected"):
@@ -234,15 +225,6 @@ def test_an_answer_that_ends_too_early_is_asked_for_again(folder, s3, act):
     s3.shorten = shorten
     assert act(folder)
     assert asked.count("GET") == 2
-
-
-def test_answers_that_always_end_too_early_are_named(folder, s3, monkeypatch):
-    folder.write_bytes("a", b"1" * 999)
-    monkeypatch.setattr(remote, "_PATIENCE_S", 1.0)
-    s3.shorten = lambda _: 50
-    with pytest.raises(RemoteError, match=r"gives no answer .*not completed") as told:
-        folder.read_bytes("a")
-    assert "400, message" not in str(told.value).partition("(")[0]
 
 
 def test_a_status_without_a_reason_names_the_region(folder, s3):
@@ -370,36 +352,6 @@ def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, buc
     assert verify(folder, SCHEMA).ok
 
 
-def test_the_report_of_splits_made_in_turn_is_that_of_one_run(folder, s3, bucket, tmp_path, monkeypatch):
-    # Shards lie across row groups, as they do in large sets.
-    monkeypatch.setattr(parquet, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
-    for split in ("test", "train"):
-        build(folder, toy_plan((split,)))
-    build(DataFolder(str(tmp_path)), toy_plan())
-    stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
-    assert stored == folder_bytes(tmp_path)
-
-
-def test_parts_at_once_in_a_store_give_the_bytes_of_one_process(folder, s3, bucket, tmp_path):
-    """Nothing but the store stands between them: three at work at once, one of which had been stopped."""
-    plan = toy_plan()
-    broken = (*plan.tasks[:4], replace(plan.tasks[4], error=RuntimeError("stopped")), *plan.tasks[5:])
-    with pytest.raises(RuntimeError, match="stopped"):
-        build(folder, replace(plan, tasks=broken), part=Part(1, 3))
-    with pytest.raises(MissingPartsError, match="--array=0,2-5"):
-        build(folder, plan, finish=True)
-    with ThreadPoolExecutor(3) as threads:
-        made = list(threads.map(lambda index: build(folder, toy_plan(), part=Part(index, 3)), range(3)))
-    assert not any(manifest.complete for manifest in made)
-    assert build(folder, plan, finish=True).complete
-    build(DataFolder(str(tmp_path)), plan)
-    stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
-    assert stored == folder_bytes(tmp_path)
-    other = toy_plan(spec={"seed": 2, "size": [1, 2]})
-    with pytest.raises(SpecMismatchError, match=r"in no object store; there, remove it first"):
-        build(folder, other, part=Part(0, 3))
-
-
 def test_verify_brings_each_shard_once(folder, s3):
     manifest = build(folder, wide_plan())
     size = sum(record.bytes for record in manifest.shards)
@@ -465,9 +417,3 @@ def test_a_set_in_a_store_is_never_replaced_and_stays_readable(folder, s3, bucke
         build(folder, toy_plan(spec={"seed": 2}), overwrite=True)
     assert s3.objects(bucket) == before
     assert verify(folder, SCHEMA).ok
-
-
-def test_a_run_that_fails_in_a_store_leaves_it_as_it_was(folder, s3, bucket):
-    with pytest.raises(RuntimeError):
-        build(folder, toy_plan(error=RuntimeError("no")))
-    assert s3.objects(bucket) == {}

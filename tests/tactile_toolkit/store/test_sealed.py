@@ -53,6 +53,7 @@ def parts(tmp_path: Path) -> Path:
     return tmp_path / "set"
 
 
+@pytest.mark.thorough
 def test_any_byte_of_a_pending_record(parts: Path) -> None:
     folder = DataFolder(str(parts))
     manifest = read_manifest(folder)

@@ -82,6 +82,7 @@ def test_a_file_that_is_wrong_costs_speed_only(tmp_path: Path, monkeypatch: pyte
         assert first.read_bytes() == content, "made again"
 
 
+@pytest.mark.thorough
 def test_bytes_do_not_depend_on_how_a_set_was_made(tmp_path: Path) -> None:
     make(tmp_path / "one")
     plan = toy_plan()
@@ -96,9 +97,3 @@ def test_bytes_do_not_depend_on_how_a_set_was_made(tmp_path: Path) -> None:
     make(tmp_path / "two")
     make(tmp_path / "two")
     assert folder_bytes(tmp_path / "two") == folder_bytes(tmp_path / "one")
-
-
-def test_few_shards_have_no_such_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(parquet, "_SHARDS_TOGETHER", 5)
-    manifest = make(tmp_path / "set")
-    assert list(manifest.files or ()) == ["reports/toy.parquet"]

@@ -46,6 +46,7 @@ def changed(values: Any, place: tuple[Any, ...], other: Any) -> str:
     return sealed(values)
 
 
+@pytest.mark.thorough
 def test_every_value_is_of_its_kind_or_named(toy_set: Path) -> None:
     """What is read goes back to the same text; whatever else stands in its place raises one kind of error."""
     values = json.loads((toy_set / MANIFEST_FILE).read_text())
