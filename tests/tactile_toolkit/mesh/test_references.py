@@ -12,8 +12,7 @@ import pytest
 import trimesh
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.files import read_mesh
-from tactile_toolkit.mesh.printability import inspect
+from tactile_toolkit.mesh import inspect, read_mesh
 from tests.processes import PATIENCE_S
 from tests.real_input import SHARED
 from tests.tactile_toolkit.mesh.test_foreign_files import (

@@ -13,9 +13,8 @@ from hypothesis import given, strategies as st
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.read import Record, RecordDataset
+from tactile_toolkit.read import Record, RecordDataset, Shard, ShardedTable
 from tactile_toolkit.read.columns import ragged_column
-from tactile_toolkit.read.parquet import Shard, ShardedTable
 from tactile_toolkit.store import DataFolder, build
 from tests.forked import run_forked
 from tests.mesh_columns import list_array

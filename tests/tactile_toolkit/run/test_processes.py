@@ -29,8 +29,7 @@ from tactile_toolkit.errors import (
     MissingExtraError,
     ToolkitError,
 )
-from tactile_toolkit.run import skip_pandas
-from tactile_toolkit.run.processes import ProcessRunner
+from tactile_toolkit.run import ProcessRunner, skip_pandas
 from tests.processes import PATIENCE_S, alive
 
 REPOSITORY = Path(__file__).resolve().parents[3]
