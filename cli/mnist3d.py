@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, Any
 
-from cli.application import OptionsOf, command, new_app, run
-from cli.folders import Geometry
-from cli.making import generate_set, print_left_out, print_set
+import mnist3d
+from cli.application import command, new_app, run as run_app
+from cli.checks import Geometry
+from cli.declared_options import OptionsOf
 from cli.options import Making, Opening, argument, out_folder
 from cli.output import Sink
-from cli.products import Pictures
+from cli.previews import Pictures
+from cli.runs import generate_set, print_left_out, print_set
 from cli.shared import add_shared
 from mnist3d.kind import KIND
 from mnist3d.spec import SOURCES, SPLITS, DigitPreviewSpec, SolidSpec, SourceOptions, SplitSpec
-from tactile_toolkit import cards, catalog, store
+from tactile_toolkit import cards, catalog, places, run, store
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
 
@@ -46,33 +49,33 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from mnist3d.make import DigitMaking, GenerateSpec, chosen_source
-    from tactile_toolkit.run import prepare_batch_process
-
-    spec = GenerateSpec(
-        source=chosen_source(source, images, division.seed),
+    spec = mnist3d.GenerateSpec(
+        source=mnist3d.chosen_source(source, images, division.seed),
         solid=solid,
         split=division,
         per_class=per_class,
         limit=limit,
     )
-    splits = None if split is None else SPLITS if split == "all" else (split,)
+    splits: Sequence[str] | None = SPLITS
+    if split != "all":
+        splits = None if split is None else (split,)
     # Before the first digit, of a forecast too: it measures what a worker takes.
-    prepare_batch_process()
-    generate_set(sink, "making digits", DigitMaking.of(spec, splits), out, splits, making, _print_made)
+    run.prepare_batch_process()
+    generate_set(
+        sink, "making digits", mnist3d.DigitMaking.of(spec, splits), out, splits, making, _print_made
+    )
 
 
 def _print_made(
     sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
-    from mnist3d.card import summarise
-    from mnist3d.columns import SUMMED_UP
-
     # The report that the figures come from is written at the end of a run.
-    summaries = summarise(store.DataFolder(out), manifest) if manifest.complete else []
+    summaries = []
+    if manifest.complete:
+        summaries = mnist3d.summarise(store.DataFolder(out), manifest)
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
     skipped = manifest.skipped_reasons()
-    facts = cards.facts_table(summaries, SUMMED_UP)
+    facts = cards.facts_table(summaries, mnist3d.SUMMED_UP)
     print_left_out(sink, manifest)
     print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
 
@@ -94,12 +97,12 @@ def _preview(
 
     Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
     """
-    from mnist3d.previews import is_picture_or_mesh, plan_previews
-
-    name = path if is_picture_or_mesh(path) else opening.open(sink, path)
-    pictures.write(sink, plan_previews(name, spec))
+    name: str | places.Place = path
+    if not mnist3d.is_picture_or_mesh(path):
+        name = opening.open(sink, path)
+    pictures.write(sink, KIND.plan_previews(name, spec))
 
 
 add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
-main = partial(run, app)
+main = partial(run_app, app)

@@ -13,6 +13,12 @@ from tactile_toolkit.system import usable_cores
 
 if TYPE_CHECKING:
     from cli.output import Sink
+from typing import TYPE_CHECKING
+
+from cli.output import Sink
+
+if TYPE_CHECKING:
+    pass
 
 
 JOB = "Job options"
@@ -42,7 +48,9 @@ def _runner_name(text: str) -> str:
 def parse_address(text: str | Path) -> str:
     """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
     place = store.normalize_uri(str(text))
-    return place if store.is_remote(place) else str(store.expanded(place))
+    if store.is_remote(place):
+        return place
+    return str(store.expanded(place))
 
 
 def argument(metavar: str, help: str, **option: Any) -> Any:
@@ -143,3 +151,12 @@ class Making(Work):
 def process_count(workers: int) -> int:
     """Return what ``--workers`` asks for: 0 means one process per processor core."""
     return workers or usable_cores()
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """How files other than those of a data set are made."""
+
+    workers: int = WORKERS
+    overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier run that differ.")
+    dry_run: bool = DRY_RUN

@@ -19,5 +19,9 @@ from .printable import (
     read_mesh as read_mesh,
     write_mesh as write_mesh,
 )
+from .make import DigitMaking as DigitMaking, chosen_source as chosen_source
+from .previews import is_picture_or_mesh as is_picture_or_mesh
+from .columns import SUMMED_UP as SUMMED_UP
+from .card import summarise as summarise
 
 __version__: str

@@ -13,6 +13,7 @@ from .dataset import (
     TouchStream as TouchStream,
 )
 from .exchange.api import export as export
+from .exchange.api import CONVERSION as CONVERSION, NOT_IMPORTED as NOT_IMPORTED
 from .exchange.api import import_images as import_images
 from .spec import ImportColumns as ImportColumns
 from .verification import verify as verify
@@ -38,5 +39,9 @@ from .rounds import (
 from .summary import Summary as Summary, summarise as summarise
 from .rounds import Touch as Touch
 from .dataset import Touches as Touches
+from .convert.plan import Source as Source
+from .dataset import dataset_of as dataset_of
+from .summary import paper_numbers as paper_numbers
+from .verification import TouchVerification as TouchVerification
 
 __version__: str

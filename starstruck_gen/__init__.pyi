@@ -31,5 +31,9 @@ from .shapes import (
 from .placement import register_shape as register_shape
 from .spec import SceneSpec as SceneSpec
 from .sampling import SPLITS as SPLITS, scene_rng as scene_rng, scene_seed as scene_seed
+from .make import SceneMaking as SceneMaking, PUBLISHED_SIZES as PUBLISHED_SIZES
+from .sampling import require_feasible as require_feasible
+from .card import summarise as summarise
+from .validate import validate_folder as validate_folder, Checked as Checked
 
 __version__: str

@@ -128,6 +128,11 @@ class PreparedUpload:
         """Address of the repository for people."""
         return hub.page_of(self.repo_id)
 
+    @property
+    def is_private(self) -> bool:
+        """Whether the repository is to be private where it does not exist yet."""
+        return self.options.private
+
 
 @dataclass(frozen=True)
 class UploadResult:

@@ -110,7 +110,7 @@ def test_one_split_alone(clips, tmp_path, capsys):
 
 def test_what_is_fetched_is_told(capsys):
     from cli.output import Sink
-    from cli.realtouch import announce_fetching
+    from cli.touch_conversions import announce_fetching
 
     def place(name: str, source: HubRepository | DataFolder) -> Place:
         return Place(name, source, {"train": ("train.parquet",)})

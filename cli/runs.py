@@ -9,17 +9,15 @@ from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING, Any
 
-from cli.options import ANY_SET, Making, Opening, Work, argument, out_folder, process_count
-from cli.output import Sink, bytes_text, duration_text
-from tactile_toolkit import catalog, exchange, store
-from tactile_toolkit.checked_fields import integer, text
-from tactile_toolkit.errors import InputError
+from cli.options import Making, Work, process_count
+from cli.output import Sink
+from cli.quantities import bytes_text, duration_text
+from tactile_toolkit import store
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted, listed, printable
+from tactile_toolkit.wording import counted, printable
 
 if TYPE_CHECKING:
     from tactile_toolkit.making import Forecast, Making as RowMaking
-
 
 _LEFT_OUT_SHOWN = 20
 
@@ -41,6 +39,7 @@ def generate_set(
     require: Callable[[], None] = lambda: None,
 ) -> None:
     """Make a data set of a kind, or forecast it, and print what was made and what comes next."""
+    # Arrow and numpy, which no help needs.
     from tactile_toolkit.making import forecast, generate
 
     if making.dry_run:
@@ -91,9 +90,9 @@ def make_with_progress(
             sink.line(f"--array={error.array}")
             raise
     elapsed_s = time.monotonic() - start_s
-    left_out = f", {skipped:,} left out," if skipped else ""
-    made = f"made {counted(rows, kind.nouns)}{left_out} in {duration_text(elapsed_s)}"
-    made = made if rows or skipped else "nothing was left to make"
+    made = "nothing was left to make"
+    if rows or skipped:
+        made = f"made {counted(rows, kind.nouns)}, left out {skipped:,}, in {duration_text(elapsed_s)}"
     if work.part is not None:
         counts = {"rows": rows, "skipped": skipped, "elapsed_s": round(elapsed_s, 3)}
         sink.document({"folder": out, "complete": False, "part": work.part, **counts})
@@ -113,9 +112,11 @@ def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, mak
     sink.table(header, [tuple(entry.values()) for entry in view.splits])
     if view.replaced is not None:
         parts = ", ".join(f"{split} {rows:,}" for split, rows in view.replaced.items())
-        held = f"{counted(sum(view.replaced.values()), 'rows')} ({parts})" if parts else "no rows"
-        sink.line(f"would replace the data set in {out}: {held}")
-    part = "" if making.part is None else f" (part {making.part})"
+        held = counted(sum(view.replaced.values()), "rows")
+        sink.line(f"would replace the data set in {out}: {held} ({parts or 'no split'})")
+    part = ""
+    if making.part is not None:
+        part = f" (part {making.part})"
     sink.line(
         f"would make {counted(view.rows_to_make, kind.nouns)}{part} in {out}: about "
         f"{bytes_text(view.bytes)} of Parquet, about {duration_text(view.seconds)} with "
@@ -141,12 +142,14 @@ def print_set(
     """
     table = manifest.split_table()
     planned = {split: count for split, count in manifest.shards_planned().items() if split in table}
+    if elapsed_s is not None:
+        elapsed_s = round(elapsed_s, 3)
     sink.document(
         {
             "folder": out,
             "complete": manifest.complete,
             "toolkit_version": manifest.toolkit_version,
-            "elapsed_s": None if elapsed_s is None else round(elapsed_s, 3),
+            "elapsed_s": elapsed_s,
             "shards_planned": planned,
             "splits": table,
             **further,
@@ -154,14 +157,11 @@ def print_set(
         }
     )
     if not manifest.complete:
-        record = store.read_record(store.DataFolder(out))
-        found = "the run is under way or was interrupted" if table else "no shard is finished yet"
-        made_by = kind.command_of(manifest)
-        next_step = f"the same `{made_by}` continues where it stopped, --finish names what is missing"
+        record, activity = store.read_record(store.DataFolder(out)), "run"
+        next_step = f"repeat the same `{kind.command_of(manifest)}`, or name what is missing with --finish"
         if record is not None:
-            found = "the download is under way or was interrupted"
-            next_step = f"download {record.repo_id} there again, it continues where it stopped"
-        sink.line(f"{out}: unfinished, {found}; {next_step}")
+            activity, next_step = "download", f"download {record.repo_id} there again; it continues"
+        sink.line(f"{out}: unfinished, the {activity} is under way or was interrupted; next: {next_step}")
     counts = [
         (name, e["rows"], f"{e['shards']:,} of {planned[name]:,}", bytes_text(e["bytes"]), e["skipped"])
         for name, e in table.items()
@@ -176,79 +176,10 @@ def print_set(
 def print_left_out(sink: Sink, manifest: store.Manifest) -> None:
     """Print the first items that gave no row, and the first files of the source that hold none."""
     skipped = (f"{item.message} ({item.reason})" for record in manifest.shards for item in record.skipped)
-    source = manifest.spec.get("source")
-    files = source.get("left_out") if isinstance(source, dict) else None
-    named = (f"{name} ({reason})" for name, reason in (files.items() if isinstance(files, dict) else ()))
+    source: Any = manifest.spec.get("source")
+    files: dict[str, str] = {}
+    if isinstance(source, dict):
+        files = source.get("left_out") or files
+    named = (f"{name} ({reason})" for name, reason in files.items())
     for line in islice(chain(named, skipped), _LEFT_OUT_SHOWN):
         sink.info(printable(f"left out: {line}"))
-
-
-def least_to_most(counts: Sequence[int]) -> str:
-    """Write how many rows classes have: ``"10"`` where all have as many, else ``"8-10"``."""
-    least, most = min(counts), max(counts)
-    return str(most) if least == most else f"{least}-{most}"
-
-
-def _fractions(words: str) -> tuple[float, ...]:
-    try:
-        shares = tuple(map(float, listed(words)))
-    except ValueError:
-        shares = ()
-    if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:
-        raise InputError(
-            f"--fractions is {words!r}; expected shares that add up to 1 or less, such as 0.8,0.2"
-        )
-    return shares
-
-
-def merge(
-    *,
-    kind: DatasetKind,
-    names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
-    opening: Opening,
-    out: str = out_folder("merged"),
-    work: Work,
-    sink: Sink,
-) -> None:
-    """Merge data sets whose ids differ into one; shards are copied unchanged.
-
-    Example: merge DIR OTHER --out both
-    """
-    places = [opening.open(sink, name) for name in names]
-    make = partial(exchange.merge_sets, kind, places, out)
-    make_with_progress(sink, "copying", kind, make, work, out, print_set)
-
-
-def split(
-    *,
-    kind: DatasetKind,
-    name: str = ANY_SET,
-    opening: Opening,
-    out: str = out_folder("parts"),
-    fractions: tuple[float, ...] = text(
-        (),
-        metavar="0.8,0.2",
-        read=_fractions,
-        help="Fractions of the rows of each split, one for each part.",
-    ),
-    seed: int = integer(0, help="Random seed for --fractions."),
-    chosen: catalog.Chosen,
-    work: Work,
-    sink: Sink,
-) -> None:
-    """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
-
-    Rows are drawn at random (--fractions), or part-1 gets the objects that --ids, --labels and similar
-    options choose, and part-2 all others.
-
-    Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
-    """
-    given = {each: value for each, value in chosen.given().items() if value is not None}
-    if bool(given) == bool(fractions):
-        raise InputError("expected either --fractions, or --ids and the like", next="add --fractions 0.8,0.2")
-    options = {"fractions": fractions, "seed": seed} if fractions else given
-    source = opening.open(sink, name)
-    for number, rows in enumerate(exchange.divide(kind, source, fractions, seed, given), 1):
-        place = f"{out.rstrip('/')}/part-{number}"
-        make = partial(exchange.write_part, kind, source, rows, {**options, "part": number}, place)
-        make_with_progress(sink, "copying", kind, make, work, place, print_set)
