@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from cli.nested_values import brief, flat_lines
+from cli.nested_values import brief, flat_lines, stored_value
 from cli.options import ANY_SET, Opening, argument, local_place
 from cli.output import Sink
 from cli.quantities import bytes_text

@@ -92,7 +92,9 @@ def make_with_progress(
     elapsed_s = time.monotonic() - start_s
     made = "nothing was left to make"
     if rows or skipped:
-        made = f"made {counted(rows, kind.nouns)}, left out {skipped:,}, in {duration_text(elapsed_s)}"
+        made = f"made {counted(rows, kind.nouns)} in {duration_text(elapsed_s)}"
+    if skipped:
+        made += f", left out {skipped:,}"
     if work.part is not None:
         counts = {"rows": rows, "skipped": skipped, "elapsed_s": round(elapsed_s, 3)}
         sink.document({"folder": out, "complete": False, "part": work.part, **counts})

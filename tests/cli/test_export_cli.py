@@ -92,7 +92,7 @@ def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     printed = capsys.readouterr()
     assert "wrote 10 objects on" in printed.out
     assert "no packing needs fewer than" in printed.out
-    assert "plates.csv lists which object lies where" in printed.out
+    assert "plates.csv lists where each object lies" in printed.out
     for stage in ("measuring: 10 of 10", "packing:", "writing:"):
         assert stage in printed.err
     with (tmp_path / "plates.csv").open(newline="") as stream:

@@ -181,7 +181,7 @@ def test_an_interrupted_download_is_called_one(server, tmp_path):
     server.faults.clear()
     again = f"download {DIGITS} there again"
     assert (
-        f"the download is under way or was interrupted; {again}"
+        f"the download is under way or was interrupted; next: {again}"
         in call(server, tmp_path, "mnist3d", "info", out).out
     )
     for command, code in (("card", 3), ("verify", 1)):
@@ -281,7 +281,7 @@ def test_list(server, tmp_path):
     assert (other["hub_bytes"], other["local_bytes"]) == (None, 0), "a size was invented"
     table = call(server, tmp_path, "realtouch", "list")
     assert "real-single-64x64" in table.out
-    assert "?: the Hub gave no answer" in table.err
+    assert "?: the Hub did not answer" in table.err
     alone = call("http://127.0.0.1:9", tmp_path, "realtouch", "list", "--json", HF_HUB_OFFLINE="1")
     entry = next(entry for entry in json.loads(alone.out) if entry["name"] == "real-single-64x64")
     assert (entry["hub_bytes"], entry["local_bytes"]) == (None, here["local_bytes"])
