@@ -101,7 +101,7 @@ BENCHMARKS = {
 }
 
 SHOWN = (
-    ("a digit drawn, made, proved a solid and written", "{pipeline.plain_mean} a core, {pipeline.bytes}",
+    ("drawing, making, checking and writing a digit", "{pipeline.plain_mean} on one core, {pipeline.bytes}",
      "a plain implementation (`benchmarks/plain_digit.py`): {pipeline.plain_mean:ratio} slower"),
     ("loading a mesh in random order", "{pipeline.load}",
      "`tactile_mnist.SimpleMeshDataset`: {pipeline.load:ratio} slower"),
