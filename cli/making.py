@@ -97,7 +97,7 @@ def make_with_progress(
             sink.line(f"--array={error.array}")
             raise
     elapsed_s = time.monotonic() - start_s
-    left_out = f", {skipped:,} left out," if skipped else ""
+    left_out = f", {counted(skipped, unit) if unit else f'{skipped:,}'} left out," if skipped else ""
     made = f"made {counted(rows, kind.nouns)}{left_out} in {duration_text(elapsed_s)}"
     made = made if rows or skipped else "nothing was left to make"
     if work.part is not None:
@@ -138,12 +138,13 @@ def print_set(
     elapsed_s: float | None = None,
     header: Sequence[str] = (),
     rows: Sequence[Sequence[object]] = (),
+    left_out: str = "",
     **further: Any,
 ) -> None:
     """Print what a folder holds, and how it continues where its run is not finished.
 
-    ``rows`` are printed of a finished one in place of the counts of the manifest; ``further`` are JSON values
-    for the document.
+    ``rows`` are printed of a finished one in place of the counts of the manifest; ``left_out`` is what items
+    that were left out are called, where they are no rows; ``further`` are JSON values for the document.
     """
     from tactile_toolkit.store.folder import DataFolder
     from tactile_toolkit.store.origin import read_record
@@ -179,7 +180,8 @@ def print_set(
         ]
     sink.table(header, rows)
     for reason, count in manifest.skipped_reasons().items():
-        sink.line(f"left out {counted(count, kind.nouns)}: {reason} (each is named in {out}/manifest.json)")
+        items = counted(count, left_out or kind.nouns)
+        sink.line(f"left out {items}: {reason} (each is named in {out}/manifest.json)")
 
 
 def print_left_out(sink: Sink, manifest: Manifest) -> None:

@@ -383,8 +383,7 @@ def import_touches(
     make = partial(
         import_images, source, out, file_format, columns, table=table, classes=classes or (), split=split_name
     )
-    kind = replace(KIND, nouns="touches")
-    make_with_progress(sink, "importing", kind, make, work, out, _print_imported)
+    make_with_progress(sink, "importing", KIND, make, work, out, _print_imported, "touches")
 
 
 def _print_imported(
@@ -403,7 +402,7 @@ def _print_imported(
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, and of how many touches: {counts}")
-    print_set(sink, kind, manifest, out)
+    print_set(sink, kind, manifest, out, left_out="touches")
 
 
 _add("clips-to-images", ClipsToImages, lazy("realtouch.convert.api:clips_to_images"))

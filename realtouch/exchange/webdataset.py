@@ -25,6 +25,8 @@ from tactile_toolkit.store.names import is_hidden, problem_of_name
 from tactile_toolkit.store.shards import ShardName, Skipped
 
 _FOLDER = "webdataset"
+# How files of gzip, bzip2, xz and Zstandard begin.
+_PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
 _MOST_TEXT_BYTES = 1 << 20  # of a file with fields; of a longer one nothing is read
 
 
@@ -78,6 +80,9 @@ _Member = tuple[str, str, int, int, bytes]
 def _members(folder: DataFolder, name: str) -> Iterator[_Member]:
     try:
         with open_source(folder, name) as stream:
+            if stream.read(4).startswith(_PACKED):
+                raise InputError(f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it")
+            stream.seek(0)
             for member in files_of_tar(stream, folder.size_bytes(name)):
                 start, path = member.offset_data, path_of(member.name)
                 if is_hidden(path):  # as archives of a Mac have, one for each file
@@ -109,9 +114,14 @@ def _sample(
     named = problem_of_name(key)
     problem = ItemError("name", f"the key {named}") if named else None
     images = [member for member in members if _is_image(member[1]) and wanted in (None, member[1])]
+    expected = wanted or ", ".join(IMAGE_ENDINGS)
     if not images:
-        expected = wanted or ", ".join(IMAGE_ENDINGS)
         problem = problem or ItemError("missing", f"no image; expected one of {expected}")
+    if len(images) > 1:
+        found = ", ".join(ending for _, ending, *_ in images)
+        problem = problem or ItemError(
+            "images", f"the images {found}; expected one (--image-column names it)"
+        )
     values: dict[str, Any] = {}
     for _, ending, _, _, content in members:
         if ending == "json":
@@ -120,7 +130,8 @@ def _sample(
             except ItemError as error:
                 problem = problem or error
         elif not _is_image(ending):
-            values.setdefault(ending, content.decode(errors="replace").strip())
+            # What is not Unicode is named where it is used.
+            values.setdefault(ending, content.decode(errors="surrogateescape").strip())
     _, _, start, size, _ = images[0] if images else ("", "", 0, 0, b"")
     return Item(key, folder.address(), name, start, size, values, problem)
 
