@@ -94,7 +94,7 @@ def make_with_progress(
     if rows or skipped:
         made = f"made {counted(rows, kind.nouns)} in {duration_text(elapsed_s)}"
     if skipped:
-        made += f", left out {skipped:,}"
+        made += f", left out {counted(skipped, unit or kind.nouns)}"
     if work.part is not None:
         counts = {"rows": rows, "skipped": skipped, "elapsed_s": round(elapsed_s, 3)}
         sink.document({"folder": out, "complete": False, "part": work.part, **counts})
@@ -135,12 +135,13 @@ def print_set(
     elapsed_s: float | None = None,
     header: Sequence[str] = (),
     rows: Sequence[Sequence[object]] = (),
+    left_out: str = "",
     **further: Any,
 ) -> None:
     """Print what a folder holds, and how it continues where its run is not finished.
 
-    ``rows`` are printed of a finished one after the counts of the manifest; ``further`` are JSON values for
-    the document.
+    ``rows`` are further figures of a finished one; ``left_out`` is what items that were left out are called,
+    where they are not rows; ``further`` are JSON values for the document.
     """
     table = manifest.split_table()
     planned = {split: count for split, count in manifest.shards_planned().items() if split in table}
@@ -172,7 +173,8 @@ def print_set(
     if manifest.complete:
         sink.table(header, rows)
     for reason, count in manifest.skipped_reasons().items():
-        sink.line(f"left out {counted(count, kind.nouns)}: {reason} (each is named in {out}/manifest.json)")
+        items = counted(count, left_out or kind.nouns)
+        sink.line(f"left out {items}: {reason} (each is named in {out}/manifest.json)")
 
 
 def print_left_out(sink: Sink, manifest: store.Manifest) -> None:

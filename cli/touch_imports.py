@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING, replace
+from dataclasses import MISSING
 from functools import partial
 from typing import Literal
 
@@ -58,8 +58,7 @@ def import_touches(
         classes=classes or (),
         split=split_name,
     )
-    kind = replace(KIND, nouns="touches")
-    make_with_progress(sink, "importing", kind, make, work, out, _print_imported)
+    make_with_progress(sink, "importing", KIND, make, work, out, _print_imported, "touches")
 
 
 def _print_imported(
@@ -75,4 +74,4 @@ def _print_imported(
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, and of how many touches: {counts}")
-    print_set(sink, kind, manifest, out)
+    print_set(sink, kind, manifest, out, left_out="touches")

@@ -23,6 +23,8 @@ from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 
 _FOLDER = "webdataset"
+# How files of gzip, bzip2, xz and Zstandard begin.
+_PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
 _MOST_TEXT_BYTES = 1 << 20  # of a file with fields; of a longer one nothing is read
 
 
@@ -76,6 +78,9 @@ _Member = tuple[str, str, int, int, bytes]
 def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
     try:
         with open_source(folder, name) as stream:
+            if stream.read(4).startswith(_PACKED):
+                raise InputError(f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it")
+            stream.seek(0)
             for member in files_of_tar(stream, folder.size_bytes(name)):
                 start, path = member.offset_data, path_of(member.name)
                 if store.is_hidden(path):  # as archives of a Mac have, one for each file
@@ -107,9 +112,14 @@ def _sample(
     named = store.problem_of_name(key)
     problem = ItemError("name", f"the key {named}") if named else None
     images = [member for member in members if _is_image(member[1]) and wanted in (None, member[1])]
+    expected = wanted or ", ".join(IMAGE_ENDINGS)
     if not images:
-        expected = wanted or ", ".join(IMAGE_ENDINGS)
         problem = problem or ItemError("missing", f"no image; expected one of {expected}")
+    if len(images) > 1:
+        found = ", ".join(ending for _, ending, *_ in images)
+        problem = problem or ItemError(
+            "images", f"the images {found}; expected one (--image-column names it)"
+        )
     values: dict[str, Any] = {}
     for _, ending, _, _, content in members:
         if ending == "json":
@@ -118,7 +128,8 @@ def _sample(
             except ItemError as error:
                 problem = problem or error
         elif not _is_image(ending):
-            values.setdefault(ending, content.decode(errors="replace").strip())
+            # What is not Unicode is named where it is used.
+            values.setdefault(ending, content.decode(errors="surrogateescape").strip())
     _, _, start, size, _ = images[0] if images else ("", "", 0, 0, b"")
     return Item(key, folder.address(), name, start, size, values, problem)
 

@@ -46,6 +46,8 @@ _LEFT_BY_SYSTEMS = frozenset(
     }
 )
 
+_STEPS = frozenset({".", ".."})
+
 _FIRST_LINE = "{\n"
 
 LARGEST = (1 << 63) - 1
@@ -93,9 +95,11 @@ def is_hidden(path: str) -> bool:
     """Return whether a listing passes over a relative path, with slashes.
 
     It does where a part of the path begins with a dot (``._a.png``, ``.DS_Store``) or is one that systems
-    leave in folders and archives (``__MACOSX``, ``@eaDir``, ``Thumbs.db``, ``desktop.ini``, ...).
+    leave in folders and archives (``__MACOSX``, ``@eaDir``, ``Thumbs.db``, ``desktop.ini``, ...). A path that
+    leads elsewhere (``../a.png``) is not hidden, but wrong.
     """
-    return any(part[:1] == "." or part.lower() in _LEFT_BY_SYSTEMS for part in path.split("/"))
+    parts = path.split("/")
+    return any((part[:1] == "." and part not in _STEPS) or part.lower() in _LEFT_BY_SYSTEMS for part in parts)
 
 
 def problem_of_name(name: object) -> str:

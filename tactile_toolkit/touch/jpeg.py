@@ -46,7 +46,7 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
 
     Raises ValueError when the data is not such an image, or exceeds the limits above.
     """
-    mode, is_jpeg = "", data[:3] == _JPEG_START
+    mode, pictures, is_jpeg = "", 1, data[:3] == _JPEG_START
     if is_jpeg:
         require_bounded_jpeg(data)
     try:
@@ -55,8 +55,11 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
         else:
             image = _opened(data)
             height, width, mode = image.height, image.width, image.mode
+            pictures = getattr(image, "n_frames", 1)
     except Exception as error:
         raise _undecodable(data) from error
+    if pictures > 1:
+        raise ValueError(f"an image of {pictures:,} pictures, one after the other; expected one")
     if mode in _DEEP:
         raise ValueError(f"an image of 16 bits ({mode}), most of which 8 would lose; expected 8")
     if height * width > MAX_IMAGE_PIXELS:
