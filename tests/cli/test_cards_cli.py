@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 from pathlib import Path
@@ -13,15 +12,10 @@ import pytest
 from huggingface_hub import DatasetCard
 from PIL import Image
 
-import mnist3d
 import realtouch
-import starstruck_gen
-from starstruck_gen.scene import draw_scene
-from tactile_toolkit.pictures import relief
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
-from tests.sealed import sealed
 from tests.tactile_toolkit.toy import folder_bytes
 
 KINDS = ("mnist3d", "starstruck", "single", "seq", "synthetic", "frames")
@@ -98,27 +92,6 @@ def test_the_card_was_written_with_the_data_and_is_written_the_same_again(folder
     assert folder_bytes(folder) == before
 
 
-def test_the_picture_of_a_card_shows_the_first_scenes_or_a_digit_of_each_class(folders):
-    """Twelve scenes 140 pixels wide in rows of six, and digits at 0.4 mm per pixel in rows of five."""
-    scenes = starstruck_gen.load(str(folders["starstruck"]), "train")
-    digits = sorted(mnist3d.load(str(folders["mnist3d"]), "test"), key=lambda digit: digit.label)
-    shown = {
-        "starstruck": (6, [draw_scene(each.placements, (0.12, 0.12), 140 / 120) for each in scenes[:12]]),
-        "mnist3d": (5, [relief(each.vertices_m, each.faces, 0.0004) for each in digits]),
-    }
-    for kind, (columns, drawn) in shown.items():
-        (file,) = (folders[kind] / "previews").iterdir()
-        tiles = [np.asarray(Image.fromarray(np.asarray(each)).convert("RGB")) for each in drawn]
-        height, width, _ = np.max([tile.shape for tile in tiles], axis=0)
-        expected = np.full((2 * (height + 8) + 8, columns * (width + 8) + 8, 3), 255, np.uint8)
-        for index, tile in enumerate(tiles):
-            down, across = divmod(index, columns)
-            top = 8 + down * (height + 8) + (height - tile.shape[0]) // 2
-            left = 8 + across * (width + 8) + (width - tile.shape[1]) // 2
-            expected[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
-        assert np.array_equal(np.asarray(Image.open(file).convert("RGB")), expected), kind
-
-
 def test_datasets_follows_the_card(folders, kind):
     loaded = datasets.load_dataset(str(folders[kind]))
     told = DatasetCard(card_of(folders[kind])).data.dataset_info
@@ -151,27 +124,6 @@ def test_numbers_are_those_of_the_data(folders):
     assert "12 images of touches" in card_of(folders["frames"])
     assert "no `manifest.json`" in card_of(folders["synthetic"])
     assert "Synthetic touches" in card_of(folders["synthetic"])
-
-
-def test_pictures_of_rendered_touches_are_called_so(folders, tmp_path):
-    realtouch.frames(folders["synthetic"], tmp_path / "pictures")
-    rendered, real = card_of(tmp_path / "pictures"), card_of(folders["frames"])
-    assert (DatasetCard(rendered).data.license, DatasetCard(real).data.license) == ("other", "cc-by-2.0")
-    assert "synthetic" in DatasetCard(rendered).data.tags
-    assert not {"mnist", "digits"} & set(DatasetCard(rendered).data.tags)
-    for words in ("Force is estimated", "HWD+", "MNIST 3D", "CC BY"):
-        assert words not in rendered.partition("schneider2025")[0]
-    assert "Rendered images lack the texture of prints" in rendered
-    assert "Force is estimated" in real
-    assert "`id` of its mesh in MNIST 3D" not in card_of(folders["synthetic"])
-    assert "`id` of its mesh in MNIST 3D" in card_of(folders["single"])
-
-
-def test_scenes_are_counted_in_words(tmp_path):
-    made = ("generate", "--scenes", "4", "--distractors", "2", "--workers", "1", "--quiet")
-    assert call("starstruck", *made, "--out", tmp_path / "two") == 0
-    assert "A scene holds 2 objects that are not stars" in card_of(tmp_path / "two")
-    assert "in every split the counts of\nthe classes differ by at most one" in card_of(tmp_path / "two")
 
 
 def test_digits_in_several_pieces_are_counted(folders, tmp_path):
@@ -260,18 +212,3 @@ def test_sources_of_digits_are_named_with_their_terms(name, licence, words):
     source = source_words(name)
     assert source["licence"] == licence
     assert words in source_description(source, {"name": name, **FINGERPRINTS[name]})
-
-
-@pytest.mark.parametrize("kind", ["mnist3d", "starstruck"])
-def test_a_specification_of_something_else_is_named(kind, folders, tmp_path, capsys):
-    """The manifest is JSON of its schema; what a kind of data set holds in its specification is its own."""
-    folder = shutil.copytree(folders[kind], tmp_path / "copy")
-    manifest = json.loads((folder / "manifest.json").read_text())
-    for spec in ({}, {"source": 5, "scene": [1]}, dict.fromkeys(manifest["spec"])):
-        (folder / "manifest.json").write_text(sealed({**manifest, "spec": spec}))
-        assert call(kind, "card", folder) in (2, 3)
-        assert call(kind, "preview", folder, "--out", tmp_path / "out") in (0, 2, 3)
-        assert "Traceback" not in capsys.readouterr().err
-    assert call(kind, "card", folder) == 3
-    message = " ".join(capsys.readouterr().err.split())
-    assert "its specification is not that of this kind of data set (TypeError" in message

@@ -190,25 +190,6 @@ def test_what_is_no_solid_is_named_and_the_rest_is_written(
         assert f"failed: {name}" in printed.err
 
 
-def test_choices_of_nothing_and_ids_that_stand_twice_are_refused(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    (source,) = (folder / "data").glob("printed_test-*.parquet")
-    table = parquet.ParquetFile(source).read(use_threads=False)
-    other = str((table["label"][0].as_py() + 1) % 10)
-    parquet.write_table(pa.concat_tables([table, table]), tmp_path / "twice.parquet")
-    for place, choice, words in (
-        (source, ("--ids", table["id"][0].as_py(), "--labels", other), "no object is chosen"),
-        (tmp_path / "twice.parquet", (), "an id stands twice in a split"),
-    ):
-        assert call("export", place, *choice, "--out", tmp_path / "out") == 2
-        assert words in " ".join(capsys.readouterr().err.split())
-        assert not (tmp_path / "out").exists()
-
-
 def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     import datasets
     import pandas as pd
@@ -266,36 +247,6 @@ def test_tables_are_a_data_set_folder(
     assert "column 'mesh.vertices' is missing" in capsys.readouterr().err
 
 
-def test_tables_are_kept_and_nothing_of_others_is_touched(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "flat"
-    words = ("export", folder, "--format", "flat", "--out", out, "--workers", "1", "-q")
-    assert call(*words) == 0
-    before = folder_bytes(out)
-    some = ("--split", "printed_test", "--limit", "3")
-    for further in (some, (*some, "--dry-run")):
-        assert call(*words, *further) == 2
-        assert "options.limit is None there, 3 was asked for" in capsys.readouterr().err
-        assert folder_bytes(out) == before
-    assert call(*words, *some, "--overwrite") == 0
-    assert [path for path in folder_bytes(out) if path.startswith("data/")] == [
-        "data/printed_test-00000-of-00001.parquet"
-    ]
-    whole = folder_bytes(folder)
-    assert call(*words, "--overwrite", "--out", folder) == 2
-    assert "holds the source" in capsys.readouterr().err
-    assert folder_bytes(folder) == whole
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "notes.txt").write_text("mine")
-    assert call(*words, "--overwrite", "--out", tmp_path / "mine") == 2
-    assert list(folder_bytes(tmp_path / "mine")) == ["notes.txt"]
-    assert call(*words, "--scale", "2") == 2
-    assert "--scale is about files" in capsys.readouterr().err
-    assert call(*words, "--dry-run", "--out", tmp_path / "none") == 0
-    assert not (tmp_path / "none").exists()
-
-
 def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     import datasets
 
@@ -319,18 +270,3 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     tables = ("--format", "flat", "--out", tmp_path / "wrenches", "-q")
     assert command_line.call("env-assets", "export", wrench, *tables) == 0
     assert command_line.call("env-assets", "verify", tmp_path / "wrenches") == 0
-
-
-def test_tables_of_some_of_each_class_are_not_taken_for_others(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ("export", folder, "--split", "printed_test", "--format", "flat", "--workers", "1", "-q")
-    assert call(*words, "--out", tmp_path / "all") == 0
-    options = json.loads((tmp_path / "all" / "manifest.json").read_text())["spec"]["options"]
-    assert options == {"layout": "flat", "ids": None, "labels": None, "limit": None}
-    some = (*words, "--out", tmp_path / "some", "--labels", "3,5")
-    assert call(*some, "--per-class", "1") == 0
-    options = json.loads((tmp_path / "some" / "manifest.json").read_text())["spec"]["options"]
-    assert options == {"layout": "flat", "ids": None, "labels": "3,5", "limit": None, "per_class": 1}
-    assert call(*some, "--per-class", "2") == 2
-    assert "options.per_class is 1 there, 2 was asked for" in capsys.readouterr().err

@@ -9,8 +9,6 @@ import pytest
 from PIL import Image
 
 import mnist3d
-from mnist3d.sources.folder import FolderSource
-from tactile_toolkit.errors import InputError
 from tests import command_line
 
 SMALL = ("--split", "test", "--per-class", "1", "--vertices", "2000", "--workers", "1")
@@ -157,51 +155,6 @@ def test_real_mnist(shared, tmp_path):
     assert len(mnist3d.load(str(tmp_path / "digits"), "test")) == 10
 
 
-def test_join_bodies_gives_one_body_each(tmp_path, capsys):
-    from PIL import Image
-
-    two = np.full((500, 500), 255, np.uint8)
-    two[100:200, 100:400] = two[300:400, 100:400] = 0
-    place = tmp_path / "images" / "2"
-    place.mkdir(parents=True)
-    Image.fromarray(two).save(place / "a.png")
-    options = (
-        "--source",
-        "folder",
-        "--images",
-        tmp_path / "images",
-        "--split",
-        "train",
-        "--quiet",
-        "--workers",
-        "1",
-    )
-    assert call("generate", *options, "--out", tmp_path / "apart") == 0
-    assert call("generate", *options, "--join-bodies", "--out", tmp_path / "joined") == 0
-    for name, bodies in (("apart", 2), ("joined", 1)):
-        (digit,) = mnist3d.load(str(tmp_path / name), "train")
-        assert digit.mesh.body_count == bodies
-
-
-def test_an_unreadable_file_hides_no_verdict(tmp_path, capsys):
-    import trimesh
-
-    good, bad, other = tmp_path / "good.stl", tmp_path / "bad.stl", tmp_path / "notes.txt"
-    trimesh.creation.box((10, 10, 10)).export(good)
-    bad.write_bytes(b"x")
-    other.write_text("x")
-    assert call("validate", bad, other, good) == 1
-    printed = capsys.readouterr()
-    assert "1 of 3 meshes are valid" in printed.out
-    assert "Thinnest wall" in printed.out
-    assert f"unreadable: {bad}" in printed.err
-    assert f"unreadable: {other}" in printed.err
-    assert call("validate", bad, good, "--json", "--quiet") == 1
-    first, second = json.loads(capsys.readouterr().out)
-    assert (first["meshes"][0]["problem"], first["failed"]) == ("unreadable", 1)
-    assert second["failed"] == 0
-
-
 def test_the_next_step_names_a_split_that_has_rows(tmp_path, capsys):
     options = ("--split-sizes", "train=0,test=1", "--vertices", "2000", "--workers", "1")
     assert call("generate", *options, "--limit", 1, "--out", tmp_path / "set") == 0
@@ -262,33 +215,3 @@ def test_pictures_of_ones_own_are_divided_where_that_is_asked_for(own_pictures, 
     splits = json.loads((out / "manifest.json").read_text())["splits"]
     assert {split: table["rows"] for split, table in splits.items()} == rows
     assert call("verify", out, "--quiet") == 0
-
-
-def test_python_divides_pictures_of_ones_own_as_the_command_does(own_pictures, tmp_path):
-    solid = mnist3d.SolidSpec(target_vertices=2_000)
-    spec = mnist3d.GenerateSpec(FolderSource(str(own_pictures)), solid, limit=1)
-    assert list(mnist3d.generate(spec, tmp_path / "one").split_table()) == ["train"]
-    assert list(mnist3d.generate(spec, tmp_path / "two", ("train", "test")).split_table()) == [
-        "train",
-        "test",
-    ]
-    divided = mnist3d.GenerateSpec(spec.source, solid, mnist3d.SplitSpec(by="digit"), limit=1)
-    assert list(mnist3d.generate(divided, tmp_path / "all").split_table()) == list(mnist3d.SPLITS)
-    with pytest.raises(InputError, match="split sizes are given for digits that are not divided"):
-        mnist3d.SplitSpec(by="none", sizes={"train": 1})
-
-
-def test_a_card_of_ones_own_pictures_is_named_as_its_folder(own_pictures, tmp_path, capsys):
-    out = tmp_path / "my_*digits*\u202e"
-    source = ("--source", "folder", "--images", own_pictures, "--limit", 1)
-    assert call("generate", *source, "--vertices", 2000, "--workers", 1, "--quiet", "--out", out) == 0
-    card = (out / "README.md").read_text()
-    assert "\n# my\\_\\*digits\\*\\\\u202e\n" in card
-    assert "pretty_name: my_*digits*\\u202e\n" in card
-    assert "# MNIST 3D" not in card
-    assert "all digits in `train`" in card
-    (out / "README.md").unlink()
-    assert call("card", out) == 0
-    assert (out / "README.md").read_text() == card
-    assert call("export", out, "--format", "flat", "--out", tmp_path / "tables", "--quiet") == 0
-    assert "\n# 3D digits as tables\n" in (tmp_path / "tables" / "README.md").read_text()

@@ -3,21 +3,16 @@
 from __future__ import annotations
 
 import importlib.metadata
-import shutil
 import signal
 import subprocess
-import sys
-from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store import DataFolder, build
 from tests import command_line
 from tests.processes import start_held
-from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+from tests.tactile_toolkit.toy import folder_bytes
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SCENES = ("generate", "--scenes", "train=3000,test=20", "-w", "1", "--out")
@@ -97,38 +92,3 @@ def test_a_job_with_other_versions_is_refused(tmp_path, monkeypatch, capfd):
     assert given(*SCENES, place, "--part", "0/4") == 2
     assert f"libraries.numpy is '{here}' there, '9.9' was asked for" in capfd.readouterr().err
     assert folder_bytes(place) == before
-
-
-class BlindNode:
-    """Runs tasks in a process that sees a copy of the folder, as it was when the run began."""
-
-    def __init__(self, place: Path) -> None:
-        self.place = place
-
-    def run(self, function: Callable, tasks: Iterable) -> Iterator:
-        import pickle
-
-        code = (
-            "import pickle, sys; work, tasks = pickle.load(sys.stdin.buffer); "
-            "sys.stdout.buffer.write(pickle.dumps([work(task) for task in tasks]))"
-        )
-        hidden = 'began=$(cat "$0/manifest.json") && mount -t tmpfs none "$0" && '
-        hidden += 'printf %s "$began" > "$0/manifest.json" && exec "$@"'
-        words = ["unshare", "-Urm", "sh", "-c", hidden, str(self.place), sys.executable, "-c", code]
-        todo = pickle.dumps((function, list(tasks)))
-        done = subprocess.run(words, input=todo, stdout=subprocess.PIPE, check=True, cwd=REPOSITORY)
-        yield from pickle.loads(done.stdout)
-
-
-@pytest.mark.thorough
-def test_a_node_that_does_not_see_the_folder(tmp_path):
-    """What it has written lies in a folder of its own."""
-    place = tmp_path / "set"
-    place.mkdir()
-    mounts = ["unshare", "-Urm", "sh", "-c", 'mount -t tmpfs none "$0"', str(place)]
-    if shutil.which("unshare") is None or subprocess.run(mounts, check=False).returncode:
-        pytest.skip("this system gives no mount namespaces")
-    told = r"2 of 2 shards of '.*set' are not finished.*does not see.*s3://"
-    with pytest.raises(IntegrityError, match=told):
-        build(DataFolder(str(place)), toy_plan(("test",)), workers=BlindNode(place))
-    assert not (place / "data").exists()

@@ -152,31 +152,3 @@ def test_a_dry_run_writes_nothing_and_tells_all(digits, scenes, clips, tmp_path,
         assert document["folder"] == "previews"
         assert "would write" in run(room, *arguments, "--dry-run").stdout
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("room", "arguments", "words"),
-    [
-        ("mnist3d", ("{digits}", "--ids", "4,x"), "--ids has 'x'"),
-        ("mnist3d", ("{digits}", "--ids", "99999"), "no object with id 99999"),
-        ("mnist3d", ("{digits}", "--split", "train"), "no split 'train'"),
-        ("mnist3d", ("absent",), "does not exist"),
-        ("mnist3d", ("{digits}", "--kind", "steps", "--ids", "99999"), "no object with id 99999"),
-        ("starstruck", ("{scenes}", "--ids", "99999"), "no object with id 99999"),
-        ("starstruck", ("absent",), "does not exist; expected a folder, a Parquet file"),
-        ("realtouch", ("{clips}", "--round", "9"), "--round is 9"),
-        ("realtouch", ("{clips}", "--kind", "strip"), "'strip' is not one of 'grid', 'overlay', 'all'"),
-        ("realtouch", ("{digits}",), "digits"),
-        ("mnist3d", ("{scenes}",), "holds scenes; `mnist3d preview` is for digits"),
-        ("starstruck", ("{digits}",), "holds digits; `starstruck preview` is for scenes"),
-        ("mnist3d", ("{digits}", "--out", "s3://bucket/p"), "'s3://bucket/p'"),
-        ("realtouch", ("{clips}", "--out", "s3://bucket/p"), "'s3://bucket/p'"),
-    ],
-)
-def test_bad_input_ends_with_a_line_and_code_2(room, arguments, words, digits, scenes, clips, tmp_path, run):
-    places = {"{digits}": digits, "{scenes}": scenes, "{clips}": clips}
-    done = run(room, *(places.get(each, each) for each in arguments))
-    assert (done.returncode, done.stdout) == (2, "")
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
-    assert list(tmp_path.iterdir()) == []

@@ -86,50 +86,6 @@ def test_proportions_reach_the_specification_and_info(tmp_path):
     assert "inner_ratio of shape 'star' is 0.95; expected at most 0.8009 with 5 points" in refused.stderr
 
 
-def test_five_classes_are_named_by_their_stars(tmp_path):
-    assert (
-        run("generate", "--out", tmp_path / "s", "--stars", "1-5", "--scenes", 10, "-q", "-w", 1).exit_code
-        == 0
-    )
-    scenes = starstruck_gen.load(str(tmp_path / "s"), "train")
-    assert scenes.label_names == ("1", "2", "3", "4", "5")
-    assert [record.label for record in scenes] == [record.star_count - 1 for record in scenes]
-
-
-def test_dry_run_with_overwrite_forecasts_what_would_be_replaced(made, tmp_path):
-    folder, _ = made
-    before = (folder / "manifest.json").read_bytes()
-    words = ("generate", "--out", folder, "--seed", 5, "--scenes", 9, "--dry-run", "--workers", 1)
-    refused = run(*words)
-    assert (refused.exit_code, "start again there with --overwrite" in refused.stderr) == (2, True)
-    told = run(*words, "--overwrite")
-    assert told.exit_code == 0
-    assert f"would replace the data set in {folder}: 66 rows (train 60, test 6)" in told.stdout
-    assert "would make 18 scenes" in told.stdout
-    assert json.loads(run(*words, "--overwrite", "--json").stdout)["replaced"] == {"train": 60, "test": 6}
-    assert (folder / "manifest.json").read_bytes() == before
-    empty = ("generate", "--out", tmp_path / "new", "--scenes", 9, "--dry-run", "--overwrite")
-    assert "would replace" not in run(*empty).stdout
-    (tmp_path / "mine.txt").write_text("mine")
-    strange = run("generate", "--out", tmp_path, "--scenes", 9, "--dry-run", "--overwrite")
-    assert (strange.exit_code, "mine.txt" in strange.stderr) == (2, True)
-
-
-def test_three_points_take_notches_that_fit(tmp_path):
-    out = tmp_path / "set"
-    assert run("generate", "--out", out, "--star-points", 3, "--scenes", 3, "-q", "-w", 1).exit_code == 0
-    spec = json.loads((out / "manifest.json").read_text())["spec"]["scene"]
-    assert spec["star"]["proportions"] == {"points": 3, "inner_ratio": 0.25}
-
-
-def test_one_number_or_two_are_least_and_most_distractors(tmp_path):
-    for text, expected in (("2", [2, 2]), ("1,4", [1, 4]), ("0-3", [0, 3])):
-        words = ("--distractors", text, "--scenes", 3, "-q", "-w", 1, "--overwrite")
-        assert run("generate", "--out", tmp_path / "set", *words).exit_code == 0
-        manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
-        assert manifest["spec"]["scene"]["distractors"] == expected
-
-
 def test_validate_says_that_stars_are_declared_although_every_scene_fails(made, tmp_path):
     folder, _ = made
     table = pq.ParquetFile(folder / "data" / "test-00000-of-00001.parquet").read(use_threads=False)
@@ -153,17 +109,6 @@ def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
     told = capsys.readouterr().err
     assert told.startswith("trying whether the fullest scene has room: 2 of 1,001, 2.0 failed layouts/min, ")
     assert told.count("\n") == 1
-
-
-def test_info_shows_acceptance(made):
-    folder, _ = made
-    text = run("info", folder).stdout
-    assert "accepted" in text
-    assert "scene.collision = circles" in text
-    document = json.loads(run("info", folder, "--json").stdout)
-    acceptance = document["splits"][0]["acceptance"]
-    assert acceptance["attempts"][0] == 60
-    assert acceptance["restarts"] == 0
 
 
 def test_validate_and_verify_pass(made):

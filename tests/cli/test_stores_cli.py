@@ -96,38 +96,6 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         assert stored(s3, bucket, "back") == copied
 
 
-def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):
-    from tests.realtouch import factories
-
-    truths = [factories.make_round(index, 4, (64, 64), (4, 5)) for index in range(3)]
-    source = factories.write_set(tmp_path / "touches", {"train": factories.single_rows(truths)}, "single")
-    tars = f"s3://{bucket}/webdataset"
-    for layout in ("flat", "webdataset", "lerobot"):
-        there, here = f"s3://{bucket}/{layout}", tmp_path / layout
-        words = ("export", source, "--format", layout, "--workers", "1", "--quiet", "--out")
-        assert call("realtouch", *words, there) == call("realtouch", *words, here) == 0
-        assert stored(s3, bucket, layout) == folder_bytes(here)
-        assert call("realtouch", "verify", there) == 0
-    words = ("import", f"{tmp_path}/webdataset/webdataset", "--format", "webdataset", "--workers", "1", "-q")
-    for out in (f"s3://{bucket}/back", tmp_path / "back", f"s3://{bucket}/back"):
-        assert call("realtouch", *words, "--round-column", "round_id", "--out", out) == 0
-    assert stored(s3, bucket, "back") == folder_bytes(tmp_path / "back")
-    tar = "webdataset/train-000000.tar"
-    DataFolder(tars).write_bytes(tar, b"cut")
-    assert call("realtouch", "verify", tars) == 3
-    assert tar in capfd.readouterr().err
-    again = ("export", source, "--format", "webdataset", "--workers", "1", "--quiet", "--out", tars)
-    assert call("realtouch", *again) == 0
-    assert DataFolder(tars).read_bytes(tar) == b"cut"  # that it is there is all that is asked
-    assert call("realtouch", *again, "--check") == 0
-    assert stored(s3, bucket, "webdataset") == folder_bytes(tmp_path / "webdataset")
-    words = ("import", f"{tars}/webdataset", "--format", "webdataset", "--workers", "1", "-q")
-    for part in (("--part", "0/2"), ("--part", "1/2"), ("--finish",)):
-        out = ("--round-column", "round_id", "--out", tmp_path / "from-there")
-        assert call("realtouch", *words, *out, *part) == 0
-    assert folder_bytes(tmp_path / "from-there") == folder_bytes(tmp_path / "back")
-
-
 @pytest.mark.usefixtures("new_clients")
 @pytest.mark.parametrize("debug", [(), ("--debug",)])
 def test_what_goes_wrong_is_named_without_any_secret(s3, monkeypatch, capfd, tmp_path, debug):

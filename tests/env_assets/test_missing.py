@@ -2,15 +2,12 @@ from __future__ import annotations
 
 import re
 import shlex
-import signal
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import env_assets
-from starstruck_gen.make import SceneMaking
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
+from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.store import DataFolder, read_manifest
 from tests.command_line import call
 from tests.forked import start_forked
@@ -112,33 +109,3 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
     manifest = read_manifest(DataFolder(str(tmp_path / "starstruck")))
     assert (manifest.splits, manifest.complete) == (("train", "test"), True)
     assert not list((tmp_path / "starstruck").rglob(".writing-*"))
-
-
-DIE = """
-import dataclasses, os, signal, sys
-import starstruck_gen.make, tactile_toolkit.store.building, env_assets
-layout = starstruck_gen.make.SceneMaking.layout
-starstruck_gen.make.SceneMaking.layout = lambda making: dataclasses.replace(layout(making), smallest=2)
-write_record = tactile_toolkit.store.building.write_record
-def write_and_die(*arguments):
-    write_record(*arguments)
-    os.kill(os.getpid(), signal.SIGKILL)
-tactile_toolkit.store.building.write_record = write_and_die
-env_assets.AssetProvider(sys.argv[1], generate=True, per_class=2).meshes("starstruck", "train")
-"""
-
-
-def test_a_killed_process_lets_the_next_one_go_on(tmp_path, monkeypatch):
-    """Of three shards one is finished; the next process does not wait and keeps it."""
-    layout = SceneMaking.layout
-    monkeypatch.setattr(SceneMaking, "layout", lambda making: replace(layout(making), smallest=2))
-    died = start_forked(DIE, tmp_path)
-    assert died.end() == -signal.SIGKILL, died.err
-    (shard,) = (tmp_path / "starstruck" / "data").glob("train-*")
-    before = shard.stat()
-    with pytest.raises(IntegrityError, match="is not finished"):
-        env_assets.AssetProvider(tmp_path, per_class=2).meshes("starstruck")
-    scenes = env_assets.AssetProvider(tmp_path, generate=True, per_class=2).meshes("starstruck")
-    assert len(scenes) == 6
-    assert len(list((tmp_path / "starstruck" / "data").glob("train-*"))) == 3
-    assert (shard.stat().st_ino, shard.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)

@@ -349,17 +349,3 @@ def test_real_pictures_come_back_as_they_are() -> None:
         assert catalog.writers[digit_id] == digit.writer
         with Image.open(paths[digit_id]) as picture:
             np.testing.assert_array_equal(digit.pixels, np.asarray(picture))
-
-
-@needs_shared
-def test_mnist_as_pictures_looks_like_mnist(tmp_path: Path) -> None:
-    from mnist3d.sources.mnist import IMAGES_MAGIC, MnistSource, read_idx
-
-    source = MnistSource(str(SHARED / "mnist"))
-    images = read_idx(SHARED / "mnist" / "t10k-images-idx3-ubyte.gz", IMAGES_MAGIC)
-    for digit_id in range(40):
-        save(tmp_path / "0" / f"{digit_id}.png", images[digit_id])
-    made = FolderSource(str(tmp_path))
-    for digit_id in range(40):
-        ours, theirs = (which.image(digit_id).pixels < 128 for which in (made, source))
-        assert (ours != theirs).mean() < 0.01

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import gc
-import gzip
 import hashlib
 import importlib.util
 import sys
@@ -21,7 +20,6 @@ from mnist3d.sources.mnist import MnistSource, download_mnist
 from tactile_toolkit.errors import HubError, ItemError, MissingExtraError
 from tests.mnist3d.mnist_files import PREFIXES, bars, idx, name_of, write
 from tests.mnist3d.sources import refusal
-from tests.real_input import SHARED, needs_shared
 
 
 @pytest.mark.parametrize("end", ["", ".gz"])
@@ -237,37 +235,6 @@ def test_flat_images_stay_flat(value: int, shape: tuple[int, int]) -> None:
     assert sheet.shape == (500, 500)
     inked = int((sheet < 128).sum())
     assert inked == (0 if value else round(500 * shape[0] / max(shape)) * round(500 * shape[1] / max(shape)))
-
-
-@needs_shared
-class TestRealFiles:
-    def test_labels_count(self) -> None:
-        catalog = MnistSource(str(SHARED / "mnist")).catalog()
-        expected = [980, 1135, 1032, 1010, 982, 892, 958, 1028, 974, 1009]
-        assert np.bincount(catalog.labels).tolist() == expected
-        assert catalog.labels[:10].tolist() == [7, 2, 1, 0, 4, 1, 4, 9, 5, 9]
-
-    def test_outlines_are_smooth_and_ink_can_be_printed(self) -> None:
-        from scipy.ndimage import distance_transform_edt
-        from skimage.morphology import skeletonize
-
-        source = MnistSource(str(SHARED / "mnist"))
-        raw = gzip.decompress((SHARED / "mnist" / name_of("test", "images", end=".gz")).read_bytes())
-        small = 255 - np.frombuffer(raw, np.uint8, offset=16).reshape(-1, 28, 28)
-        widths, heights, ours, nearest = [], [], [], []
-        for digit_id in range(0, 10_000, 250):
-            pixels = source.image(digit_id).pixels
-            ink = pixels < 128
-            widths.append(np.median(2 * distance_transform_edt(ink)[skeletonize(ink)]))
-            heights.append(np.ptp(np.flatnonzero(ink.any(axis=1))) + 1)
-            ours.append(turns(pixels))
-            nearest.append(turns(blocks(small[digit_id])))
-        assert np.mean(ours) < 4.2
-        assert np.mean(nearest) > 2.5 * np.mean(ours)
-        assert 35 < np.median(widths) < 60
-        assert min(widths) > 20
-        assert max(widths) < 100
-        assert 330 < np.median(heights) < 365
 
 
 def test_download_needs_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

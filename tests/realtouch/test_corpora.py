@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import pickle
-import re
 import sys
 import tarfile
 import zipfile
@@ -24,8 +23,6 @@ from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
-
-PLACES = {"fota": "fota/train", "sparsh": "sparsh/train", "anytouch": "anytouch"}
 
 
 @pytest.fixture(params=["single", "seq"])
@@ -179,35 +176,6 @@ def test_diffusion_policy_reads_the_replay_buffer(
         realtouch.export(source, tmp_path / "both", "replay")
 
 
-@pytest.mark.parametrize("layout", PLACES)
-def test_they_come_back_as_they_were(layout: Any, single_folder: Path, tmp_path: Path) -> None:
-    realtouch.export(single_folder, tmp_path / "there", layout)
-    place = tmp_path / "there" / PLACES[layout]
-    assert (
-        call("realtouch", "import", place, "--format", layout, "--out", tmp_path / "back", "--workers", 1)
-        == 0
-    )
-    before, after = realtouch.load(single_folder, "train"), realtouch.load(tmp_path / "back", "train")
-    assert after.label_names == before.label_names
-    for one, two in zip(before, after, strict=True):
-        assert isinstance(one, realtouch.TouchSingleRound)
-        assert isinstance(two, realtouch.TouchSingleRound)
-        assert (one.id, one.label, one.touch_count) == (two.id, two.label, two.touch_count)
-        for touch in range(one.touch_count):
-            assert bytes(one.sensor_image.encoded(touch)) == bytes(two.sensor_image.encoded(touch))
-        if layout == "anytouch":  # lists have no place for them
-            continue
-        assert one.object_id == two.object_id
-        np.testing.assert_array_equal(one.pos_in_cell_m, two.pos_in_cell_m)
-        np.testing.assert_array_equal(one.gel_pose_cell_frame.position_m, two.gel_pose_cell_frame.position_m)
-        np.testing.assert_array_equal(one.gel_pose_cell_frame.quaternion, two.gel_pose_cell_frame.quaternion)
-    assert realtouch.verify(tmp_path / "back").ok
-    if layout == "anytouch":
-        assert realtouch.load(tmp_path / "back", "test").ids.tolist() == (
-            realtouch.load(single_folder, "test").ids.tolist()
-        )
-
-
 def test_foreign_fota_has_poses_in_millimetres(tmp_path: Path) -> None:
     home = tmp_path / "cnc" / "val"
     home.mkdir(parents=True)
@@ -291,25 +259,6 @@ def test_an_image_damaged_in_its_middle_is_named(
     factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
     with pytest.raises(IntegrityError, match=r"(000|image 0).*cannot be decoded.*realtouch select"):
         realtouch.export(tmp_path / "cut", tmp_path / "out", layout)
-
-
-def test_lines_that_cannot_be_used_are_left_out_and_named(single_folder: Path, tmp_path: Path) -> None:
-    realtouch.export(single_folder, tmp_path / "there", "anytouch", split="train")
-    home = tmp_path / "there" / "anytouch"
-    lines = (home / "train_bg.txt").read_text().splitlines()
-    lines[1] = re.sub(r",\d+,", ",-1,", lines[1])
-    lines[2] = "../../up/0000000000.jpg,1,background.jpg"
-    lines[3] = lines[3].replace("0000000003", "0000000009")
-    (home / "train_bg.txt").write_text("\n".join(lines))
-    manifest = realtouch.import_images(home, tmp_path / "back", "anytouch")
-    assert {item.reason for item in manifest.shards[0].skipped} == {"label", "name", "missing"}
-    for layout, words in (
-        ("anytouch", "holds no lists"),
-        ("sparsh", "holds no pickles"),
-        ("fota", "holds no tars"),
-    ):
-        with pytest.raises(InputError, match=words):
-            realtouch.import_images(tmp_path / "back", tmp_path / "none", layout)  # type: ignore[arg-type]
 
 
 def test_a_replay_buffer_comes_back(source: Path, tmp_path: Path) -> None:

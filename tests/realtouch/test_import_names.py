@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.realtouch.images_of_others import line, picture, write_table, write_tar
 
@@ -54,31 +53,6 @@ def test_classes_stay_the_text_that_they_are(
     stored = [found.label_names[label] for label in found.labels]
     assert stored == [label if label in names else label.removesuffix(".0") for label in labels]
     assert not manifest.skipped_reasons()
-
-
-def test_names_that_meet_and_numbers_with_a_point(home: Path, tmp_path: Path) -> None:
-    for name in ("a_b_2", "a_b", "pictures/x"):
-        (home / f"{name}.jpg").write_bytes(picture(9))
-    (home / "a").mkdir()
-    (home / "a" / "b.jpg").write_bytes(picture(9))
-    names = ("a_b_2.jpg", "a/b.jpg", "a_b.jpg", "pictures/x.jpg")
-    write_table(home, [{"file": name, "label": "3.0", "round": ""} for name in names])
-    realtouch.import_images(home, tmp_path / "out", "folder")
-    found = realtouch.load(tmp_path / "out", "train")
-    assert found.ids.tolist() == ["a_b_2", "a_b", "a_b_2_2", "pictures_x"]
-    assert (found.label_names, found.labels.tolist()) == (tuple("0123456789"), [3] * 4)
-    lines = [{"file": name, "label": 1, "round": "a_b"[: 3 * (name == names[3])]} for name in names]
-    write_table(home, lines)
-    realtouch.import_images(home, tmp_path / "rounds", "folder", realtouch.ImportColumns(round="round"))
-    assert realtouch.load(tmp_path / "rounds", "train").ids.tolist() == ["a_b_2", "a_b_1", "a_b_2_2", "a_b"]
-    for classes, table, words in (
-        (("3", "3.0"), "file,label\na_b.jpg,3\n", "expected each once"),
-        ((), "file,label,label\na_b.jpg,3,4\n", "2 columns 'label'"),
-    ):
-        (home / "index.csv").write_text(table)
-        with pytest.raises(InputError, match=words):
-            realtouch.import_images(home, tmp_path / "none", "folder", classes=classes)
-        assert not (tmp_path / "none").exists()
 
 
 def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -170,20 +170,6 @@ def test_an_out_that_does_not_fit_is_refused_before_it_is_written_to(
     assert not np.any(out[0])
 
 
-def test_an_out_with_room_to_spare_or_between_images_is_filled(single_folder: Path) -> None:
-    touches = realtouch.load(single_folder, "train").touches()
-    images, expected = touches[0].round.sensor_image, touches.images([0, 1])
-    spare, apart = np.zeros((5, 72, 96, 3), np.uint8), np.zeros((2, 3, 72, 96, 3), np.uint8)[:, 1]
-    for out in (spare, apart):
-        for fill in (images.batch, touches.images):
-            out[...] = 0
-            assert fill([0, 1], out=out) is out
-            np.testing.assert_array_equal(out[:2], expected)
-            assert not out[2:].any()
-            assert fill([], out=out) is out
-            np.testing.assert_array_equal(out[:2], expected)
-
-
 def test_a_jpeg_of_hundreds_of_scans_is_not_decoded(single_rows: list[dict], tmp_path: Path) -> None:
     """A few bytes make a scan, and each goes over the picture again: 88 kB took 17 s."""
     assert decode_image(jpeg_of_scans(100)).shape == (8, 8, 3)

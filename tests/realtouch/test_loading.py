@@ -114,22 +114,6 @@ def test_opening_reads_no_row(single_folder: Path, monkeypatch: pytest.MonkeyPat
     assert len(dataset.touches()) == 15  # the lists have a fixed length in the schema
 
 
-def test_filters_never_read_images(seq_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[str] = []
-    original = pq.ParquetFile.iter_batches
-
-    def spy(self: pq.ParquetFile, size: int, groups: list[int], columns: list[str], **options: object):
-        asked.extend(columns or ["everything"])
-        return original(self, size, groups, columns, **options)
-
-    monkeypatch.setattr(pq.ParquetFile, "iter_batches", spy)
-    dataset = realtouch.load(seq_folder, "train")
-    touches = dataset.touches().with_contact().filter_labels(0, "1").objects(4000, 4001)
-    assert len(touches.filter(lambda touch: touch.pos_in_cell_m[0] > 0)) <= len(touches) == 8
-    assert asked
-    assert not {"sensor_video", "everything"} & set(asked)
-
-
 def test_where_may_look_at_the_picture(single_folder: Path) -> None:
     touches = realtouch.load(single_folder, "train").touches()
     bright = [touch.image.mean() > 120 for touch in touches]
@@ -167,14 +151,6 @@ def test_records_are_frozen_and_pickle(seq_folder: Path, single_folder: Path) ->
     np.testing.assert_array_equal(clip[9], realtouch.load(seq_folder, "train")[1].sensor_video[2][9])
     with pytest.raises(AttributeError, match="frozen"):
         touch.round = record
-
-
-def test_data_sets_pickle_as_their_paths(single_folder: Path) -> None:
-    dataset = realtouch.load(single_folder, "train")
-    dataset.touches().with_contact()
-    content = pickle.dumps(dataset.touches())
-    assert len(content) < 2000
-    assert pickle.loads(content)[4].round_id == dataset[0].id
 
 
 def test_missing_columns_are_named_when_asked_for(seq_rows: list[dict], tmp_path: Path) -> None:

@@ -11,8 +11,7 @@ import realtouch
 from realtouch.contact import contact_heights_m
 from realtouch.gallery import plan_gallery
 from realtouch.previews import CONTACT, draw_grid
-from tests.realtouch import factories
-from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.factories import RoundTruth
 
 
 @pytest.fixture(params=["seq", "single"])
@@ -71,15 +70,3 @@ def test_heights_above_a_known_plate() -> None:
     np.testing.assert_array_equal(contact_heights_m(z_m, False, plate_z_m=0.001), z_m)
     assert np.isnan(contact_heights_m(np.array([np.nan]))).all()
     assert contact_heights_m(np.zeros(0)).shape == (0,)
-
-
-@pytest.mark.parametrize("kind", ["seq", "single"])
-def test_heights_need_no_intended_positions(kind: str, truth: list[RoundTruth], tmp_path: Path) -> None:
-    rows = factories.seq_rows(truth) if kind == "seq" else factories.single_rows(truth)
-    whole = factories.write_set(tmp_path / "whole", {"train": rows}, kind)
-    layout = Layout(leave_out=("pos_in_cell",))
-    bare = factories.write_set(tmp_path / "bare", {"train": rows}, kind, layout)
-    assert realtouch.summarise(realtouch.load(bare)).contact_share == pytest.approx(0.8)
-    np.testing.assert_array_equal(
-        realtouch.load(bare).touches().heights_m(), realtouch.load(whole).touches().heights_m()
-    )

@@ -179,29 +179,6 @@ def test_a_share_of_touches_without_contact(single_folder: Path, share: float):
     assert found.contact.sum() == mask.sum()
 
 
-def test_pictures_of_differences(seq_folder: Path, single_folder: Path, tmp_path: Path):
-    realtouch.frames(seq_folder, tmp_path / "clips", frame="best", difference="grey", split="train")
-    clip = realtouch.load(seq_folder, split="train")[1].sensor_video[2]
-    index = (tmp_path / "clips" / "index.csv").read_text().splitlines()
-    line = dict(zip(index[0].split(","), index[1 + 5 + 2].split(","), strict=True))
-    assert int(line["frame"]) == clip.contact_index("best") == realtouch.best_frame(clip)[0]
-    shown = np.array(Image.open(tmp_path / "clips" / line["file"]))
-    expected = realtouch.difference(clip[int(line["frame"])], realtouch.background(clip), "grey")
-    assert (shown == expected).all()
-
-    realtouch.frames(single_folder, tmp_path / "images", difference="absolute", split="test")
-    record = realtouch.load(single_folder, split="test")[0]
-    for touch, file in enumerate(sorted((tmp_path / "images" / "images").rglob("*.png"))):
-        expected = realtouch.difference(record.sensor_image[touch], realtouch.background(record), "absolute")
-        assert (np.array(Image.open(file)) == expected).all()
-    with pytest.raises(InputError, match="no difference 'signed' that a picture can show"):
-        realtouch.frames(single_folder, tmp_path / "no", difference="signed")
-    single = realtouch.clips_to_images(seq_folder, tmp_path / "single", "best", split="train")
-    assert single.split_table()["train"]["rows"] == 3
-    best = realtouch.load(tmp_path / "single", split="train")[1].sensor_image[2]
-    assert (best == clip[clip.contact_index("best")]).all()
-
-
 def test_clips_of_several_sizes_have_no_background(seq_folder: Path, tmp_path: Path):
     realtouch.resize(seq_folder, tmp_path / "small", width=48, height=36, split="train")
     both = realtouch.load(seq_folder, split="train") + realtouch.load(tmp_path / "small", split="train")

@@ -11,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 import realtouch
 from realtouch.previews import (
-    CELL_M,
     CONTACT,
     SENSING_AREA_M,
     Placed,
@@ -76,19 +75,6 @@ def test_what_was_felt_lands_where_it_was_felt(angle, flipped, centre_m, mark):
     assert covered == pytest.approx(SENSING_AREA_M[0] * SENSING_AREA_M[1] * 8000.0**2, rel=0.02)
 
 
-@given(st.lists(st.tuples(st.floats(-0.08, 0.08), st.floats(-0.08, 0.08)), min_size=1, max_size=4))
-def test_the_map_holds_the_cell_and_every_touch_whole(centres):
-    touches = [placed(np.zeros((3, 4, 3), np.uint8), centre, gel(30, True)) for centre in centres]
-    cell = cell_map(touches, 5.0)
-    assert cell.size_px[0] >= CELL_M[0] * 5000 - 1e-3
-    for touch, centre in zip(touches, centres, strict=True):
-        for column, row in ((0, 0), (4, 0), (0, 3), (4, 3)):
-            x, y = cell.point_px(felt_at_m(gel(30, True), centre, column, row, (4, 3)))
-            assert -0.01 <= x <= cell.size_px[0] + 0.01
-            assert -0.01 <= y <= cell.size_px[1] + 0.01
-        assert touch.pixels.shape == (3, 4, 3)
-
-
 @pytest.mark.parametrize("kind", ["seq", "single"])
 def test_stored_touches_are_placed_by_the_measured_pose(
     kind: str, seq_folder: Path, single_folder: Path, truth: list[RoundTruth]
@@ -151,14 +137,3 @@ def test_plans_name_the_round(seq_folder: Path) -> None:
         with pytest.raises(InputError, match=words):
             plan_previews(str(seq_folder), TouchPreviewSpec(kinds, "train", **spec))
     assert SIZE == (96, 72)
-
-
-def test_pictures_of_several_sizes_are_not_laid_over_each_other(
-    truth: list[RoundTruth], tmp_path: Path
-) -> None:
-    rows = factories.single_rows(truth[:1])
-    other = factories.make_round(8, TOUCHES, (64, 48))
-    rows[0]["sensor_image"][1] = factories.single_rows([other])[0]["sensor_image"][1]
-    record = realtouch.load(factories.write_set(tmp_path, {"train": rows}, "single"))[0]
-    with pytest.raises(InputError, match=r"different sizes \(64 x 48, 96 x 72 pixels\).*realtouch resize"):
-        draw_overlay(record)

@@ -13,7 +13,6 @@ import pytest
 import realtouch
 from realtouch.rounds import Touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read.order import GlobalOrder
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -81,20 +80,6 @@ def test_classes_and_objects_are_given_one_by_one_or_together(single_folder: Pat
     for objects in ("4000", 4000.0, False, ["4000"]):
         with pytest.raises(InputError, match="expected object ids as integers"):
             touches.objects(objects)
-
-
-def test_any_choice_of_touches_is_trained_on_file_by_file(single_folder: Path) -> None:
-    data = realtouch.load(single_folder, "train")
-    for touches in (
-        data.touches(),
-        data[[2, 0]].touches(),
-        data.touches()[::-2],
-        data.touches().sample(9, 1),
-    ):
-        places = GlobalOrder(touches._stored_parts(), None, 1).epoch(0).positions(np.arange(len(touches)))
-        assert sorted(places) == list(range(len(touches)))
-        rows = [(touch.object_id, touch.touch_index) for touch in (touches[int(place)] for place in places)]
-        assert rows == sorted(rows), "as they are stored"
 
 
 def test_heights_of_a_set_without_intended_positions(

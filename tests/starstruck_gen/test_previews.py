@@ -45,35 +45,6 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # nothing is as yellow as a star
 
 
-def test_digits_are_no_scenes(tmp_path):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from starstruck_gen.gallery import plan_gallery
-    from tactile_toolkit.read import feature_metadata, label_feature, vectors_type
-
-    columns = {
-        "id": pa.array([1], pa.int64()),
-        "label": pa.array([3], pa.int64()),
-        "mesh.vertices": pa.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]], vectors_type(pa.float32())),
-        "mesh.faces": pa.array([[[0, 1, 2]]], vectors_type(pa.int32())),
-    }
-    places = {}
-    for names in (tuple("0123456789"), ("1", "2", "3", "4")):
-        table = pa.table(columns).replace_schema_metadata(feature_metadata({"label": label_feature(names)}))
-        places[names] = str(tmp_path / f"train-{len(names)}.parquet")
-        pq.write_table(table, places[names])
-    digits, scenes = places.values()
-    assert plan_gallery(scenes).size == 1
-    assert (
-        plan_previews(scenes, PreviewSpec(kinds=("sheet",))).pictures[0].what == "1 scene of train from above"
-    )
-    with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d preview "):
-        plan_previews(digits, PreviewSpec())
-    with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d gallery "):
-        plan_gallery(digits)
-
-
 def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     out = tmp_path / "mixed"
     generate(GenerateSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))

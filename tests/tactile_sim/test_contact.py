@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -86,37 +85,6 @@ def test_contact_is_what_the_sensor_met(touches):
     np.testing.assert_allclose(view.heights_m(), np.where(met, 0.005, 0.0), atol=1e-6)
     assert len(view.with_contact(min_height_m=0.0051)) == 0
     assert len(view.sample(no_contact_fraction=0.0)) == met.sum()
-
-
-def test_info_and_cards_count_the_same_and_state_the_rule(touches, tmp_path, capsys):
-    assert call("realtouch", "info", touches, "--json") == 0
-    split = json.loads(capsys.readouterr().out)["splits"]["train"]
-    assert split["contact_share"] == _met(touches).mean()
-    assert "the height of the plate is known" in split["contact_rule"]
-    assert call("realtouch", "info", touches) == 0
-    said = capsys.readouterr().out
-    assert f"{_met(touches).mean():.1%}" in said
-    assert "is known" in said
-    realtouch.resize(touches, tmp_path / "small", 16, 12)
-    card = " ".join((tmp_path / "small" / "README.md").read_text().split())
-    assert f"| {100 * _met(touches).mean():.1f} % |" in card
-    assert "the height of the plate is known" in card
-    assert " 6 mm" not in card
-    assert "deepest touch" not in card
-    assert "18.88" not in card, "the window of a set is that of its own specification"
-
-
-def test_cards_speak_of_touches_that_meet_nothing_where_there_are_some(on_objects, in_cell, tmp_path):
-    for folder in (on_objects, in_cell):
-        realtouch.resize(folder, tmp_path / folder.name, 16, 12)
-        for card in (folder / "README.md", tmp_path / folder.name / "README.md"):
-            lines = [line for line in card.read_text().splitlines() if "select --contact" in line]
-            assert len(lines) == (0 if folder == on_objects else 1)
-            assert folder == on_objects or f"{(~_met(folder)).sum()} of 36 touches met no object" in lines[0]
-        own = " ".join((folder / "README.md").read_text().split())
-        assert f"| {100 * _met(folder).mean():.1f} % |" in own.partition("on the object")[2]
-        assert "| surface | as modelled |" in own
-        assert "lack the wear of gels and the texture of prints and the noise of a camera." in own
 
 
 def test_selected_touches_are_those_in_contact(touches, tmp_path):

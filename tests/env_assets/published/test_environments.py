@@ -210,21 +210,6 @@ def test_cycle_gan(provider, own_statistics):
         env.close()
 
 
-def test_noise_of_recorded_touches(assets, provider, own_statistics):
-    """Randomised environments lay recorded touches over the simulated ones: ours, not those of the Hub."""
-    pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
-    config = {"sensor_backend": "torch"}
-    env = env_assets.make("TactileMNIST-Depth-DR-train-v0", provider=provider, num_envs=1, config=config)
-    try:
-        noise = env.unwrapped.config.sensor_noise
-        linked = [file.resolve() for file in Path(noise.real_base_depth_dataset).rglob("*.parquet")]
-        assert linked == [assets / "real-single" / "data" / "train-00000-of-00001.parquet"]
-        assert noise.frame_noise_std == 0.0, "the rest is as registered"
-        env.reset(seed=SEED)
-    finally:
-        env.close()
-
-
 def test_recorded_touches(assets, provider, own_statistics):
     """Each observation is an image of the round, taken near where the agent wanted it."""
     rounds = {record.id: record for record in realtouch.load(str(assets / "real-single"))}

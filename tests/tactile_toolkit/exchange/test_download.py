@@ -245,22 +245,6 @@ def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
     assert verify(DataFolder(str(out)), SCHEMA).ok
 
 
-SMALL_PIECES = "from huggingface_hub import constants; constants.DOWNLOAD_CHUNK_SIZE = 100_000\n"
-"""The client continues within a file by whole pieces, which are of 10 MB else."""
-
-
-@pytest.mark.parametrize("reset", [False, True])
-def test_a_broken_connection_is_gone_on_with(server, tmp_path, reset):
-    for after in (1_000_000, 1_200_000):
-        server.faults.drop(f"*/{SHARD}", after=after, reset=reset)
-    place = Path(fetch(server, tmp_path, script(BIG, before=SMALL_PIECES))[0])
-    assert (place / SHARD).read_bytes() == CONTENT
-    begins = [int((r.range or "bytes=0-")[6:-1]) for r in server.content_requests(SHARD)]
-    assert begins == sorted(begins)
-    if not reset:  # a reset may throw away what was on its way
-        assert begins == [0, 1_000_000, 2_200_000]
-
-
 @pytest.mark.parametrize("kept_in_git", [False, True])
 def test_a_flipped_byte_is_repaired(server, tmp_path, kept_in_git):
     files = {"README.md": b"#", SHARD: CONTENT}

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import (
-    BusyError,
     InputError,
     IntegrityError,
     ItemError,
@@ -296,65 +295,6 @@ def test_item_errors_of_a_task_pass_through(tmp_path):
     tasks = (ToyTask(0, 1, error=ItemError("odd", "an odd one")),)
     with pytest.raises(ItemError, match="an odd one"):
         build(tmp_path / "site", Gallery("toy", "Toys", ("toy", "toys"), (), tasks, {"train": 1}))
-
-
-@pytest.mark.parametrize(
-    ("there", "overwrite"),
-    [
-        ("nothing", False),
-        ("nothing", True),
-        ("an empty folder", False),
-        ("an empty folder", True),
-        ("a gallery", True),
-    ],
-)
-def test_files_put_in_its_place_meanwhile_are_kept(tmp_path, there, overwrite):
-    out = tmp_path / "site"
-    if there == "a gallery":
-        build(out)
-    elif there == "an empty folder":
-        out.mkdir()
-
-    def put(done: int, _total: int) -> None:
-        if done == 8:
-            (out / "files-mine").mkdir()
-            (out / "files-mine" / "thesis.txt").write_text("years of work")
-
-    with pytest.raises(InputError, match=r"not part of a gallery .* nothing was changed"):
-        build(out, toy_gallery(16), overwrite=overwrite, on_progress=put)
-    assert (out / "files-mine" / "thesis.txt").read_text() == "years of work"
-    whole = build(tmp_path / "same").files if there == "a gallery" else 0
-    assert len(folder_bytes(out)) == 1 + whole
-    assert entries(tmp_path) == (["same", "site"] if whole else ["site"])
-
-
-@pytest.mark.parametrize("there", [False, True])
-def test_of_two_runs_to_one_place_only_the_first_makes_it(tmp_path, there):
-    out = tmp_path / "site"
-    if there:
-        build(out, toy_gallery(9))
-    refused: list[str] = []
-
-    def another(done: int, _total: int) -> None:
-        if done == 8:
-            with pytest.raises(BusyError, match=r"process \d+ on .* holds .*site") as caught:
-                build(out, toy_gallery(4), overwrite=there)
-            refused.append(str(caught.value))
-
-    build(out, overwrite=there, on_progress=another)
-    assert len(refused) == 1
-    assert len(index_of(out)["ids"]) == 20
-    assert entries(out) == [files_of(out).name, PAGE_FILE]
-
-
-def test_who_stands_in_the_folder_stays_in_it(tmp_path, monkeypatch):
-    out = tmp_path / "site"
-    out.mkdir()
-    monkeypatch.chdir(out)
-    inode = out.stat().st_ino
-    assert build(Path()).path == str(out)
-    build(Path(), toy_gallery(4), overwrite=True)
-    assert (out.stat().st_ino, len(index_of(Path())["ids"])) == (inode, 4)
 
 
 def test_a_link_stays_a_link(tmp_path):

@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tactile_toolkit.gallery import GalleryItem, build_site, packed_mesh
+from tactile_toolkit.gallery import build_site
 from tactile_toolkit.run import InlineRunner
 from tests.gallery_browser import Opened, browser, opened
 from tests.gallery_files import files_of
-from tests.gallery_toy import CORNERS_M, FACES, HOSTILE, ToyTask, toy_gallery
+from tests.gallery_toy import HOSTILE, toy_gallery
 
 pytestmark = pytest.mark.browser
 
 COUNT = 1_000
-
-
-@dataclass(frozen=True)
-class OneItem:
-    """Work of one item that is there already."""
-
-    item: GalleryItem
-    size: int = 1
-
-    def make(self) -> list[GalleryItem]:
-        return [self.item]
 
 
 @pytest.fixture(scope="module")
@@ -100,37 +88,6 @@ def test_filters_show_what_the_data_holds(chromium, site):
         assert chip(found, "Parity", "even").get_attribute("aria-pressed") == "false"
         titles = found.page.locator("#facets legend, #facets .field > span").all_inner_texts()
         assert titles == ["Class", "Parity", "Writer"]
-
-
-def test_clear_all_takes_back_the_sorting_too_and_keeps_the_focus(chromium, site):
-    with opened(chromium, site) as found:
-        clear = found.page.get_by_role("button", name="Clear all")
-        assert clear.get_attribute("aria-disabled") == "true"
-        found.page.get_by_label("Sort by").select_option(label="Volume, largest first")
-        assert shown(found)[0] != "0"
-        assert clear.get_attribute("aria-disabled") == "false"
-        clear.focus()
-        found.page.keyboard.press("Enter")
-        assert found.page.get_by_label("Sort by").input_value() == ""
-        assert shown(found)[0] == "0"
-        assert focused(found) == "clear"
-
-
-@pytest.mark.parametrize("what", ["sort", "search", "filter"])
-def test_the_best_match_comes_into_view(chromium, site, what):
-    with opened(chromium, site) as found:
-        page = found.page
-        page.get_by_role("listbox").press("End")
-        assert page.evaluate("scrollY") > 1_000
-        if what == "sort":
-            page.get_by_label("Sort by").select_option(label="Volume, smallest first")
-        elif what == "search":
-            page.get_by_label("Search by id").fill("9")
-        else:
-            chip(found, "Parity", "even").click()
-        first = page.locator('.tile[aria-posinset="1"]').bounding_box()
-        covered = page.locator(".top").bounding_box()["height"]
-        assert covered <= first["y"] < page.viewport_size["height"] / 2
 
 
 def test_sorting_keeps_unknown_values_last(chromium, site):
@@ -369,19 +326,3 @@ def test_without_webgl_the_thumbnail_is_shown(chromium, site):
         found.page.get_by_text("The 3D view cannot be shown here").wait_for()
         assert found.page.locator("dialog img.fallback").evaluate("node => node.decode().then(() => true)")
         assert "Volume" in found.page.locator("#facts").inner_text()
-
-
-@pytest.mark.parametrize("size_mm", [0.02, 500.0])
-def test_objects_of_any_size_are_seen_and_can_be_neared(chromium, tmp_path, size_mm):
-    mesh = packed_mesh(CORNERS_M * (size_mm / 30), FACES)
-    task = ToyTask(0, 1)
-    item = replace(task.make()[0], content={"notes": [], "mesh": mesh})
-    gallery = replace(toy_gallery(1), tasks=(OneItem(item),))
-    build_site(gallery, str(tmp_path / "site"), InlineRunner())
-    with opened(chromium, tmp_path / "site", link="#item-0") as found:
-        ground = found.stage()[0, 0]
-        assert (np.abs(found.stage() - ground).max(axis=2) > 40).mean() > 0.05
-        found.page.locator(".stage canvas").focus()
-        for _ in range(8):
-            found.page.keyboard.press("+")
-        assert (np.abs(found.stage() - ground).max(axis=2) > 40).mean() > 0.3

@@ -147,17 +147,6 @@ def test_trouble_that_passes_is_waited_for(server, tmp_path):
     assert result == "someone/set"
 
 
-def test_a_broken_connection_is_tried_again_and_a_refusal_is_not(server, tmp_path):
-    server.faults.refuse_body("/api/datasets/*", after=0)
-    assert (
-        said(server, tmp_path, ASK.replace("print(call", "str(call").replace("on_wait=print", "")) == "done"
-    )
-    before = len(server.requests)
-    text = said(server, tmp_path, ASK.replace("api.dataset_info('someone/set')", "api.dataset_info('no/no')"))
-    assert "was not found" in text
-    assert sum("/api/datasets/" in request.path for request in server.requests[before:]) == 1
-
-
 def test_errors_of_others_pass_untouched():
     def action() -> None:
         raise ZeroDivisionError

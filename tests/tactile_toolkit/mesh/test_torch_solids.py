@@ -111,40 +111,6 @@ def test_height_maps_and_meshes(digits: mnist3d.MeshDataset) -> None:
     assert doubled[3][1] == digits[3].id
 
 
-@pytest.mark.own_process
-def test_workers_give_what_this_process_gives() -> None:
-    """In one process for all, which takes a second to start."""
-    for form, method, workers in (("points", "fork", 2), ("mesh", "fork", 2), ("mesh", "spawn", 1)):
-        workers_give_what_this_process_gives(form, method, workers)
-
-
-def workers_give_what_this_process_gives(form: Any, method: str, workers: int) -> None:
-    from torch.utils.data import DataLoader
-
-    from starstruck_gen.torch import SceneTensors, collate_meshes
-
-    data = SceneTensors(SCENES, form, points=50, target=squared)
-    collate = {"collate_fn": collate_meshes} if form == "mesh" else {}
-    loader = DataLoader(data, batch_size=4, num_workers=workers, multiprocessing_context=method, **collate)
-    batches = list(loader)
-    assert [len(target) for _, target in batches] == [4, 2]
-    assert torch.cat([target for _, target in batches]).tolist() == [data[i][1] for i in range(6)]
-    if form == "points":
-        assert torch.equal(
-            torch.cat([points for points, _ in batches]), torch.stack([data[i][0] for i in range(6)])
-        )
-        return
-    batch = batches[0][0]
-    parts = batch.vertices.split(batch.vertex_counts.tolist())
-    faces = batch.faces.split(batch.face_counts.tolist())
-    start = 0
-    for place in range(4):
-        vertices, own = data[place][0]
-        assert torch.equal(parts[place], vertices)
-        assert torch.equal(faces[place] - start, own)
-        start += len(vertices)
-
-
 def test_what_cannot_be_is_refused() -> None:
     from starstruck_gen.torch import SceneTensors
 
@@ -175,10 +141,3 @@ def test_without_torch_the_extra_is_named(room: str, tmp_path: Path) -> None:
     said = printed_by(code)
     assert said.startswith("MissingExtraError a torch data set of solids needs the package 'torch'")
     assert "the extra `torch`" in said
-
-
-def test_grids_of_integers_too_large_for_numpy_are_refused() -> None:
-    from starstruck_gen.torch import SceneTensors
-
-    with pytest.raises(InputError, match="at most"):
-        SceneTensors(SCENES, extent_m=(10**30, 1, 1), pitch_m=1)

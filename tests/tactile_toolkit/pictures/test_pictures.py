@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, strategies as st
 from PIL import Image
 
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures.sheets import (
     INK,
@@ -119,22 +119,6 @@ def test_kinds_are_settled_once():
     assert planned("a", "all") == ["a", "b", "c"]
     with pytest.raises(InputError, match="'d'; expected a, b, c or all"):
         planned("d")
-
-
-def test_what_was_not_named_may_be_left_out_what_was_named_may_not():
-    picture = PlannedPicture("a.png", "", lambda: np.zeros((1, 1), np.uint8))
-
-    def plot() -> list[PlannedPicture]:
-        raise MissingExtraError("a plot", "matplotlib", "pictures")
-
-    plans = {"sheet": lambda: [picture], "plot": plot}
-    found = plan_kinds(("all",), plans)
-    assert found.pictures == (picture,)
-    assert "pip install 'matplotlib>=3.10' (the extra `pictures`)" in found.left_out[0]
-    with pytest.raises(MissingExtraError):
-        plan_kinds(("sheet", "plot"), plans)
-    with pytest.raises(MissingExtraError):
-        plan_kinds((), {"plot": plot})
 
 
 # ---------------------------------------------------------------- sheets

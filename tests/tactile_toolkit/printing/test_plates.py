@@ -14,7 +14,6 @@ from xml.etree import ElementTree
 import manifold3d
 import numpy as np
 import pytest
-import shapely
 from hypothesis import given, settings, strategies as st
 from PIL import Image
 
@@ -31,16 +30,6 @@ from tests.tactile_toolkit.toy import folder_bytes
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 FEW = [ell(40, 9), ring(20, 14), box(20, 12), ell(30, 12), box(8, 50), ring(11, 5), box(13, 13)]
-GROUPS = [
-    mesh_of(
-        manifold3d.Manifold.cube((8, 8, 5))
-        + manifold3d.Manifold.cube((6, 9, 5)).translate((40, 4, 0))
-        + manifold3d.Manifold.cylinder(5, 6).translate((18, 40, 0))
-    ),
-    mesh_of(
-        manifold3d.Manifold.cube((5, 30, 5)) + manifold3d.Manifold.cube((5, 30, 5)).translate((30, 10, 0))
-    ),
-]
 SMALL = PlateSpec(100, 80, 3.0, 0.0)
 
 
@@ -96,29 +85,6 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
         # Moved, neither turned nor mirrored.
         moved = np.asarray(place_on_plate(item.item.load()).vertices_m)
         assert moved - moved[0] == pytest.approx(shape.vertices_m - shape.vertices_m[0], abs=1e-12)
-
-
-def polygon_of(placed: Placed) -> Any:
-    """What an object covers of its plate, as shapely has it."""
-    rings = [np.add(ring, (placed.x_mm, placed.y_mm)) for ring in placed.outline.rings]
-    whole = shapely.Polygon()
-    for ring_mm in sorted(rings, key=lambda ring_mm: -shapely.Polygon(ring_mm).area):
-        whole = whole.symmetric_difference(shapely.Polygon(ring_mm))
-    return whole
-
-
-def test_the_line_round_the_parts_of_an_object_is_closed() -> None:
-    """From whichever corner it begins, and where no part of the object has an outline of its own."""
-    spec = PlateSpec(100, 80, 0.0, 0.0)
-    for turned_deg in (0, 100, 200, 300):
-        parts = GROUPS[1].to_manifold().rotate((0, 0, turned_deg))
-        layout = lay_out(named([mesh_of(parts)]), spec)
-        ((placed,),) = layout.plates
-        picture = np.asarray(Image.open(io.BytesIO(draw_map(layout, 1))).convert("L"))
-        line = polygon_of(placed).convex_hull.exterior
-        points = [line.interpolate(at_mm) for at_mm in np.arange(0, line.length, 1)]
-        at = [(int(60 + (80 - point.y) * 12), int(60 + point.x * 12)) for point in points]
-        assert max(picture[row - 3 : row + 4, column - 3 : column + 4].min() for row, column in at) < 180
 
 
 @pytest.mark.parametrize(
@@ -378,18 +344,6 @@ def test_a_plate_that_reads_back_otherwise_is_removed_and_not_in_the_table(tmp_p
     assert "odd reaches beyond the plate or its margin" in failure.detail
     assert made.objects == ()
     assert [path.name for path in tmp_path.iterdir()] == ["plates.csv"]
-
-
-@pytest.mark.parametrize("table", ["", "file\n../mine.3mf\nmine.3mf\nplate-1.3mf\n", "a,b\n1\n"])
-def test_a_table_of_another_kind_removes_nothing(table: str, tmp_path: Path) -> None:
-    out = tmp_path / "out"
-    out.mkdir()
-    (out / "plates.csv").write_text(table)
-    others = [tmp_path / "mine.3mf", out / "mine.3mf", out / "plate-1.3mf"]
-    for path in others:
-        path.write_text("keep")
-    assert write_plates(lay_out(named(FEW[:1]), SMALL), str(out), overwrite=True).removed == ()
-    assert all(path.read_text() == "keep" for path in others)
 
 
 def test_a_dry_run_says_what_stands_in_the_way(tmp_path: Path) -> None:

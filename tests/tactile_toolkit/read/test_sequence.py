@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import html
 import pickle
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -305,13 +303,6 @@ def test_a_hugging_face_set_shares_the_rows(every_set: dict[str, Any], rows: Row
     assert endless.to_hf()[:]["seed"] == [scene.seed for scene in endless]
 
 
-def test_a_hugging_face_set_of_unlike_sets_has_the_columns_they_agree_on(tmp_path: Path) -> None:
-    one = written(tmp_path / "one", id=np.arange(3), label=[0, 1, 2], size=[1, 2, 3], only_here=[1, 2, 3])
-    other = written(tmp_path / "other", id=np.arange(3, 5), label=[2, 1], size=[0.5, 1.5])
-    shared = (one + other).to_hf()
-    assert shared[:] == {"id": [0, 1, 2, 3, 4], "label": [0, 1, 2, 2, 1]}
-
-
 @pytest.mark.parametrize("kind", ["touches", pytest.param("touches of clips", marks=pytest.mark.torch)])
 def test_a_hugging_face_set_of_touches_has_a_row_each(every_set: dict[str, Any], kind: str) -> None:
     if kind == "touches of clips":
@@ -361,27 +352,6 @@ def test_notebooks_show_small_pictures(every_set: dict[str, Any], kind: str) -> 
     assert len(page) < 400_000
     assert "<img" in items[0]._repr_html_()
     assert "<img" not in items[:0]._repr_html_()
-
-
-@pytest.mark.parametrize("damage", ["cut", "flipped", "gone"])
-@pytest.mark.parametrize("kind", ["digits", "images"])
-def test_notebooks_show_what_is_damaged(
-    every_set: dict[str, Any], kind: str, damage: str, tmp_path: Path
-) -> None:
-    shutil.copytree(Path(every_set[kind]._table.shards[0].path).parents[1], tmp_path / "copy")
-    data = (mnist3d if kind == "digits" else realtouch).load(str(tmp_path / "copy"))
-    shard = next((tmp_path / "copy").rglob("*.parquet"))
-    content = shard.read_bytes()
-    if damage == "gone":
-        shard.unlink()
-    elif damage == "cut":
-        shard.write_bytes(content[:200])
-    else:
-        shard.write_bytes(content[:200] + bytes(len(content) // 2 - 200) + content[len(content) // 2 :])
-    shown = data._repr_html_()
-    assert html.escape(repr(str(shard))) in shown
-    assert html.escape(repr(data)) in shown
-    assert shown.count("next: ") == 1
 
 
 def test_meshes_print_as_those_of_trimesh_do(every_set: dict[str, Any]) -> None:

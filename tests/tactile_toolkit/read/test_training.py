@@ -21,7 +21,6 @@ from hypothesis import given, strategies as st
 
 import realtouch
 import starstruck_gen
-from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
 from tactile_toolkit.read.order import GlobalOrder
@@ -355,44 +354,6 @@ def test_damage_is_named_where_it_is_met(tmp_path: Path) -> None:
     damaged.write_bytes(content)
     with pytest.raises(IntegrityError, match="train-00004"):
         list(batches_of(rows))
-
-
-UNPACK = """
-    import os, sys
-    from tactile_toolkit.read import parquet
-    write = parquet.write_block
-    def logged(name, table, stream):
-        with open(sys.argv[1], "a") as log:
-            log.write(name + "\\n")
-        write(name, table, stream)
-    parquet.write_block = logged
-    print("ready", flush=True)
-    sys.stdin.readline()
-    table = parquet.ShardedTable(tuple(map(parquet.Shard, sys.argv[2:])))
-    for row in range(len(table)):
-        table.locate(row)
-"""
-
-
-def test_processes_of_a_machine_unpack_each_row_group_once(paths: list[str], tmp_path: Path) -> None:
-    command = [sys.executable, "-c", textwrap.dedent(UNPACK), str(tmp_path / "log"), *paths]
-    environment = os.environ | {CACHE_VARIABLE: str(tmp_path / "cache")}
-    started = [
-        subprocess.Popen(
-            command, cwd=ROOT, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        for _ in range(4)
-    ]
-    for process in started:
-        assert process.stdout.readline() == "ready\n"
-    for process in started:
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    for process in started:
-        process.communicate()
-        assert process.returncode == 0
-    written = (tmp_path / "log").read_text().split()
-    assert len(written) == len(set(written)) == sum(-(-count // 4) for count in SHARD_ROWS)
 
 
 JOB = """

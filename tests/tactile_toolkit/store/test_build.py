@@ -5,7 +5,6 @@ import gc
 import importlib.metadata
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -20,7 +19,7 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.run import Part, ProcessRunner
 from tactile_toolkit.store import DataFolder, build, inspect_job, read_manifest, verify
-from tests.processes import children, records_so_far, wait_until_gone
+from tests.processes import children, wait_until_gone
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 NUMBERS = [2, *(pytest.param(number, marks=pytest.mark.thorough) for number in (1, 4))]
@@ -159,34 +158,6 @@ def test_a_set_is_complete_only_with_the_shards_of_all_tasks(tmp_path):
 
 
 @pytest.mark.thorough
-@pytest.mark.parametrize("shards", NUMBERS)
-def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, shards):
-    make(tmp_path / "whole")
-    script = """
-        import sys
-        from tactile_toolkit.store.building import build
-        from tactile_toolkit.run.processes import ProcessRunner
-        from tactile_toolkit.store.folder import DataFolder
-        from tests.tactile_toolkit.toy import toy_plan
-        build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.1), workers=ProcessRunner(2))
-    """
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
-        cwd=Path(__file__).resolve().parents[3],
-    )
-    while len(records_so_far(tmp_path / "set")) < shards:
-        assert process.poll() is None
-        time.sleep(0.002)
-    process.send_signal(signal.SIGSTOP)
-    victim = children(process.pid)[-1]
-    os.kill(victim, signal.SIGKILL)
-    wait_until_gone([victim])
-    process.send_signal(signal.SIGCONT)
-    assert process.wait() == 0
-    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
-
-
-@pytest.mark.thorough
 def test_task_that_always_kills_its_worker_ends_the_run(tmp_path):
     plan = toy_plan(("test",))
     tasks = (replace(plan.tasks[0], die_always=True), plan.tasks[1])
@@ -290,44 +261,6 @@ def test_another_source_is_told_in_few_words(tmp_path):
     ) as told:
         make(tmp_path / "set", toy_plan(spec={"source": {"train": files(48, "b" * 64)}}))
     assert len(str(told.value)) < 500
-
-
-@pytest.mark.parametrize("workers", NUMBERS)
-def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
-    make(tmp_path / "whole")
-    script = f"""
-        import sys
-        from dataclasses import replace
-        from tactile_toolkit.store.building import build
-        from tactile_toolkit.store.folder import DataFolder
-        from tests.tactile_toolkit.toy import toy_plan
-        plan = toy_plan(pause_s=0.15)
-        endless = replace(plan.tasks[-1], pause_s=600.0)  # some shards must be left to make
-        plan = replace(plan, tasks=(*plan.tasks[:-1], endless))
-        build(DataFolder(sys.argv[1]), plan, workers={workers})
-    """
-    target = tmp_path / "set"
-    for _ in range(2 if workers == 1 else 1):
-        process = subprocess.Popen(
-            [sys.executable, "-c", textwrap.dedent(script), str(target)],
-            cwd=Path(__file__).resolve().parents[3],
-        )
-        seen = len(records_so_far(target))
-        deadline_s = time.monotonic() + 120
-        while process.poll() is None and time.monotonic() < deadline_s:
-            if len(records_so_far(target)) > seen:
-                workers_left = children(process.pid)
-                process.send_signal(signal.SIGKILL)
-                break
-            time.sleep(0.005)
-        process.wait()
-        assert process.returncode == -signal.SIGKILL
-        wait_until_gone(workers_left)
-    state = inspect_job(DataFolder(str(target)), toy_plan())
-    assert state.finished
-    assert state.remaining
-    make(target)
-    assert folder_bytes(target) == folder_bytes(tmp_path / "whole")
 
 
 def test_workers_leave_with_a_killed_parent(tmp_path):
