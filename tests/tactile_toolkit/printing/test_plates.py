@@ -14,41 +14,30 @@ from xml.etree import ElementTree
 import manifold3d
 import numpy as np
 import pytest
-import shapely
 from hypothesis import given, settings, strategies as st
 from PIL import Image
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import BuildItem, Mesh, check_manifold, read_build, write_build
 from tactile_toolkit.pictures import draw_text, text_size
-from tactile_toolkit.printing import plates
-from tactile_toolkit.printing.objects import PrintObject, place_on_plate
-from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure
-from tactile_toolkit.printing.plates import draw_map, write_plates
-from tactile_toolkit.printing.spec import BEDS_MM, PlateSpec
+from tactile_toolkit.printing import TABLE_FILE, PlateSpec, PrintObject, arrange, write_plates
+from tactile_toolkit.printing.objects import place_on_plate
+from tactile_toolkit.printing.packing import PlacedObject, PlateLayout
+from tactile_toolkit.printing.plate_map import draw_map
+from tactile_toolkit.printing.plate_spec import BEDS_MM
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
 CORE = "{http://schemas.microsoft.com/3dmanufacturing/core/2015/02}"
 FEW = [ell(40, 9), ring(20, 14), box(20, 12), ell(30, 12), box(8, 50), ring(11, 5), box(13, 13)]
-GROUPS = [
-    mesh_of(
-        manifold3d.Manifold.cube((8, 8, 5))
-        + manifold3d.Manifold.cube((6, 9, 5)).translate((40, 4, 0))
-        + manifold3d.Manifold.cylinder(5, 6).translate((18, 40, 0))
-    ),
-    mesh_of(
-        manifold3d.Manifold.cube((5, 30, 5)) + manifold3d.Manifold.cube((5, 30, 5)).translate((30, 10, 0))
-    ),
-]
 SMALL = PlateSpec(100, 80, 3.0, 0.0)
 
 
-def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> Layout:
-    return arrange(measure(objects, spec, scale))
+def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> PlateLayout:
+    return arrange(objects, spec, scale)
 
 
-def solid_of(placed: Placed) -> Any:
+def solid_of(placed: PlacedObject) -> Any:
     return place_on_plate(placed.item.load()).to_manifold().translate(placed.offset_mm)
 
 
@@ -77,7 +66,6 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
     layout = lay_out(named(shapes), spec)
     placed = [item for plate in layout.plates for item in plate]
     assert sorted(item.item.id for item in placed) == list(range(len(shapes)))
-    assert len(layout.plates) >= layout.least_plates
     assert max(layout.shares) <= 1 + 1e-9
     for plate in layout.plates:
         solids = [solid_of(item) for item in plate]
@@ -98,29 +86,6 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
         assert moved - moved[0] == pytest.approx(shape.vertices_m - shape.vertices_m[0], abs=1e-12)
 
 
-def polygon_of(placed: Placed) -> Any:
-    """What an object covers of its plate, as shapely has it."""
-    rings = [np.add(ring, (placed.x_mm, placed.y_mm)) for ring in placed.outline.rings]
-    whole = shapely.Polygon()
-    for ring_mm in sorted(rings, key=lambda ring_mm: -shapely.Polygon(ring_mm).area):
-        whole = whole.symmetric_difference(shapely.Polygon(ring_mm))
-    return whole
-
-
-def test_the_line_round_the_parts_of_an_object_is_closed() -> None:
-    """From whichever corner it begins, and where no part of the object has an outline of its own."""
-    spec = PlateSpec(100, 80, 0.0, 0.0)
-    for turned_deg in (0, 100, 200, 300):
-        parts = GROUPS[1].to_manifold().rotate((0, 0, turned_deg))
-        layout = lay_out(named([mesh_of(parts)]), spec)
-        ((placed,),) = layout.plates
-        picture = np.asarray(Image.open(io.BytesIO(draw_map(layout, 1))).convert("L"))
-        line = polygon_of(placed).convex_hull.exterior
-        points = [line.interpolate(at_mm) for at_mm in np.arange(0, line.length, 1)]
-        at = [(int(60 + (80 - point.y) * 12), int(60 + point.x * 12)) for point in points]
-        assert max(picture[row - 3 : row + 4, column - 3 : column + 4].min() for row, column in at) < 180
-
-
 @pytest.mark.parametrize(
     ("plate", "shape"),
     [
@@ -133,7 +98,7 @@ def test_the_line_round_the_parts_of_an_object_is_closed() -> None:
 )
 def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) -> None:
     spec = PlateSpec.parse(plate, margin_mm=0)
-    picture = np.asarray(Image.open(io.BytesIO(draw_map(Layout(spec, 1.0, (), (), ((),)), 1))).convert("L"))
+    picture = np.asarray(Image.open(io.BytesIO(draw_map(PlateLayout(spec, 1.0, ((),)), 1))).convert("L"))
     assert picture.shape[0] == shape[0]
     title_px = text_size(f"plate 1 of 1: 0 objects, {spec.text}", 40)[0] / 2
     assert picture.shape[1] == pytest.approx(max(shape[1], title_px + 120), abs=2)
@@ -142,7 +107,7 @@ def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) 
     assert (middle > 235).mean() > 0.8
 
 
-def written_on(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> list[str]:
+def written_on(monkeypatch: pytest.MonkeyPatch, layout: PlateLayout) -> list[str]:
     """Return all texts on the map of the first plate."""
     written: list[str] = []
 
@@ -430,6 +395,6 @@ def test_the_corner_that_a_printer_cannot_use_is_left_free(tmp_path: Path) -> No
 def test_no_label_becomes_a_formula(tmp_path: Path) -> None:
     (thing,) = named([box(10, 10)])
     made = write_plates(lay_out([replace(thing, label="=1+1")], SMALL), str(tmp_path))
-    table = (tmp_path / plates.TABLE_FILE).read_text(encoding="utf-8")
+    table = (tmp_path / TABLE_FILE).read_text(encoding="utf-8")
     (row,) = csv.DictReader(table.splitlines())
     assert (row["label"], made.objects[0]["label"]) == ("'=1+1", "=1+1")
