@@ -17,7 +17,6 @@ from .mesh import (
     joined as joined,
 )
 from .nearness import (
-    compiled as compiled,
     connected as connected,
 )
 from .print_profile import (
