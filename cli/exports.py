@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -195,9 +195,7 @@ def _export_plates(
 ) -> None:
 
     with sink.progress("measuring", "objects") as update:
-        measured = printing.measure(objects, spec, scale, update)
-    with sink.progress("packing", "objects") as update:
-        layout = replace(printing.arrange(measured, update), physics=bodies)
+        layout = printing.arrange(objects, spec, scale, bodies, update)
     wrote, removed, ending = "wrote", "removed", f"{printing.TABLE_FILE} lists where each object lies"
     if job.dry_run:
         wrote, removed, ending = "would write", "would remove", "nothing was written"
@@ -212,17 +210,14 @@ def _export_plates(
     rows = [
         (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.files
     ]
-    sink.table(("plate", "objects", "needed of the plate", "size"), rows)
+    sink.table(("plate", "objects", "share of the plate", "size"), rows)
     kept = _kept(sum(plate.state == "kept" for plate in made.files))
     placed, plates = counted(len(made.objects), "objects"), counted(len(made.files), "plates")
-    sink.line(
-        f"{wrote} {placed} on {plates} of {spec.text} to {out} (no packing needs fewer than "
-        f"{made.least_plates}){kept}; {ending}"
-    )
+    sink.line(f"{wrote} {placed} on {plates} of {spec.text} to {out}{kept}; {ending}")
     _report_failures(sink, made.failed)
 
 
-def _report_failures(sink: Sink, failures: Iterable[printing.Failure]) -> None:
+def _report_failures(sink: Sink, failures: Iterable[printing.FailedExport]) -> None:
     """Name what could not be written; then the exit code is that of a failed validation."""
     for failure in failures:
         sink.warn(f"failed: {failure.name}: {failure.detail}")

@@ -1,6 +1,6 @@
 """The loops of a digit that numpy would walk through many times, compiled by numba.
 
-As :mod:`tactile_toolkit.mesh.nearness`, which see for numba: imported by the functions that call it, and all
+As :mod:`tactile_toolkit.compiled` says of numba: imported by the functions that call it, and all
 in one file, with IEEE operations in the order in which they stand.
 """
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_toolkit.mesh import compiled
+from tactile_toolkit.compiled import compiled
 
 
 @compiled

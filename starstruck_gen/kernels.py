@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.mesh import compiled
+from tactile_toolkit.compiled import compiled
 
 _cosine_sine = compiled(cosine_sine)
 

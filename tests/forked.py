@@ -47,6 +47,8 @@ _CONTEXT.set_forkserver_preload(
         "tactile_toolkit.mesh.files",
         "tactile_toolkit.mesh.raster",
         "tactile_toolkit.mesh.nearness",
+        "tactile_toolkit.mesh.section_kernels",
+        "tactile_toolkit.mesh.surface_kernels",
         "tactile_toolkit.printing.objects",
         "tactile_toolkit.run.processes",
         "tactile_toolkit.store.building",

@@ -17,7 +17,6 @@ from .mesh import (
     joined as joined,
 )
 from .nearness import (
-    compiled as compiled,
     connected as connected,
 )
 from .print_profile import (
@@ -72,7 +71,7 @@ from .torch import (
     TARGETS as TARGETS,
     collate_meshes as collate_meshes,
 )
-from .units import (
+from .file_units import (
     UNIT as UNIT,
     refuse_unit as refuse_unit,
     require_unit as require_unit,

@@ -14,11 +14,12 @@ import numpy as np
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int32, Integers
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.mesh.file_units import require_likely_size, require_unit
 from tactile_toolkit.mesh.gltf import pack_glb, read_glb
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, joined
 from tactile_toolkit.mesh.readers import read_obj, read_ply, read_stl
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.mesh.units import MM_PER_UNIT, require_likely_size, require_unit
+from tactile_toolkit.units import MM_PER_UNIT
 from tactile_toolkit.wording import counted
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")

@@ -40,7 +40,9 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     InputError
         The mesh has no triangles.
     """
-    from tactile_toolkit.mesh.nearness import leaning_out, thinnest_wall_mm
+    # numba takes half a second to import.
+    from tactile_toolkit.mesh.nearness import thinnest_wall_mm
+    from tactile_toolkit.mesh.surface_kernels import leaning_out
 
     mesh = as_mesh(mesh)
     profile = PrintProfile() if profile is None else profile

@@ -34,7 +34,8 @@ def thinnest_width_mm(outlines_mm: Sequence[Float64]) -> float:
     counter-clockwise, holes clockwise. Where they begin, and their order, change nothing: points are laid
     along each from its lowest corner.
     """
-    from tactile_toolkit.mesh.nearness import largest_discs
+    # numba takes half a second to import.
+    from tactile_toolkit.mesh.section_kernels import largest_discs
 
     begun = [np.roll(line, -np.lexsort(line.T)[0], axis=0) for line in outlines_mm if len(line) > 2]
     if not begun:

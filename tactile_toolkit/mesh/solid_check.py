@@ -218,7 +218,7 @@ def faces_not_proven_free(vertices_mm: Float64, faces: Int64) -> Int64:
     its rim winds around the point. If the rim is simple that is at most one: then no two faces share a point
     unless one lies there that does not look up, and of these there are few.
     """
-    from tactile_toolkit.mesh.nearness import halves
+    from tactile_toolkit.mesh.surface_kernels import halves
 
     x, y, z = vertices_mm.T
     is_split, odd, edges = halves(vertices_mm, faces, (z.max() + z.min()) / 2)
@@ -279,7 +279,8 @@ def _turn(a: Float64, b: Float64, c: Float64) -> Float64:
 
 def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Float64 | None:
     """Return where faces among the suspects cross each other, if they do."""
-    from tactile_toolkit.mesh.nearness import near_pairs, passages
+    from tactile_toolkit.mesh.nearness import near_pairs
+    from tactile_toolkit.mesh.surface_kernels import passages
 
     tolerance = tolerance_mm(vertices_mm)
     a, b, c = (vertices_mm[faces[suspects, corner]] for corner in range(3))

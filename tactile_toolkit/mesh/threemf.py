@@ -25,7 +25,7 @@ from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
 from tactile_toolkit.mesh.readers import numbers_of
-from tactile_toolkit.mesh.units import MM_PER_UNIT
+from tactile_toolkit.units import MM_PER_UNIT
 from tactile_toolkit.wording import counted
 
 _UNITS = {

@@ -16,9 +16,9 @@ import pytest
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh, write_mesh
-from tactile_toolkit.printing import PlateSpec, write_plates
-from tactile_toolkit.printing.objects import choose, export_files, place_on_plate
-from tactile_toolkit.printing.packing import Placed, arrange, measure
+from tactile_toolkit.printing import PlateSpec, arrange, choose, export_files, write_plates
+from tactile_toolkit.printing.objects import place_on_plate
+from tactile_toolkit.printing.packing import PlacedObject
 from tests.processes import PATIENCE_S
 
 SLICER = shutil.which("prusa-slicer") or ""
@@ -156,9 +156,11 @@ def test_a_digit_slices_up_to_its_height_without_a_repair(
     assert set(counts) == {0}
 
 
-def write_plate(digits: mnist3d.MeshDataset, labels: str, folder: Path) -> tuple[tuple[Placed, ...], Path]:
+def write_plate(
+    digits: mnist3d.MeshDataset, labels: str, folder: Path
+) -> tuple[tuple[PlacedObject, ...], Path]:
     spec = PlateSpec(PLATE_MM, PLATE_MM, 3.0)
-    layout = arrange(measure(choose([("printed_test", digits)], labels=list(labels)), spec))
+    layout = arrange(choose([("printed_test", digits)], labels=list(labels)), spec)
     write_plates(layout, str(folder))
     (plate,) = layout.plates
     return plate, folder / "plate-01.3mf"

@@ -33,8 +33,8 @@ from realtouch.spec import TouchPreviewSpec
 from tactile_sim.pairs import make_pairs
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError
-from tactile_toolkit.printing import PlateSpec, arrange, measure
-from tactile_toolkit.printing.plates import draw_map
+from tactile_toolkit.printing import PlateSpec, arrange
+from tactile_toolkit.printing.plate_map import draw_map
 from tests.env_assets.factories import write_assets
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
@@ -174,7 +174,7 @@ def pictures(sets: Path) -> dict[str, str]:
     )
     drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}
     objects = named([ell(40, 9), ring(20, 14), box(20, 12), box(8, 50)])
-    layout = arrange(measure(objects, PlateSpec(100, 80, 3.0, 2.0), 1.0))
+    layout = arrange(objects, PlateSpec(100, 80, 3.0, 2.0))
     drawn["plate"] = np.asarray(Image.open(io.BytesIO(draw_map(layout, 1))))
     return {name: hashlib.sha256(pixels.tobytes()).hexdigest() for name, pixels in drawn.items()}
 

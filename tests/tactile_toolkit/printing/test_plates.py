@@ -20,11 +20,11 @@ from PIL import Image
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import BuildItem, Mesh, check_manifold, read_build, write_build
 from tactile_toolkit.pictures import draw_text, text_size
-from tactile_toolkit.printing import plates
-from tactile_toolkit.printing.objects import PrintObject, place_on_plate
-from tactile_toolkit.printing.packing import Layout, Placed, arrange, measure
-from tactile_toolkit.printing.plates import draw_map, write_plates
-from tactile_toolkit.printing.spec import BEDS_MM, PlateSpec
+from tactile_toolkit.printing import TABLE_FILE, PlateSpec, PrintObject, arrange, write_plates
+from tactile_toolkit.printing.objects import place_on_plate
+from tactile_toolkit.printing.packing import PlacedObject, PlateLayout
+from tactile_toolkit.printing.plate_map import draw_map
+from tactile_toolkit.printing.plate_spec import BEDS_MM
 from tests.tactile_toolkit.printing.solids import box, ell, mesh_of, named, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -33,11 +33,11 @@ FEW = [ell(40, 9), ring(20, 14), box(20, 12), ell(30, 12), box(8, 50), ring(11, 
 SMALL = PlateSpec(100, 80, 3.0, 0.0)
 
 
-def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> Layout:
-    return arrange(measure(objects, spec, scale))
+def lay_out(objects: list[PrintObject], spec: PlateSpec, scale: float = 1.0) -> PlateLayout:
+    return arrange(objects, spec, scale)
 
 
-def solid_of(placed: Placed) -> Any:
+def solid_of(placed: PlacedObject) -> Any:
     return place_on_plate(placed.item.load()).to_manifold().translate(placed.offset_mm)
 
 
@@ -66,7 +66,6 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
     layout = lay_out(named(shapes), spec)
     placed = [item for plate in layout.plates for item in plate]
     assert sorted(item.item.id for item in placed) == list(range(len(shapes)))
-    assert len(layout.plates) >= layout.least_plates
     assert max(layout.shares) <= 1 + 1e-9
     for plate in layout.plates:
         solids = [solid_of(item) for item in plate]
@@ -99,7 +98,7 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
 )
 def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) -> None:
     spec = PlateSpec.parse(plate, margin_mm=0)
-    picture = np.asarray(Image.open(io.BytesIO(draw_map(Layout(spec, 1.0, (), (), ((),)), 1))).convert("L"))
+    picture = np.asarray(Image.open(io.BytesIO(draw_map(PlateLayout(spec, 1.0, ((),)), 1))).convert("L"))
     assert picture.shape[0] == shape[0]
     title_px = text_size(f"plate 1 of 1: 0 objects, {spec.text}", 40)[0] / 2
     assert picture.shape[1] == pytest.approx(max(shape[1], title_px + 120), abs=2)
@@ -108,7 +107,7 @@ def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) 
     assert (middle > 235).mean() > 0.8
 
 
-def written_on(monkeypatch: pytest.MonkeyPatch, layout: Layout) -> list[str]:
+def written_on(monkeypatch: pytest.MonkeyPatch, layout: PlateLayout) -> list[str]:
     """Return all texts on the map of the first plate."""
     written: list[str] = []
 
@@ -384,6 +383,6 @@ def test_the_corner_that_a_printer_cannot_use_is_left_free(tmp_path: Path) -> No
 def test_no_label_becomes_a_formula(tmp_path: Path) -> None:
     (thing,) = named([box(10, 10)])
     made = write_plates(lay_out([replace(thing, label="=1+1")], SMALL), str(tmp_path))
-    table = (tmp_path / plates.TABLE_FILE).read_text(encoding="utf-8")
+    table = (tmp_path / TABLE_FILE).read_text(encoding="utf-8")
     (row,) = csv.DictReader(table.splitlines())
     assert (row["label"], made.objects[0]["label"]) == ("'=1+1", "=1+1")

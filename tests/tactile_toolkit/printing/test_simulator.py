@@ -14,7 +14,7 @@ import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.printing import Physics, PlateSpec, arrange, export_files, measure, write_plates
+from tactile_toolkit.printing import Physics, PlateSpec, arrange, export_files, write_plates
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -58,7 +58,7 @@ def test_a_plate_is_a_scene(tmp_path: Path):
     from dataclasses import replace
 
     objects = named(SHAPES)
-    layout = arrange(measure(objects, PlateSpec.parse("120x120")))
+    layout = arrange(objects, PlateSpec.parse("120x120"))
     made = write_plates(replace(layout, physics=Physics()), str(tmp_path))
     assert [plate.file for plate in made.files] == ["plate-01.xml"]
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "plate-01.xml"))

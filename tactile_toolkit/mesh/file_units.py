@@ -1,4 +1,4 @@
-"""Units of length of mesh files; light, for --help needs it."""
+"""The unit of a mesh file, as users give it and as its size suggests; light, for --help needs it."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import math
 
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.units import MM_PER_UNIT
 
 UNITS = ("mm", "cm", "m", "in")
-MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}
 
 UNIT = choice(
     None,

@@ -1,11 +1,7 @@
-"""Build plates and materials, as commands take them; light, for --help needs it.
-
-What is an option of ``export`` has its help here.
-"""
+"""Build plates, as commands take them; light, for --help needs it."""
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 
@@ -32,19 +28,11 @@ _CORNERS_MM = dict.fromkeys(("bambu-p1", "bambu-x1"), (18.0, 28.0))
 """Width and depth of what a printer cannot use at the front left, where it wipes or cuts the filament."""
 
 _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
-_PITCH_MM = 1.0
-# Cells along the longer side of a plate; beyond it cells grow with the plate.
-_MOST_CELLS = 400
 
 
 @dataclass(frozen=True, slots=True)
 class PlateSpec:
-    """Build plates: how large they are, how far apart things lie on them, and how far from their edges.
-
-    What lies within the margins, and half a gap around it, is divided into cells. An object needs the cells
-    that it touches when grown by half the gap. Objects that share no cell, each moved by whole cells, are
-    therefore at least a gap apart.
-    """
+    """Build plates: their size, the gap between bounding boxes of objects, the margin at the edges."""
 
     width_mm: float = real(256.0, 1, 10_000)
     depth_mm: float = real(256.0, 1, 10_000)
@@ -94,56 +82,3 @@ class PlateSpec:
     def inner_mm(self) -> tuple[float, float]:
         """Width and depth of what lies within the margins."""
         return self.width_mm - 2 * self.margin_mm, self.depth_mm - 2 * self.margin_mm
-
-    @property
-    def _packed_mm(self) -> tuple[float, float]:
-        """Sides of what the cells cover."""
-        return self.inner_mm[0] + self.gap_mm, self.inner_mm[1] + self.gap_mm
-
-    @property
-    def cells(self) -> tuple[int, int]:
-        """Rows and columns of cells."""
-        width_mm, depth_mm = self._packed_mm
-        pitch_mm = max(_PITCH_MM, max(width_mm, depth_mm) / _MOST_CELLS)
-        return math.ceil(depth_mm / pitch_mm), math.ceil(width_mm / pitch_mm)
-
-    @property
-    def cell_mm(self) -> tuple[float, float]:
-        """Sides of a cell along x and y: whole cells fill the plate exactly."""
-        rows, columns = self.cells
-        return self._packed_mm[0] / columns, self._packed_mm[1] / rows
-
-    @property
-    def corner_cells(self) -> tuple[int, int]:
-        """Rows and columns of cells at the front left that the printer cannot use."""
-        # Cells begin, and objects with half a gap around them end, as far from the corner as from the edges.
-        columns, rows = (
-            math.ceil(side / cell) for side, cell in zip(self.corner_mm, self.cell_mm, strict=True)
-        )
-        return rows, columns
-
-    @property
-    def area_mm2(self) -> float:
-        """Area of all cells that can be used."""
-        return self._packed_mm[0] * self._packed_mm[1] - self.corner_mm[0] * self.corner_mm[1]
-
-
-MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
-"""Formats of bodies for simulators, and how their files end."""
-
-
-@dataclass(frozen=True, slots=True)
-class Physics:
-    """What the material of a body is like.
-
-    ``density_kg_m3`` is that of the solid body, by default of PLA as printers take it; a print that is not
-    filled is lighter. ``friction`` is the coefficient of sliding, our own default.
-    """
-
-    density_kg_m3: float = real(
-        1240.0, above=0, most=1e5, help="Density of bodies for simulators; that of PLA."
-    )
-    friction: float = real(0.5, above=0, most=100, help="Sliding friction of bodies for simulators.")
-
-    def __post_init__(self) -> None:
-        check_fields(self, "the material")
