@@ -28,7 +28,7 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 import numpy as np
 from figures import tell
 
-from mnist3d.make import GenerateSpec, generate
+from mnist3d.digit_generation import GenerateSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 
 ENVS = 4

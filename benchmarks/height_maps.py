@@ -25,7 +25,7 @@ from figures import tell
 
 import env_assets
 from env_assets.height_map import HeightMap, top_surface
-from mnist3d.loader import MeshRecord
+from mnist3d.digit_dataset import MeshRecord
 
 
 def main() -> None:

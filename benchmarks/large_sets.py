@@ -76,7 +76,7 @@ def fabricate_groups(folder: Path, groups: int) -> None:
     import pyarrow as pa
 
     from mnist3d import SolidSpec
-    from mnist3d.make import DigitMaking, GenerateSpec
+    from mnist3d.digit_generation import DigitMaking, GenerateSpec
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.making import plan_build
     from tactile_toolkit.store import ShardName, encode_parquet
@@ -102,8 +102,8 @@ def fabricate(folder: Path, shards: int) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from mnist3d.columns import REPORT_FILE
-    from mnist3d.make import GenerateSpec, generate
+    from mnist3d.digit_generation import GenerateSpec, generate
+    from mnist3d.digit_rows import REPORT_FILE
     from mnist3d.sources.synthetic import SyntheticSource
     from tactile_toolkit.store import DataFolder, ShardName, write_manifest
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex, write_small_columns
@@ -190,7 +190,7 @@ def fabricate_reports(folder: Path, rows: int, shards: int) -> None:
     import numpy as np
     import pyarrow as pa
 
-    from mnist3d.columns import report_table
+    from mnist3d.digit_rows import report_table
     from tactile_toolkit.store import ShardName
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
 
@@ -217,8 +217,8 @@ def merging(folder: Path) -> dict[str, float]:
     """The report of a set, merged from those of its shards, and what the card says of it."""
     import pyarrow.parquet  # noqa: F401
 
-    from mnist3d.card import summarise
-    from mnist3d.columns import REPORT_FILE
+    from mnist3d.digit_card import summarise
+    from mnist3d.digit_rows import REPORT_FILE
     from tactile_toolkit.store import DataFolder, Manifest, ShardName, ShardRecord
     from tactile_toolkit.store.parquet import merge_reports
 
@@ -243,9 +243,9 @@ def merging(folder: Path) -> dict[str, float]:
 
 
 def planning_digits(_: Path) -> dict[str, float]:
-    from mnist3d.make import DigitMaking, GenerateSpec
+    from mnist3d.digit_generation import DigitMaking, GenerateSpec
+    from mnist3d.published_splits import SplitSpec
     from mnist3d.sources.synthetic import SyntheticSource
-    from mnist3d.splits import SplitSpec
     from tactile_toolkit.making import plan_build
 
     sizes = (("train", 95 * ROWS // 1000), ("test", ROWS // 1000))
@@ -257,7 +257,7 @@ def planning_digits(_: Path) -> dict[str, float]:
 
 
 def planning_scenes(_: Path) -> dict[str, float]:
-    from starstruck_gen.make import GenerateSpec, SceneMaking
+    from starstruck_gen.scene_generation import GenerateSpec, SceneMaking
     from tactile_toolkit.making import plan_build
 
     start_s = time.perf_counter()

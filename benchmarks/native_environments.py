@@ -125,7 +125,7 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    from mnist3d.make import GenerateSpec, generate
+    from mnist3d.digit_generation import GenerateSpec, generate
     from mnist3d.sources.synthetic import SyntheticSource
 
     with tempfile.TemporaryDirectory() as temporary:

@@ -38,8 +38,8 @@ import numpy as np
 from figures import tell
 from plain_digit import NAME, plain_row
 
-from mnist3d.columns import PARQUET_STYLE, digit_schema
-from mnist3d.make import GenerateSpec, generate, make_row
+from mnist3d.digit_generation import GenerateSpec, generate, make_row
+from mnist3d.digit_rows import PARQUET_STYLE, digit_schema
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.store import encode_parquet
 

@@ -31,7 +31,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from figures import tell
 
-from mnist3d.make import DigitMaking, GenerateSpec, generate
+from mnist3d.digit_generation import DigitMaking, GenerateSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.making import plan_build
 from tactile_toolkit.run import InlineRunner, ProcessRunner, RayRunner, Runner

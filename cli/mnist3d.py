@@ -12,8 +12,11 @@ from cli.options import Making, Opening, argument, out_folder
 from cli.output import Sink
 from cli.products import Pictures
 from cli.shared import add_shared
+from mnist3d.digit_preview_spec import DigitPreviewSpec
 from mnist3d.kind import KIND
-from mnist3d.spec import SOURCES, SPLITS, DigitPreviewSpec, SolidSpec, SourceOptions, SplitSpec
+from mnist3d.published_splits import SPLITS, SplitSpec
+from mnist3d.solid_spec import SolidSpec
+from mnist3d.sources.source_options import SOURCES, SourceOptions
 from tactile_toolkit import cards, catalog, store
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -46,7 +49,8 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from mnist3d.make import DigitMaking, GenerateSpec, chosen_source
+    from mnist3d.digit_generation import DigitMaking, GenerateSpec
+    from mnist3d.sources.source_choice import chosen_source
     from tactile_toolkit.run import prepare_batch_process
 
     spec = GenerateSpec(
@@ -65,8 +69,8 @@ def generate(
 def _print_made(
     sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
-    from mnist3d.card import summarise
-    from mnist3d.columns import SUMMED_UP
+    from mnist3d.digit_card import summarise
+    from mnist3d.digit_rows import SUMMED_UP
 
     # The report that the figures come from is written at the end of a run.
     summaries = summarise(store.DataFolder(out), manifest) if manifest.complete else []
@@ -77,7 +81,7 @@ def _print_made(
     print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
 
 
-_CHECKS = Geometry("meshes", lazy("mnist3d.validate:validate_paths"))
+_CHECKS = Geometry("meshes", lazy("mnist3d.digit_checks:validate_paths"))
 
 
 def _preview(
@@ -94,7 +98,7 @@ def _preview(
 
     Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
     """
-    from mnist3d.previews import is_picture_or_mesh, plan_previews
+    from mnist3d.digit_previews import is_picture_or_mesh, plan_previews
 
     name = path if is_picture_or_mesh(path) else opening.open(sink, path)
     pictures.write(sink, plan_previews(name, spec))

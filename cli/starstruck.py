@@ -14,13 +14,13 @@ from cli.output import Sink
 from cli.products import Pictures
 from cli.shared import add_shared
 from starstruck_gen.kind import KIND
-from starstruck_gen.options import SceneOptions, ScenePreviewSpec, scene_counts
+from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
 from tactile_toolkit import catalog, mesh, places, store
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
-    from starstruck_gen.validate import Checked
+    from starstruck_gen.scene_checks import Checked
 
 
 app = new_app(
@@ -50,8 +50,9 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from starstruck_gen.make import PUBLISHED_SIZES, GenerateSpec, SceneMaking
-    from starstruck_gen.sampling import SPLITS, require_feasible
+    from starstruck_gen.rejection import require_feasible
+    from starstruck_gen.scene_generation import PUBLISHED_SIZES, GenerateSpec, SceneMaking
+    from starstruck_gen.scene_seeds import SPLITS
     from tactile_toolkit.run import limit_threads
 
     spec = GenerateSpec(scene.spec(), scenes or PUBLISHED_SIZES, seed, limit)
@@ -70,7 +71,7 @@ def generate(
 def _print_made(
     sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
-    from starstruck_gen.card import summarise
+    from starstruck_gen.scene_card import summarise
 
     found = summarise(manifest)
     rows = [
@@ -92,7 +93,7 @@ def _check(
     unit: str | None = None,
     on_progress: Callable[[int, int], None],
 ) -> list[Checked]:
-    from starstruck_gen.validate import validate_folder
+    from starstruck_gen.scene_checks import validate_folder
 
     mesh.refuse_unit(unit, paths[0])
     return [validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
@@ -113,7 +114,7 @@ def _preview(
 
     Examples: starstruck preview scenes;  starstruck preview scenes --ids 17 --out scene.png
     """
-    from starstruck_gen.previews import plan_previews
+    from starstruck_gen.scene_previews import plan_previews
 
     pictures.write(sink, plan_previews(opening.open(sink, path), spec))
 

@@ -16,10 +16,10 @@ from env_assets.height_map import HeightMap, top_surface
 from env_assets.meshes import MeshView, mesh_bounds_m, mesh_files
 from env_assets.wrench.kind import KIND as WRENCH
 from env_assets.wrenches import WrenchDataset
+from mnist3d.digit_dataset import MeshDataset
 from mnist3d.kind import KIND as DIGITS
-from mnist3d.loader import MeshDataset
 from starstruck_gen.kind import KIND as SCENES
-from starstruck_gen.loader import SceneMeshDataset
+from starstruck_gen.scene_dataset import SceneMeshDataset
 from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.checked_fields import checked_integer
