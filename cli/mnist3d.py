@@ -49,11 +49,11 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from mnist3d.digit_generation import DigitMaking, GenerateSpec
+    from mnist3d.digit_generation import DigitMaking, DigitSetSpec
     from mnist3d.sources.source_choice import chosen_source
     from tactile_toolkit.run import prepare_batch_process
 
-    spec = GenerateSpec(
+    spec = DigitSetSpec(
         source=chosen_source(source, images, division.seed),
         solid=solid,
         split=division,

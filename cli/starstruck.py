@@ -20,7 +20,7 @@ from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
 
 if TYPE_CHECKING:
-    from starstruck_gen.scene_checks import Checked
+    from starstruck_gen.scene_checks import CheckedScenes
 
 
 app = new_app(
@@ -51,11 +51,11 @@ def generate(
     After an interruption, the same command continues; finished shards are kept.
     """
     from starstruck_gen.rejection import require_feasible
-    from starstruck_gen.scene_generation import PUBLISHED_SIZES, GenerateSpec, SceneMaking
+    from starstruck_gen.scene_generation import PUBLISHED_SIZES, SceneMaking, SceneSetSpec
     from starstruck_gen.scene_seeds import SPLITS
     from tactile_toolkit.run import limit_threads
 
-    spec = GenerateSpec(scene.spec(), scenes or PUBLISHED_SIZES, seed, limit)
+    spec = SceneSetSpec(scene.spec(), scenes or PUBLISHED_SIZES, seed, limit)
     splits = SPLITS if split == "all" else (split,)
     if scene.collision == "exact" and not making.dry_run:
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
@@ -92,7 +92,7 @@ def _check(
     opened: Callable[[str], places.Place],
     unit: str | None = None,
     on_progress: Callable[[int, int], None],
-) -> list[Checked]:
+) -> list[CheckedScenes]:
     from starstruck_gen.scene_checks import validate_folder
 
     mesh.refuse_unit(unit, paths[0])

@@ -1,12 +1,12 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .digit_dataset import (
-    MeshDataset as MeshDataset,
-    MeshRecord as MeshRecord,
-    MeshStream as MeshStream,
+    DigitDataset as DigitDataset,
+    DigitRecord as DigitRecord,
+    DigitStream as DigitStream,
     load as load,
 )
-from .digit_generation import GenerateSpec as GenerateSpec, generate as generate
+from .digit_generation import DigitSetSpec as DigitSetSpec, generate as generate
 from .printable import (
     Mesh as Mesh,
     PrintProfile as PrintProfile,

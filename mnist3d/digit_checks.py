@@ -25,8 +25,8 @@ _SHOWN = [
 
 
 @dataclass(frozen=True, slots=True)
-class CheckedItem:
-    """One mesh, by file name or by split and id of a row, and what was found about it."""
+class CheckedMesh:
+    """One mesh, named by its file or by split and id of its row, and what was found about it."""
 
     name: str
     report: mesh.PrintReport
@@ -52,11 +52,11 @@ class CheckedItem:
 
 
 @dataclass(frozen=True)
-class Checked:
-    """Everything found below one path."""
+class CheckedMeshes:
+    """Everything found in one data set or file."""
 
     path: str
-    items: tuple[CheckedItem, ...]
+    items: tuple[CheckedMesh, ...]
 
     @property
     def checked(self) -> int:
@@ -115,7 +115,7 @@ def validate_paths(
     unit: str | None = None,
     opened: Callable[[str], places.Place] = places.open_place,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> list[Checked]:
+) -> list[CheckedMeshes]:
     """Check data set folders and mesh files.
 
     Parameters
@@ -148,30 +148,42 @@ def validate_paths(
     for name in paths:
         if name not in files:
             mesh.refuse_unit(unit, name)
-    found: list[str | places.Place] = [name if name in files else opened(name) for name in paths]
-    results = []
-    for path in found:
-        if isinstance(path, places.Place):
-            shards = catalog.shards_to_check(path, split, KIND)
-            rows = catalog.check_rows(
-                shards, partial(_inspect_row, profile=profile), _COLUMNS, limit, workers, on_progress
-            )
-            items = []
-            for row in rows:
-                report = row.found
-                if report is None:
-                    where = f"split {row.split!r}, row {row.row} of {row.file}"
-                    report = mesh.unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
-                number = f"row {row.row}" if row.id is None else row.id
-                items.append(CheckedItem(f"{row.split} {number}", report))
-        else:
-            try:
-                report = mesh.inspect(mesh.read_mesh(path, unit=unit), profile)
-            except InputError as error:
-                report = mesh.unreadable(str(error))
-            items = [CheckedItem(Path(path).name, report)]
-        results.append(Checked(path.name if isinstance(path, places.Place) else path, tuple(items)))
-    return results
+    found = [name if name in files else opened(name) for name in paths]
+    return [
+        _check_file(each, unit, profile)
+        if isinstance(each, str)
+        else _check_data_set(each, split, limit, workers, profile, on_progress)
+        for each in found
+    ]
+
+
+def _check_file(path: str, unit: str | None, profile: mesh.PrintProfile) -> CheckedMeshes:
+    try:
+        report = mesh.inspect(mesh.read_mesh(path, unit=unit), profile)
+    except InputError as error:
+        report = mesh.unreadable(str(error))
+    return CheckedMeshes(path, (CheckedMesh(Path(path).name, report),))
+
+
+def _check_data_set(
+    place: places.Place,
+    split: str | None,
+    limit: int | None,
+    workers: int,
+    profile: mesh.PrintProfile,
+    on_progress: Callable[[int, int], None],
+) -> CheckedMeshes:
+    shards = catalog.shards_to_check(place, split, KIND)
+    check = partial(_inspect_row, profile=profile)
+    items = []
+    for row in catalog.check_rows(shards, check, _COLUMNS, limit, workers, on_progress):
+        report = row.found
+        if report is None:
+            where = f"split {row.split!r}, row {row.row} of {row.file}"
+            report = mesh.unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
+        number = f"row {row.row}" if row.id is None else row.id
+        items.append(CheckedMesh(f"{row.split} {number}", report))
+    return CheckedMeshes(place.name, tuple(items))
 
 
 def _is_single_file(path: str) -> bool:

@@ -12,7 +12,7 @@ from tactile_toolkit import mesh, pictures, places
 from tactile_toolkit.array_types import Int64
 
 
-class MeshRecord(mesh.SolidRecord):
+class DigitRecord(mesh.SolidRecord):
     """One 3D digit: ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh`` and what follows.
 
     Frame of the mesh: origin at the image centre, x right and y up as the digit is read, z out of the plate,
@@ -33,7 +33,7 @@ class MeshRecord(mesh.SolidRecord):
 
     def __repr__(self) -> str:
         return (
-            f"MeshRecord(id={self.id}, label={self.label}, writer={self.writer}, {len(self.faces):,} faces)"
+            f"DigitRecord(id={self.id}, label={self.label}, writer={self.writer}, {len(self.faces):,} faces)"
         )
 
     def _repr_html_(self) -> str:
@@ -51,10 +51,10 @@ class MeshRecord(mesh.SolidRecord):
         return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
 
 
-class MeshDataset(mesh.SolidDataset[MeshRecord]):
-    """A lazy sequence of :class:`MeshRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
+class DigitDataset(mesh.SolidDataset[DigitRecord]):
+    """A lazy sequence of :class:`DigitRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
 
-    record_class = MeshRecord
+    record_class = DigitRecord
     things = "digits"
 
     @property
@@ -65,7 +65,7 @@ class MeshDataset(mesh.SolidDataset[MeshRecord]):
         )
 
 
-class MeshStream(mesh.RecordStream[MeshRecord]):
+class DigitStream(mesh.RecordStream[DigitRecord]):
     """Digits one after another, read as they are asked for.
 
     See :class:`~tactile_toolkit.mesh.records.RecordStream`.
@@ -80,7 +80,7 @@ def load(
     streaming: Literal[False] = False,
     revision: str | None = None,
     config: str | None = None,
-) -> MeshDataset: ...
+) -> DigitDataset: ...
 
 
 @overload
@@ -91,7 +91,7 @@ def load(
     streaming: Literal[True],
     revision: str | None = None,
     config: str | None = None,
-) -> MeshStream: ...
+) -> DigitStream: ...
 
 
 @overload
@@ -102,7 +102,7 @@ def load(
     streaming: bool = False,
     revision: str | None = None,
     config: str | None = None,
-) -> MeshDataset | MeshStream: ...
+) -> DigitDataset | DigitStream: ...
 
 
 def load(
@@ -112,7 +112,7 @@ def load(
     streaming: bool = False,
     revision: str | None = None,
     config: str | None = None,
-) -> MeshDataset | MeshStream:
+) -> DigitDataset | DigitStream:
     """Open a data set of 3D digits.
 
     Parameters
@@ -132,7 +132,7 @@ def load(
 
     Returns
     -------
-    MeshDataset or MeshStream
+    DigitDataset or DigitStream
         No row is read until it is asked for.
 
     Raises
@@ -146,4 +146,4 @@ def load(
     """
     place = places.open_place(name, revision=revision, config=config)
     shards = place.shards(split, kind=KIND, streaming=streaming)
-    return mesh.open_solids(shards, place.name, MeshDataset, KIND, MeshStream if streaming else None)
+    return mesh.open_solids(shards, place.name, DigitDataset, KIND, DigitStream if streaming else None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from mnist3d.digit_dataset import MeshDataset, MeshRecord
+from mnist3d.digit_dataset import DigitDataset, DigitRecord
 from mnist3d.digit_rows import REPORT_FILE, DigitRow
 from mnist3d.kind import KIND
 from mnist3d.sources import NO_WRITER
@@ -26,7 +26,7 @@ def plan_gallery(
     folder = place.folder
     has_report = folder is not None and folder.exists(REPORT_FILE)
 
-    def known(rows: MeshDataset, split: str) -> list[Mapping[str, Any] | None]:
+    def known(rows: DigitDataset, split: str) -> list[Mapping[str, Any] | None]:
         import pyarrow as pa
         import pyarrow.compute as pc
 
@@ -41,7 +41,7 @@ def plan_gallery(
 
 
 def _item(
-    record: MeshRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None
+    record: DigitRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None
 ) -> gallery.GalleryItem:
     gallery.require_mesh(record, split)
     vertices_m, faces = record.vertices_m, record.faces

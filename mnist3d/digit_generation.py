@@ -23,7 +23,7 @@ from tactile_toolkit.mesh import PrintProfile, inspect
 
 
 @dataclass(frozen=True)
-class GenerateSpec:
+class DigitSetSpec:
     """Everything that decides which rows a data set holds.
 
     Attributes
@@ -73,11 +73,11 @@ class GenerateSpec:
 class DigitMaking(making.Making):
     """How digits are made: the source is divided into splits, and each image becomes a proved solid."""
 
-    spec: GenerateSpec
+    spec: DigitSetSpec
     kind = KIND
 
     @classmethod
-    def of(cls, spec: GenerateSpec, splits: Sequence[str] | None) -> DigitMaking:
+    def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitMaking:
         """Leave pictures of one's own undivided unless the specification or the splits ask for it."""
         is_asked_for = splits is not None or spec.split.by is not None or spec.split.sizes is not None
         if is_asked_for or not isinstance(spec.source, FolderSource):
@@ -118,7 +118,7 @@ class DigitMaking(making.Making):
         return report_table(shard, rows)
 
 
-def make_row(digit_id: int, spec: GenerateSpec) -> DigitRow:
+def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
     """Read one digit, make its solid and inspect it.
 
     Raises ItemError when the image cannot be used, or the mesh does not bound a solid (the reason is one of
@@ -146,7 +146,7 @@ def make_row(digit_id: int, spec: GenerateSpec) -> DigitRow:
 
 
 def generate(
-    spec: GenerateSpec,
+    spec: DigitSetSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
     **run: Unpack[store.RunKeywords],
@@ -159,7 +159,7 @@ def generate(
 
     Parameters
     ----------
-    spec : GenerateSpec
+    spec : DigitSetSpec
         What to make.
     out : str or path-like
         Folder to write.
@@ -188,5 +188,5 @@ def generate(
 
 def digit_recipe(seed: int, per_class: int | None) -> making.Recipe:
     """Return how digits are made without any input: from the embedded synthetic source."""
-    spec = GenerateSpec(chosen_source("synthetic", {}, seed), split=SplitSpec(seed=seed), per_class=per_class)
+    spec = DigitSetSpec(chosen_source("synthetic", {}, seed), split=SplitSpec(seed=seed), per_class=per_class)
     return making.Recipe(DigitMaking(spec), {"per-class": per_class, "seed": seed})

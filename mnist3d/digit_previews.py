@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from mnist3d import ink, solid
-from mnist3d.digit_dataset import MeshDataset, MeshRecord
+from mnist3d.digit_dataset import DigitDataset, DigitRecord
 from mnist3d.digit_preview_spec import DigitPreviewSpec
 from mnist3d.kind import KIND
 from mnist3d.solid_spec import SolidSpec
@@ -93,11 +93,11 @@ def _plan_file(
 
 
 def _plan_set(name: Name | Place, spec: catalog.PreviewSpec) -> pictures.PicturePlan:
-    opened: pictures.MeshPreviews[MeshDataset] = pictures.MeshPreviews(KIND, name, spec)
+    opened: pictures.MeshPreviews[DigitDataset] = pictures.MeshPreviews(KIND, name, spec)
     refuse_unit(spec.unit if isinstance(spec, DigitPreviewSpec) else None, opened.name)
     names = opened.chosen[0][1].label_names
 
-    def sheet_of(rows: MeshDataset, title: str) -> UInt8:
+    def sheet_of(rows: DigitDataset, title: str) -> UInt8:
         return draw_sheet(list(rows), spec.per_class, title, names)
 
     def plan_steps() -> list[pictures.PlannedPicture]:
@@ -132,7 +132,7 @@ def _plan_set(name: Name | Place, spec: catalog.PreviewSpec) -> pictures.Picture
     )
 
 
-def draw_sheet(records: Sequence[MeshRecord], per_row: int, title: str, names: Sequence[str]) -> UInt8:
+def draw_sheet(records: Sequence[DigitRecord], per_row: int, title: str, names: Sequence[str]) -> UInt8:
     """Draw digits from above at one scale; ``names`` are those of the classes."""
     meshes = [Mesh(record.vertices_m, record.faces) for record in records]
     px_per_mm = _TILE_PX / (MM_PER_M * max(float(np.ptp(mesh.vertices_m[:, :2], 0).max()) for mesh in meshes))

@@ -20,7 +20,7 @@ from .scene_dataset import (
     SceneRecord as SceneRecord,
     load as load,
 )
-from .scene_generation import GenerateSpec as GenerateSpec, generate as generate
+from .scene_generation import SceneSetSpec as SceneSetSpec, generate as generate
 from .scene_meshes import SceneMeshes as SceneMeshes, build_meshes as build_meshes
 from .scene_seeds import SPLITS as SPLITS, scene_rng as scene_rng, scene_seed as scene_seed
 from .scene_spec import SceneSpec as SceneSpec

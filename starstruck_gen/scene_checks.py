@@ -30,7 +30,7 @@ _PLACE_TOLERANCE_M = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
+class InvalidScene:
     """A scene that is invalid: where it is, and what was found and what was expected."""
 
     split: str
@@ -39,7 +39,7 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
-class Checked:
+class CheckedScenes:
     """Everything found in one data set: how many scenes were checked, and those that are invalid.
 
     ``bodies`` stand in the valid scenes; ``stars`` of them are declared stars. The published data set is not
@@ -50,7 +50,7 @@ class Checked:
     checked: int
     bodies: int
     stars: int
-    failures: tuple[Failure, ...]
+    failures: tuple[InvalidScene, ...]
     declared: bool = True
     unreadable: ClassVar[tuple[str, ...]] = ()
 
@@ -83,7 +83,7 @@ def validate_folder(
     workers: int = 1,
     *,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> Checked:
+) -> CheckedScenes:
     """Prove the scenes of a data set, or of a Parquet file, as they are read back from disk.
 
     Only one split, and only the first ``limit`` rows of each, where asked for; ``on_progress`` is called with
@@ -108,9 +108,9 @@ def validate_folder(
         if problem is None:
             bodies, stars = bodies + standing, stars + declared
         else:
-            failures.append(Failure(row.split, _NO_ID if row.id is None else row.id, problem))
+            failures.append(InvalidScene(row.split, _NO_ID if row.id is None else row.id, problem))
     declares = any("placements" in read.column_names(shard.schema) for _, shard in shards)
-    return Checked(place.name, len(rows), bodies, stars, tuple(failures), declares)
+    return CheckedScenes(place.name, len(rows), bodies, stars, tuple(failures), declares)
 
 
 def _prove(

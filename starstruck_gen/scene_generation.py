@@ -48,7 +48,7 @@ def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) ->
 
 
 @dataclass(frozen=True)
-class GenerateSpec:
+class SceneSetSpec:
     """Everything that decides which rows a data set holds.
 
     Attributes
@@ -99,7 +99,7 @@ class GenerateSpec:
 class SceneMaking(making.Making):
     """How scenes are made: drawn by rejection, then made solids."""
 
-    spec: GenerateSpec
+    spec: SceneSetSpec
     kind = KIND
 
     def items(self) -> Mapping[str, range]:
@@ -132,7 +132,7 @@ class SceneMaking(making.Making):
 
 
 def generate(
-    spec: GenerateSpec,
+    spec: SceneSetSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] = SPLITS,
     *,
@@ -146,7 +146,7 @@ def generate(
 
     Parameters
     ----------
-    spec : GenerateSpec
+    spec : SceneSetSpec
         What to make.
     out : str or path-like
         Folder to write.
@@ -175,5 +175,5 @@ def scene_recipe(seed: int, per_class: int | None) -> making.Recipe:
     most = MOST_SCENES if per_class is None else per_class * len(KIND.class_names)
     scenes = {split: min(size, most) for split, size in PUBLISHED_SIZES}
     sizes = None if per_class is None else ",".join(f"{split}={size}" for split, size in scenes.items())
-    spec = GenerateSpec(scenes=tuple(scenes.items()), seed=seed)
+    spec = SceneSetSpec(scenes=tuple(scenes.items()), seed=seed)
     return making.Recipe(SceneMaking(spec), {"scenes": sizes, "seed": seed})
