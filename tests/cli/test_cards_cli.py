@@ -16,7 +16,7 @@ from PIL import Image
 import mnist3d
 import realtouch
 import starstruck_gen
-from starstruck_gen.scene import draw_scene
+from starstruck_gen.scene_drawing import draw_scene
 from tactile_toolkit.pictures import relief
 from tests.command_line import call
 from tests.realtouch import factories
@@ -255,7 +255,7 @@ FINGERPRINTS = {
     ],
 )
 def test_sources_of_digits_are_named_with_their_terms(name, licence, words):
-    from mnist3d.card import source_description, source_words
+    from mnist3d.digit_card import source_description, source_words
 
     source = source_words(name)
     assert source["licence"] == licence

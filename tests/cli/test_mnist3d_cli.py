@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 import mnist3d
-from mnist3d.sources.folder import FolderSource
+from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit.errors import InputError
 from tests import command_line
 
@@ -266,13 +266,13 @@ def test_pictures_of_ones_own_are_divided_where_that_is_asked_for(own_pictures, 
 
 def test_python_divides_pictures_of_ones_own_as_the_command_does(own_pictures, tmp_path):
     solid = mnist3d.SolidSpec(target_vertices=2_000)
-    spec = mnist3d.GenerateSpec(FolderSource(str(own_pictures)), solid, limit=1)
+    spec = mnist3d.DigitSetSpec(FolderSource(str(own_pictures)), solid, limit=1)
     assert list(mnist3d.generate(spec, tmp_path / "one").split_table()) == ["train"]
     assert list(mnist3d.generate(spec, tmp_path / "two", ("train", "test")).split_table()) == [
         "train",
         "test",
     ]
-    divided = mnist3d.GenerateSpec(spec.source, solid, mnist3d.SplitSpec(by="digit"), limit=1)
+    divided = mnist3d.DigitSetSpec(spec.source, solid, mnist3d.SplitSpec(by="digit"), limit=1)
     assert list(mnist3d.generate(divided, tmp_path / "all").split_table()) == list(mnist3d.SPLITS)
     with pytest.raises(InputError, match="split sizes are given for digits that are not divided"):
         mnist3d.SplitSpec(by="none", sizes={"train": 1})

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 import env_assets
-from starstruck_gen.make import SceneMaking
+from starstruck_gen.scene_generation import SceneMaking
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.store import DataFolder, read_manifest
 from tests.command_line import call
@@ -116,9 +116,10 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
 
 DIE = """
 import dataclasses, os, signal, sys
-import starstruck_gen.make, tactile_toolkit.store.building, env_assets
-layout = starstruck_gen.make.SceneMaking.layout
-starstruck_gen.make.SceneMaking.layout = lambda making: dataclasses.replace(layout(making), smallest=2)
+import starstruck_gen.scene_generation, tactile_toolkit.store.building, env_assets
+SceneMaking = starstruck_gen.scene_generation.SceneMaking
+layout = SceneMaking.layout
+SceneMaking.layout = lambda making: dataclasses.replace(layout(making), smallest=2)
 write_record = tactile_toolkit.store.building.write_record
 def write_and_die(*arguments):
     write_record(*arguments)
