@@ -15,8 +15,11 @@ from cli.output import Sink
 from cli.previews import Pictures
 from cli.runs import generate_set, print_left_out, print_set
 from cli.shared import add_shared
+from mnist3d.digit_preview_spec import DigitPreviewSpec
 from mnist3d.kind import KIND
-from mnist3d.spec import SOURCES, SPLITS, DigitPreviewSpec, SolidSpec, SourceOptions, SplitSpec
+from mnist3d.published_splits import SPLITS, SplitSpec
+from mnist3d.solid_spec import SolidSpec
+from mnist3d.sources.source_options import SOURCES, SourceOptions
 from tactile_toolkit import cards, catalog, places, run, store
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -49,7 +52,7 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    spec = mnist3d.GenerateSpec(
+    spec = mnist3d.DigitSetSpec(
         source=mnist3d.chosen_source(source, images, division.seed),
         solid=solid,
         split=division,
@@ -80,7 +83,7 @@ def _print_made(
     print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
 
 
-_CHECKS = Geometry("meshes", lazy("mnist3d.validate:validate_paths"))
+_CHECKS = Geometry("meshes", lazy("mnist3d.digit_checks:validate_paths"))
 
 
 def _preview(

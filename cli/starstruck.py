@@ -16,7 +16,7 @@ from cli.quantities import least_to_most
 from cli.runs import generate_set, print_set
 from cli.shared import add_shared
 from starstruck_gen.kind import KIND
-from starstruck_gen.options import SceneOptions, ScenePreviewSpec, scene_counts
+from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
 from tactile_toolkit import catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
@@ -48,7 +48,7 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    spec = starstruck_gen.GenerateSpec(scene.spec(), scenes or starstruck_gen.PUBLISHED_SIZES, seed, limit)
+    spec = starstruck_gen.SceneSetSpec(scene.spec(), scenes or starstruck_gen.PUBLISHED_SIZES, seed, limit)
     splits = {"all": starstruck_gen.SPLITS}.get(split, (split,))
     if scene.collision == "exact" and not making.dry_run:
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
@@ -83,7 +83,7 @@ def _check(
     opened: Callable[[str], places.Place],
     unit: str | None = None,
     on_progress: Callable[[int, int], None],
-) -> list[starstruck_gen.Checked]:
+) -> list[starstruck_gen.CheckedScenes]:
     mesh.refuse_unit(unit, paths[0])
     return [starstruck_gen.validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
 

@@ -20,10 +20,10 @@ from sphinx.pycode import ModuleAnalyzer
 
 API = (
     "mnist3d",
-    "mnist3d.torch",
+    "mnist3d.digit_tensors",
     "mnist3d.sources",
     "starstruck_gen",
-    "starstruck_gen.torch",
+    "starstruck_gen.scene_tensors",
     "realtouch",
     "realtouch.torch",
     "tactile_sim",
@@ -40,7 +40,7 @@ SHARED = (
     "realtouch.contact.CLOCK_TOLERANCE_S",
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
-    "starstruck_gen.spec.COLLISION_RULES",
+    "starstruck_gen.scene_spec.COLLISION_RULES",
     "tactile_sim.pressing.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.files.FORMATS",
     "tactile_toolkit.mesh.print_report.UNREADABLE",
@@ -330,10 +330,10 @@ def _outside_code(text: str) -> Iterator[str]:
 def _formats_page() -> str:
     """Write the columns of every kind of data set, from schemas and from the words of their cards."""
     from env_assets.wrench.making import WrenchRow, wrench_schema
-    from mnist3d.columns import DigitRow, digit_schema
+    from mnist3d.digit_rows import DigitRow, digit_schema
     from realtouch.card import WORDS
     from realtouch.schema import KNOWN_COLUMNS
-    from starstruck_gen.columns import SceneRow, scene_schema
+    from starstruck_gen.scene_rows import SceneRow, scene_schema
     from tactile_sim.columns import TouchRow, touch_schema
     from tactile_toolkit.cards import FolderFacts
     from tactile_toolkit.cards.card import card_words, field_table, markdown_table

@@ -14,7 +14,7 @@ from PIL import Image, ImageColor
 
 import starstruck_gen
 import tactile_sim
-from mnist3d.solid import solidify
+from mnist3d.solid.algorithm import solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures.render import Body, View, draw_bodies

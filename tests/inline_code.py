@@ -21,7 +21,7 @@ __all__ = ["fault"]
 
 _ROOTS = (*(package for package in PACKAGES if "." not in package), "tactile_toolkit")
 _COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
-_EXAMPLES = {"digits": mnist3d.MeshDataset, "digit": mnist3d.MeshRecord}
+_EXAMPLES = {"digits": mnist3d.DigitDataset, "digit": mnist3d.DigitRecord}
 """What pages call so."""
 
 

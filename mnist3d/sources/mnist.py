@@ -18,8 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
-from mnist3d.sources.canvas import SIDE_PX, enlarge
+import mnist3d.ink
+from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit import store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.bounds import require_unpackable
@@ -85,7 +85,7 @@ class MnistSource:
         while index >= len(parts[0][0]):
             index -= len(parts.pop(0)[0])
         images, labels = parts[0]
-        pixels = enlarge(255 - images[index], (SIDE_PX, SIDE_PX))
+        pixels = mnist3d.ink.fit(255 - images[index])
         return DigitImage(digit_id, int(labels[index]), pixels)
 
     def fingerprint(self) -> dict[str, object]:

@@ -207,7 +207,7 @@ FINGERPRINTS = {
     ],
 )
 def test_sources_of_digits_are_named_with_their_terms(name, licence, words):
-    from mnist3d.card import source_description, source_words
+    from mnist3d.digit_card import source_description, source_words
 
     source = source_words(name)
     assert source["licence"] == licence

@@ -85,7 +85,7 @@ def test_the_home_of_the_user_is_known(tmp_path, monkeypatch):
 def test_info_lists_what_a_provider_would_give(tmp_path):
     assert run("info", tmp_path).stdout == f"{tmp_path} holds no data sets\n"
     run("wrench", "--out", tmp_path / "wrench")
-    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 6), ("test", 3)))
+    scenes = starstruck_gen.SceneSetSpec(scenes=(("train", 6), ("test", 3)))
     starstruck_gen.generate(scenes, str(tmp_path / "stars"))
     (tmp_path / "notes").mkdir()
     (tmp_path / "damaged").mkdir()

@@ -12,12 +12,12 @@ import pyarrow.parquet as pq
 import pytest
 
 import starstruck_gen as starstruck
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.kind import KIND as TOUCH_KIND
 from realtouch.opening import SHORT_NAMES
-from starstruck_gen.make import GenerateSpec as StarstruckSpec
+from starstruck_gen.scene_generation import SceneSetSpec as StarstruckSpec
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.places import published_set, repository_named
 from tests.hub_server import HubServer, hub
@@ -33,7 +33,7 @@ TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
 @pytest.fixture(scope="module")
 def root(tmp_path_factory) -> Path:
     place = tmp_path_factory.mktemp("hub")
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(place / DIGITS), ("test", "holdout"))
     starstruck.generate(StarstruckSpec(scenes=(("train", 6),)), str(place / "scenes"))
     for name, ours in ((BARE, place / DIGITS), (SCENES, place / "scenes")):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from starstruck_gen.make import GenerateSpec, generate
+from starstruck_gen.scene_generation import SceneSetSpec, generate
 from tests.command_line import call, program
 from tests.hub_server import HubServer, hub
 from tests.processes import PATIENCE_S
@@ -40,7 +40,7 @@ def run(command: str, *arguments: object, environment: dict[str, str]) -> subpro
 def folder(tmp_path_factory) -> Path:
     """Two splits of scenes."""
     place = tmp_path_factory.mktemp("upload") / "stars"
-    generate(GenerateSpec(scenes=(("train", 30), ("test", 9))), str(place))
+    generate(SceneSetSpec(scenes=(("train", 30), ("test", 9))), str(place))
     return place
 
 

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import starstruck_gen
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.realtouch.factories import make_round, single_rows, write_set
 
@@ -53,9 +53,9 @@ sys.exit(getattr(import_module(module), function)())
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory) -> dict[str, str]:
     root = tmp_path_factory.mktemp("sets")
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(root / "mnist3d"), ("test",))
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), str(root / "starstruck"))
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),)), str(root / "starstruck"))
     write_set(root / "realtouch", {"train": single_rows([make_round(0, 4, (64, 64))])}, "single")
     return {room: str(root / room) for room in ("mnist3d", "starstruck", "realtouch")}
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from cli.options import _runner_name, local_place, parse_address
-from starstruck_gen.options import SceneOptions
-from starstruck_gen.spec import SceneSpec
+from starstruck_gen.scene_options import SceneOptions
+from starstruck_gen.scene_spec import SceneSpec
 from tactile_sim import GenerateSpec
 from tactile_sim.spec import PictureOptions, TrainConfig
 from tactile_toolkit.errors import InputError

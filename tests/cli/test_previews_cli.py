@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mnist3d.make import GenerateSpec as DigitSpec, generate as generate_digits
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec as DigitSpec, generate as generate_digits
+from mnist3d.published_splits import SplitSpec
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SplitSpec
-from starstruck_gen.make import GenerateSpec as SceneSetSpec, generate as generate_scenes
-from starstruck_gen.spec import SceneSpec
+from starstruck_gen.scene_generation import SceneSetSpec as SceneSetSpec, generate as generate_scenes
+from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit.mesh import Mesh, write_mesh
 from tests.realtouch import factories
 

@@ -107,7 +107,7 @@ FUNCTIONS: tuple[Callable[[str], object], ...] = (
     lambda place: env_assets.AssetProvider("x").meshes(place),
     lambda place: env_assets.AssetProvider("x").touches(place),
     lambda place: realtouch.select(place, "x"),
-    lambda place: starstruck_gen.generate(starstruck_gen.GenerateSpec(), place),
+    lambda place: starstruck_gen.generate(starstruck_gen.SceneSetSpec(), place),
     lambda place: tactile_sim.generate(place, tactile_sim.GenerateSpec(), "x"),
 )
 

@@ -25,7 +25,7 @@ def test_it_has_the_shape_that_environments_depend_on(provider):
 @pytest.mark.parametrize(
     ("name", "split", "kind", "loader"),
     [
-        ("mnist3d", "test", mnist3d.MeshDataset, mnist3d.load),
+        ("mnist3d", "test", mnist3d.DigitDataset, mnist3d.load),
         ("starstruck", "train", starstruck_gen.SceneMeshDataset, starstruck_gen.load),
     ],
 )
@@ -53,7 +53,7 @@ def test_the_kind_is_told_from_the_columns_and_else_from_the_classes(tmp_path):
     solids = [box((0, 0, 0), (0.01, 0.01, 0.005)).to_trimesh()] * 3
     provider = env_assets.AssetProvider(tmp_path)
     for names, kind in (
-        (tuple("0123456789"), mnist3d.MeshDataset),
+        (tuple("0123456789"), mnist3d.DigitDataset),
         (("1", "2", "3"), starstruck_gen.SceneMeshDataset),
         (("nut", "bolt", "cog"), env_assets.SolidDataset),
     ):
@@ -128,7 +128,7 @@ def test_a_mesh_of_trimesh_is_one_too(provider):
 
 
 def test_placements_of_what_is_no_scene_are_refused(provider):
-    with pytest.raises(InputError, match="only scenes have placements, found a MeshRecord"):
+    with pytest.raises(InputError, match="only scenes have placements, found a DigitRecord"):
         provider.placements(provider.meshes("mnist3d", "test")[0])
 
 

@@ -11,24 +11,24 @@ from tactile_toolkit.printing import PrintObject, choose
 
 
 @pytest.fixture(scope="module")
-def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
+def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
     folder = str(tmp_path_factory.mktemp("export") / "digits")
-    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=2)
+    spec = mnist3d.DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=2)
     mnist3d.generate(spec, folder, ("printed_test",))
     return mnist3d.load(folder, "printed_test")
 
 
-def chosen(digits: mnist3d.MeshDataset, **choice: object) -> list[PrintObject]:
+def chosen(digits: mnist3d.DigitDataset, **choice: object) -> list[PrintObject]:
     return choose([("printed_test", digits)], **choice)  # type: ignore[arg-type]
 
 
-def test_names_tell_split_class_and_id(digits: mnist3d.MeshDataset) -> None:
+def test_names_tell_split_class_and_id(digits: mnist3d.DigitDataset) -> None:
     names = [item.name for item in chosen(digits)]
     assert names == [f"printed_test-{r.label}-{r.id:05d}" for r in digits]
     assert len(set(names)) == 20
 
 
-def test_choosing_by_class_id_and_number(digits: mnist3d.MeshDataset) -> None:
+def test_choosing_by_class_id_and_number(digits: mnist3d.DigitDataset) -> None:
     assert {item.label for item in chosen(digits, labels=["3", "7"])} == {"3", "7"}
     some = digits.ids[[4, 11]].tolist()
     assert sorted(item.id for item in chosen(digits, ids=some)) == sorted(some)
@@ -37,7 +37,7 @@ def test_choosing_by_class_id_and_number(digits: mnist3d.MeshDataset) -> None:
     assert [item.id for item in chosen(digits, ids=some[:1], labels=[label])] == some[:1]
 
 
-def test_what_is_not_there_is_named(digits: mnist3d.MeshDataset) -> None:
+def test_what_is_not_there_is_named(digits: mnist3d.DigitDataset) -> None:
     some = digits.ids[[4, 11]]
     wanted = chosen(digits, ids=[(int(some.min()), int(some.max())), (0, 10**19)])
     assert {item.id for item in wanted} == set(digits.ids.tolist())

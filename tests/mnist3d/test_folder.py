@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mnist3d.sources import NO_WRITER, DigitSource
-from mnist3d.sources.folder import FolderSource
+from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.wording import natural_key
 from tests.jpegs import jpeg_of_scans

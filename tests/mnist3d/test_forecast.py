@@ -7,19 +7,19 @@ import json
 import numpy as np
 import pytest
 
-from mnist3d.make import DigitMaking, GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitMaking, DigitSetSpec, generate
+from mnist3d.published_splits import SplitSpec
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SplitSpec
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.making import forecast
 from tactile_toolkit.run import Part
 
 
-def _spec(**values) -> GenerateSpec:
+def _spec(**values) -> DigitSetSpec:
     split = SplitSpec(sizes={"train": np.int64(2), "test": 1})
     solid = SolidSpec(target_vertices=np.int64(2_000))
-    return GenerateSpec(SyntheticSource(40), solid, split, **values)
+    return DigitSetSpec(SyntheticSource(40), solid, split, **values)
 
 
 @pytest.fixture(scope="module")

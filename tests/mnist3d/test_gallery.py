@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.columns import REPORT_FILE
-from mnist3d.gallery import plan_gallery
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_gallery import plan_gallery
+from mnist3d.digit_rows import REPORT_FILE
+from mnist3d.published_splits import SplitSpec
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SplitSpec
 from tactile_toolkit.catalog import Chosen
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.gallery import build_site
@@ -23,7 +23,7 @@ from tests.gallery_files import column, content_of, index_of
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("gallery") / "digits"
-    spec = mnist3d.GenerateSpec(
+    spec = mnist3d.DigitSetSpec(
         source=SyntheticSource(count=200, seed=3),
         solid=SolidSpec(target_vertices=2_000),
         split=SplitSpec(0, "digit", (("train", 2), ("test", 1))),

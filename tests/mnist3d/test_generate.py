@@ -10,11 +10,11 @@ import pyarrow.parquet as pq
 import pytest
 
 import mnist3d
-from mnist3d.columns import digit_schema
-from mnist3d.make import DigitMaking, GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitMaking, DigitSetSpec, generate
+from mnist3d.digit_rows import digit_schema
+from mnist3d.published_splits import SPLITS, SplitSpec
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SPLITS, SplitSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.making import plan_build
 from tactile_toolkit.store import DataFolder, verify
@@ -29,7 +29,7 @@ COARSE = SolidSpec(target_vertices=2_000)  # what a lattice gives: fewer are dec
 @pytest.fixture(scope="module")
 def flawed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flawed") / "set"
-    manifest = generate(GenerateSpec(FlawedSource(), COARSE), str(folder))
+    manifest = generate(DigitSetSpec(FlawedSource(), COARSE), str(folder))
     return folder, manifest
 
 
@@ -54,7 +54,7 @@ def test_every_digit_is_a_row_or_skipped_with_its_reason(flawed):
 
 def test_failures_move_no_other_digit(flawed, tmp_path):
     folder, _ = flawed
-    plan = plan_build(DigitMaking(GenerateSpec(FlawedSource(), COARSE)))
+    plan = plan_build(DigitMaking(DigitSetSpec(FlawedSource(), COARSE)))
     for split in ("train", "test", "holdout"):
         planned = [i for task in plan.tasks if task.shard.split == split for i in task.items]
         made = mnist3d.load(str(folder), split).ids.tolist()
@@ -76,16 +76,16 @@ def test_report_has_a_row_per_digit_in_the_order_of_the_data(flawed):
 
 def test_nothing_to_make_is_named(tmp_path):
     with pytest.raises(InputError, match=r"no digits to make for printed_test.*--split"):
-        generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("printed_test",))
+        generate(DigitSetSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("printed_test",))
     assert not (tmp_path / "set").exists()
     with pytest.raises(InputError, match="unknown split 'validation'"):
-        generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("validation",))
+        generate(DigitSetSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("validation",))
     with pytest.raises(InputError, match=r"limit of .* is 0"):
-        GenerateSpec(FlawedSource(), limit=0)
+        DigitSetSpec(FlawedSource(), limit=0)
 
 
 def test_shard_sizes_follow_from_the_split_alone():
-    plan = plan_build(DigitMaking(GenerateSpec(SyntheticSource())))
+    plan = plan_build(DigitMaking(DigitSetSpec(SyntheticSource())))
     counts = {split: [t.size for t in plan.tasks if t.shard.split == split] for split in SPLITS}
     assert {split: sum(sizes) for split, sizes in counts.items()} == {
         "train": 11_480,
@@ -96,7 +96,7 @@ def test_shard_sizes_follow_from_the_split_alone():
     }
     assert all(max(sizes) <= 128 for sizes in counts.values())
     assert len(counts["train"]) == 90
-    alone = plan_build(DigitMaking(GenerateSpec(SyntheticSource())), ("test",))
+    alone = plan_build(DigitMaking(DigitSetSpec(SyntheticSource())), ("test",))
     among_all = [task for task in plan.tasks if task.shard.split == "test"]
     assert [task.shard for task in alone.tasks] == [task.shard for task in among_all]
     for one, other in zip(alone.tasks, among_all, strict=True):
@@ -162,7 +162,7 @@ GOLDEN = "54d92eab70b4442d1c87ff48e98a7dee8419e6879c8471803f99ad4881540344"
 
 
 def test_writer_splits_share_no_writer(tmp_path):
-    spec = GenerateSpec(SyntheticSource(count=700), COARSE, SplitSpec(by="writer"), limit=2)
+    spec = DigitSetSpec(SyntheticSource(count=700), COARSE, SplitSpec(by="writer"), limit=2)
     generate(spec, str(tmp_path / "set"))
     homes = [set(mnist3d.load(str(tmp_path / "set"), split).writers.tolist()) for split in SPLITS]
     assert sum(map(len, homes)) == len(set().union(*homes)) > 0
@@ -177,7 +177,7 @@ def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, r
 
     layout = shared / "digits" / "hwd_layout"
     source = HwdPlusSource(str(layout / "Images(500x500).npy"), str(layout / "WriterInfo.npy"), 1)
-    manifest = generate(GenerateSpec(source, per_class=per_class), str(tmp_path / "set"), splits)
+    manifest = generate(DigitSetSpec(source, per_class=per_class), str(tmp_path / "set"), splits)
     assert sum(entry["rows"] for entry in manifest.split_table().values()) == rows
     assert manifest.skipped_reasons() == {}
     report = pq.read_table(tmp_path / "set" / "reports" / "printability.parquet").to_pandas()
@@ -189,7 +189,7 @@ def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, r
 
 
 def test_a_task_takes_along_its_own_ids_only():
-    spec = GenerateSpec(SyntheticSource(count=100_000), split=SplitSpec(sizes=(("train", 9_000),)))
+    spec = DigitSetSpec(SyntheticSource(count=100_000), split=SplitSpec(sizes=(("train", 9_000),)))
     task = plan_build(DigitMaking(spec), ("train",)).tasks[3]
     assert task.items.base is not None  # a view of the ids of the split
     assert len(pickle.dumps(task)) < 8 * task.size + 2_000

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.hub_server import hub
 from tests.tactile_toolkit.hub.client import run_here, settings
@@ -17,7 +17,7 @@ from tests.tactile_toolkit.hub.client import run_here, settings
 @pytest.fixture(scope="module")
 def repositories(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("hub")
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(root / "someone" / "digits"), ("test", "holdout"))
     return root
 

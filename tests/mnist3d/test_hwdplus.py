@@ -93,7 +93,7 @@ def test_the_grey_scale_of_floats_is_the_files_not_the_images(tmp_path: Path) ->
 @given(st.lists(st.integers(0, 255), min_size=16, max_size=16))
 def test_float_round_trip_is_exact(tmp_path_factory: pytest.TempPathFactory, levels: list[int]) -> None:
     image = np.array([*levels, 255, 0] + [128] * 7, np.uint8).reshape(1, 5, 5)
-    from mnist3d.sources.canvas import as_grey
+    from mnist3d.ink.grey_levels import as_grey
 
     for full in (1.0, 255.0):
         values = image[0].astype(np.float32) * np.float32(full / 255)

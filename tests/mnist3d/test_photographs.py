@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from mnist3d.ink import count_bodies_and_holes
-from mnist3d.photograph import even_out, is_clean
-from mnist3d.solid import binarise
-from mnist3d.sources.canvas import fit
+from mnist3d.ink.binarisation import binarise
+from mnist3d.ink.cleaning import count_bodies_and_holes
+from mnist3d.ink.photographs import even_out, is_clean
+from mnist3d.ink.sheet import fit
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.spec import SolidSpec
 from tactile_toolkit.errors import ItemError
 from tests.mnist3d.photographs import (
     EASY,

@@ -13,13 +13,16 @@ import pytest
 from PIL import Image
 
 import mnist3d
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.previews import _stack_view, draw_steps, layer_map, plan_previews
-from mnist3d.solid import SolidSpec, solidify
-from mnist3d.sources.folder import FolderSource
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.digit_preview_spec import DigitPreviewSpec as PreviewSpec
+from mnist3d.digit_previews import plan_previews
+from mnist3d.ink.binarisation import binarise
+from mnist3d.published_splits import SplitSpec
+from mnist3d.solid.algorithm import solid_steps
+from mnist3d.solid.step_pictures import _stack_view, draw_steps, layer_map
+from mnist3d.solid_spec import SolidSpec
+from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.spec import DigitPreviewSpec as PreviewSpec
-from mnist3d.splits import SplitSpec
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh, write_mesh
 from tactile_toolkit.pictures import OBLIQUE, Body, draw_bodies, relief, relief_of
@@ -33,7 +36,7 @@ THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Thirty digits in train, ten in test."""
     out = tmp_path_factory.mktemp("previews") / "digits"
-    spec = GenerateSpec(
+    spec = DigitSetSpec(
         SyntheticSource(count=280),
         THIN,
         SplitSpec(sizes=(("train", 3), ("test", 1))),
@@ -138,9 +141,8 @@ def test_a_box_of_known_size_is_as_wide_as_the_bar_says(ending, tmp_path):
 
 
 def test_layers_lie_within_one_another_the_higher_the_darker():
-    volumes = []
-    solidify(SyntheticSource().image(0).pixels, on_surface=lambda _, volume, __: volumes.append(volume))
-    layers = [layer for layer in np.moveaxis(volumes[0].upper > 0, 2, 0) if layer.any()]
+    steps = solid_steps(binarise(SyntheticSource().image(0).pixels, SolidSpec()), SolidSpec())
+    layers = [layer for layer in np.moveaxis(steps.upper_half > 0, 2, 0) if layer.any()]
     assert all((upper <= lower).all() for lower, upper in pairwise(layers))
     drawn_map = layer_map(layers)
     assert (drawn_map[~layers[0]] == 255).all()
@@ -203,7 +205,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
 @pytest.mark.parametrize("vertices", [1500, 400])
 def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices, seen):
     source = SyntheticSource(count=280)
-    spec = GenerateSpec(source, SolidSpec(target_vertices=vertices, join_bodies=True), limit=1)
+    spec = DigitSetSpec(source, SolidSpec(target_vertices=vertices, join_bodies=True), limit=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     (record,) = mnist3d.load(str(tmp_path / "set"), "test")
     (planned,) = plan_previews(
@@ -230,12 +232,12 @@ def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
             Image.fromarray(SyntheticSource().image(digit).pixels).save(
                 tmp_path / name / str(label) / "1.png"
             )
-    spec = GenerateSpec(
+    spec = DigitSetSpec(
         FolderSource(str(tmp_path / "one")),
         SolidSpec(target_vertices=2_000),
         SplitSpec(sizes=(("train", 1),)),
     )
-    spec = GenerateSpec(spec.source, spec.solid, spec.split, limit=2)
+    spec = DigitSetSpec(spec.source, spec.solid, spec.split, limit=2)
     with pytest.raises(InputError):
         plan_previews(str(tmp_path / "one"), PreviewSpec(kinds=("steps",)))
     try:

@@ -118,9 +118,9 @@ def _followed(gcode: str) -> Sliced:
 
 
 @pytest.fixture(scope="module")
-def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
+def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
     folder = str(tmp_path_factory.mktemp("slicer") / "digits")
-    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
+    spec = mnist3d.DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
     mnist3d.generate(spec, folder, ("printed_test",))
     return mnist3d.load(folder, "printed_test")
 
@@ -128,7 +128,7 @@ def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["stl", "3mf"])
 def test_one_digit_of_each_class_loads_whole_and_in_size(
-    kind: str, digits: mnist3d.MeshDataset, tmp_path: Path
+    kind: str, digits: mnist3d.DigitDataset, tmp_path: Path
 ) -> None:
     made = export_files(choose([("printed_test", digits)]), str(tmp_path), kind)
     assert sorted(file.label for file in made.files) == list("0123456789")
@@ -142,7 +142,7 @@ def test_one_digit_of_each_class_loads_whole_and_in_size(
 
 @pytest.mark.parametrize("kind", [pytest.param("stl", marks=pytest.mark.thorough), "3mf"])
 def test_a_digit_slices_up_to_its_height_without_a_repair(
-    kind: str, digits: mnist3d.MeshDataset, tmp_path: Path
+    kind: str, digits: mnist3d.DigitDataset, tmp_path: Path
 ) -> None:
     (file,) = export_files(choose([("printed_test", digits)], labels=["8"]), str(tmp_path), kind).files
     path = tmp_path / file.file
@@ -167,7 +167,7 @@ def write_plate(
 
 
 @pytest.mark.thorough
-def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
+def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.DigitDataset, tmp_path: Path) -> None:
     plate, path = write_plate(digits, "0123456789", tmp_path)
     seen = seen_in(path)
     boxes = [(placed.x_mm, placed.y_mm, *placed.outline.size_mm, placed.height_mm) for placed in plate]
@@ -179,7 +179,7 @@ def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.MeshDataset,
     assert {count for counts in repairs.values() for count in counts} == {0}
 
 
-def test_the_check_sees_a_broken_file(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
+def test_the_check_sees_a_broken_file(digits: mnist3d.DigitDataset, tmp_path: Path) -> None:
     """What is asserted above fails for a surface without three triangles."""
     whole = place_on_plate(digits[0])
     write_mesh(tmp_path / "broken.stl", Mesh(whole.vertices_m, whole.faces[3:]))

@@ -16,12 +16,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import ndimage
 
-from mnist3d.ink import count_bodies_and_holes
-from mnist3d.lattice import Lattice, Mirrored
-from mnist3d.literal import literal_solid
-from mnist3d.solid import SolidSpec, binarise, solidify
-from mnist3d.spec import EROSIONS, PROFILES
-from mnist3d.surface import Surface
+from mnist3d.ink.binarisation import binarise
+from mnist3d.ink.cleaning import count_bodies_and_holes
+from mnist3d.solid.algorithm import solid_steps, solidify
+from mnist3d.solid.literal import literal_solid
+from mnist3d.solid_spec import EROSIONS, PROFILES, SolidSpec
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import inspect
 from tests.mnist3d.drawings import (
@@ -276,13 +275,11 @@ def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: f
 def test_nodes_that_touch_at_a_corner_get_others_between_them() -> None:
     from PIL import Image
 
-    steps: list[tuple[Lattice, Mirrored, Surface]] = []
     # Ink on two nodes across a slanting gap, paper on the other two: the surface joins the ink.
     with Image.open(DIGITS / "0040_label0_writer6.png") as image:
-        mesh = solidify(np.asarray(image), on_surface=lambda *found: steps.append(found))
+        lattice, _, surface, mesh = solid_steps(binarise(np.asarray(image), SolidSpec()), SolidSpec())
     report = inspect(mesh)
     assert (report.problem, report.bodies, report.genus) == (None, 1, 1)
-    ((lattice, _, surface),) = steps
     assert len(lattice.rows_px) < 80
     # Not decimated: the upper half and its mirror image.
     assert len(mesh.faces) == 2 * len(surface.faces)

@@ -14,9 +14,14 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import ndimage
 
+from mnist3d.handwriting.allographs import ALLOGRAPHS, CLEAR
+from mnist3d.handwriting.curves import through
+from mnist3d.handwriting.five_to_nine import nine_g_shaped
+from mnist3d.handwriting.inking import draw
+from mnist3d.handwriting.keyed_random import KeyedRng, index_at
+from mnist3d.handwriting.page_layout import PAGE_PX
+from mnist3d.handwriting.writer_style import choose_allograph
 from mnist3d.sources import DigitImage
-from mnist3d.sources.digits import ALLOGRAPHS, CLEAR, nine_g_shaped, through
-from mnist3d.sources.pen import PAGE_PX, KeyedRng, choose_allograph, draw, index_at
 from mnist3d.sources.synthetic import DRAWING_VERSION, SyntheticSource
 from tactile_toolkit.errors import InputError
 

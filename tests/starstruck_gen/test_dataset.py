@@ -10,11 +10,13 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.loader import SceneDataset, SceneMeshDataset, SceneRecord, load
-from starstruck_gen.make import GenerateSpec, generate
-from starstruck_gen.sampling import sample_scene, scene_rng
+from starstruck_gen.rejection import sample_scene
 from starstruck_gen.scene import Scene
-from starstruck_gen.spec import SceneSpec
+from starstruck_gen.scene_dataset import SceneMeshDataset, SceneRecord, load
+from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_seeds import scene_rng
+from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.scenes_on_the_fly import SceneDataset
 from tactile_toolkit.errors import InputError
 
 
@@ -30,7 +32,7 @@ SIZES = {"train": 80, "test": 12}
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> str:
     path = tmp_path_factory.mktemp("scenes")
-    generate(GenerateSpec(specified(), tuple(SIZES.items()), seed=9), str(path))
+    generate(SceneSetSpec(specified(), tuple(SIZES.items()), seed=9), str(path))
     return str(path)
 
 
@@ -112,8 +114,7 @@ def test_records_and_data_sets_cross_process_borders(scenes):
 def test_numbers_of_numpy_give_the_same_scenes():
     given, plain = SceneDataset(size=np.int64(3), seed=np.int64(5)), SceneDataset(size=3, seed=5)
     assert [record.scene for record in given] == [record.scene for record in plain]
-    scene = sample_scene(SceneSpec(), scene_rng(1), np.int64(2))
-    assert Scene.from_json(scene.to_json()) == scene
+    assert type(sample_scene(SceneSpec(), scene_rng(1), np.int64(2)).star_count) is int
 
 
 @pytest.mark.parametrize(

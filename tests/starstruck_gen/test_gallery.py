@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 import starstruck_gen
-from starstruck_gen.gallery import plan_gallery
+from starstruck_gen.scene_gallery import plan_gallery
 from tactile_toolkit.catalog import Chosen
 from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened
@@ -18,7 +18,7 @@ from tests.gallery_files import column, content_of, files_of, index_of
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("gallery") / "stars"
-    spec = starstruck_gen.GenerateSpec(scenes=(("train", 12), ("test", 6)))
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 12), ("test", 6)))
     starstruck_gen.generate(spec, str(out), ("train", "test"), workers=1)
     return out
 

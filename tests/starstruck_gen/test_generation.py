@@ -10,14 +10,17 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from starstruck_gen.card import summarise
-from starstruck_gen.columns import scene_schema
-from starstruck_gen.make import GenerateSpec, SceneMaking, count_scenes, generate, make_rows
-from starstruck_gen.placement import Placement, build_meshes
-from starstruck_gen.sampling import SamplingExhausted
-from starstruck_gen.shapes import Disc, Shape, Star
-from starstruck_gen.spec import SceneSpec
-from starstruck_gen.validate import validate_folder
+from starstruck_gen.acceptance import count_scenes
+from starstruck_gen.outlines import Disc, Star
+from starstruck_gen.placement import Placement
+from starstruck_gen.rejection import SamplingExhausted
+from starstruck_gen.scene_card import summarise
+from starstruck_gen.scene_checks import validate_folder
+from starstruck_gen.scene_generation import SceneMaking, SceneSetSpec, generate, make_rows
+from starstruck_gen.scene_meshes import build_meshes
+from starstruck_gen.scene_rows import scene_schema
+from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shapes import Shape
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.making import plan_build
 from tactile_toolkit.store import DataFolder, inspect_job, read_manifest, verify
@@ -25,9 +28,9 @@ from tests.command_line import call
 
 
 @cache
-def small() -> GenerateSpec:
+def small() -> SceneSetSpec:
     """A function: its solids are proved, by what numba compiles on a new machine."""
-    return GenerateSpec(scenes=(("train", 2_100), ("test", 30)))
+    return SceneSetSpec(scenes=(("train", 2_100), ("test", 30)))
 
 
 def folder_hashes(path: Path) -> dict[str, str]:
@@ -66,7 +69,7 @@ def test_folder_holds_what_is_promised(whole):
 
 
 def test_published_size_is_3000_and_300_balanced():
-    spec = GenerateSpec()
+    spec = SceneSetSpec()
     assert (spec.rows("train"), spec.rows("test")) == (3_000, 300)
     sizes = {task.shard.split: 0 for task in plan_build(SceneMaking(spec), ("train", "test")).tasks}
     for task in plan_build(SceneMaking(spec), ("train", "test")).tasks:
@@ -112,7 +115,7 @@ def test_another_seed_or_specification_is_refused_and_named(whole):
 
 
 def test_impossible_specification_leaves_nothing_behind(tmp_path):
-    crowded = GenerateSpec(scene=SceneSpec(stars=(1, 40), restarts=5))
+    crowded = SceneSetSpec(scene=SceneSpec(stars=(1, 40), restarts=5))
     with pytest.raises(SamplingExhausted, match="a star"):
         generate(crowded, str(tmp_path / "set"))
     assert not (tmp_path / "set").exists()
@@ -138,20 +141,20 @@ def test_impossible_specification_leaves_nothing_behind(tmp_path):
 )
 def test_unusable_values_are_refused(values, message):
     with pytest.raises(InputError, match=message):
-        GenerateSpec(**values)
+        SceneSetSpec(**values)
 
 
 def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
-    given = GenerateSpec(
+    given = SceneSetSpec(
         SceneSpec(stars=range(1, 4), heights_m=[np.float64(0.005)]),
         {"train": np.int64(4)},
         seed=np.int64(3),
         limit=np.int32(2),
     )
-    plain = GenerateSpec(SceneSpec(), (("train", 4),), seed=3, limit=2)
+    plain = SceneSetSpec(SceneSpec(), (("train", 4),), seed=3, limit=2)
     assert given == plain
     assert json.dumps(given.to_dict()) == json.dumps(plain.to_dict())
-    assert GenerateSpec(scenes=plain.to_dict()["scenes"]).scenes == plain.scenes
+    assert SceneSetSpec(scenes=plain.to_dict()["scenes"]).scenes == plain.scenes
     generate(given, tmp_path / "path", ("train",))
     generate(plain, str(tmp_path / "text"), ("train",))
     assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
@@ -164,7 +167,7 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
 @pytest.mark.parametrize("splits", [("holdout",), ("test",)])
 def test_nothing_to_make_is_refused(tmp_path, splits):
     with pytest.raises(InputError, match=r"unknown split 'holdout'|no scenes to make for test"):
-        generate(GenerateSpec(scenes=(("train", 5),)), str(tmp_path / "set"), splits)
+        generate(SceneSetSpec(scenes=(("train", 5),)), str(tmp_path / "set"), splits)
 
 
 def test_validate_proves_the_written_scenes(whole):

@@ -10,9 +10,9 @@ import pytest
 
 import starstruck_gen
 from starstruck_gen import SceneSpec
-from starstruck_gen.make import GenerateSpec, generate
-from starstruck_gen.previews import plan_previews
-from starstruck_gen.scene import draw_scene
+from starstruck_gen.scene_drawing import draw_scene
+from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_previews import plan_previews
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import InputError
 
@@ -26,7 +26,7 @@ def crowded() -> SceneSpec:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("previews") / "scenes"
-    generate(GenerateSpec(crowded(), (("train", 9), ("test", 2)), seed=4), str(out))
+    generate(SceneSetSpec(crowded(), (("train", 9), ("test", 2)), seed=4), str(out))
     return out
 
 
@@ -47,7 +47,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
 
 def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     out = tmp_path / "mixed"
-    generate(GenerateSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))
+    generate(SceneSetSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))
     (planned,) = plan_previews(str(out), PreviewSpec(kinds=("sheet",), per_class=3)).pictures
     assert (planned.name, planned.what) == ("mixed-train-sheet.png", "9 scenes of train from above")
     pixels = planned.draw()

@@ -8,9 +8,9 @@ from scipy import stats
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from starstruck_gen.loader import SceneDataset
-from starstruck_gen.make import GenerateSpec, generate
-from starstruck_gen.placement import prism
+from starstruck_gen.prisms import prism
+from starstruck_gen.scene_generation import GenerateSpec, generate
+from starstruck_gen.scenes_on_the_fly import SceneDataset
 
 # The package's own imports warn; what they warn about is not ours.
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]

@@ -10,30 +10,25 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from starstruck_gen.loader import load
-from starstruck_gen.make import GenerateSpec, generate
-from starstruck_gen.placement import prism, prisms, register_shape
-from starstruck_gen.shapes import (
-    KINDS,
-    OUTLINES,
-    Disc,
-    Proportions,
-    Shape,
-    outline,
-)
-from starstruck_gen.spec import SceneSpec
-from starstruck_gen.validate import validate_folder
+from starstruck_gen.outlines import Disc
+from starstruck_gen.prisms import prism, prisms
+from starstruck_gen.proportions import KINDS, Proportions
+from starstruck_gen.scene_checks import validate_folder
+from starstruck_gen.scene_dataset import load
+from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shape_registry import register_shape
+from starstruck_gen.shapes import Shape, outline
 from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.kite import Kite
 
 
 @pytest.fixture(autouse=True)
 def _only_the_toolkits_own():
-    before = [dict(registry) for registry in (KINDS, OUTLINES)]
+    before = dict(KINDS)
     yield
-    for registry, entries in zip((KINDS, OUTLINES), before, strict=True):
-        registry.clear()
-        registry.update(entries)
+    KINDS.clear()
+    KINDS.update(before)
     outline.cache_clear()
     prism.cache_clear()
     prisms.cache_clear()
@@ -52,7 +47,7 @@ def test_registered_shape_goes_through_specification_json_and_key():
     assert SceneSpec.from_dict(json.loads(json.dumps(spec.to_dict()))) == spec
     assert Shape.parse("kite(width=0.4)", 0.008) == spec.distractor_shapes[0]
     assert KINDS["kite"] is Kite
-    assert OUTLINES["kite"]()[0].shape == (4, 2)
+    assert outline("kite")[0].shape == (4, 2)
     assert not outline("kite")[0].flags.writeable
     with pytest.raises(InputError, match=r"width of shape 'kite' is 2; expected 0.1 to 1"):
         Kite(2)
@@ -61,7 +56,7 @@ def test_registered_shape_goes_through_specification_json_and_key():
 @pytest.mark.thorough
 def test_workers_know_a_registered_shape(tmp_path):
     register_shape(Kite)
-    generate(GenerateSpec(_kite_spec(), {"train": 20}), tmp_path / "set", ("train",))
+    generate(SceneSetSpec(_kite_spec(), {"train": 20}), tmp_path / "set", ("train",))
     checked = validate_folder(tmp_path / "set", limit=4, workers=2)
     assert (checked.checked, checked.failed) == (4, 0)
     shapes = {p.shape for record in load(str(tmp_path / "set")) for p in record.placements}
@@ -115,7 +110,7 @@ def _named(kind, name):
     ],
 )
 def test_unusable_kind_is_refused_and_not_kept(kind, message):
-    before = dict(KINDS), dict(OUTLINES)
+    before = dict(KINDS)
     with pytest.raises(InputError, match=message):
         register_shape(kind)
-    assert before == (KINDS, OUTLINES)
+    assert before == KINDS

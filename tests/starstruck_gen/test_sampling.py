@@ -10,21 +10,19 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from starstruck_gen.placement import Placement, circles_clear, outlines_clear
-from starstruck_gen.sampling import (
-    SPLITS,
+from starstruck_gen.collisions import circles_clear, outlines_clear
+from starstruck_gen.placement import Placement
+from starstruck_gen.proportions import KINDS
+from starstruck_gen.rejection import (
     SamplingExhausted,
-    SceneStreams,
     is_infeasible,
     require_feasible,
     sample_scene,
     sample_scenes,
-    scene_id,
-    scene_rng,
-    scene_seed,
 )
-from starstruck_gen.shapes import OUTLINES, Shape
-from starstruck_gen.spec import SceneSpec
+from starstruck_gen.scene_seeds import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
+from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shapes import Shape
 from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.strategies import specs
 
@@ -128,7 +126,7 @@ def test_numbers_are_uniform():
 
 
 def test_exact_rule_lets_objects_stand_closer_than_circles_do():
-    shapes = tuple(Shape(name) for name in OUTLINES if name != "star")
+    shapes = tuple(Shape(name) for name in KINDS if name != "star")
     exact = SceneSpec(collision="exact", distractors=(5, 5), distractor_shapes=shapes)
     scenes = sample_scenes(exact, "train", 0, 0, 40)
     gaps = [

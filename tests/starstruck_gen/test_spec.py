@@ -8,11 +8,12 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 
-from starstruck_gen.columns import scene_schema
-from starstruck_gen.make import make_rows
-from starstruck_gen.shapes import Disc, Shape
-from starstruck_gen.spec import SceneSpec
-from starstruck_gen.validate import validate_folder
+from starstruck_gen.outlines import Disc
+from starstruck_gen.scene_checks import validate_folder
+from starstruck_gen.scene_generation import make_rows
+from starstruck_gen.scene_rows import scene_schema
+from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shapes import Shape
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.rows import table_of
 from tests.starstruck_gen.strategies import specs

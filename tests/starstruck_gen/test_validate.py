@@ -8,12 +8,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from starstruck_gen.columns import scene_schema
-from starstruck_gen.loader import load
-from starstruck_gen.make import make_rows
-from starstruck_gen.placement import Placement, build_meshes
-from starstruck_gen.spec import SceneSpec
-from starstruck_gen.validate import check_scene, validate_folder
+from starstruck_gen.placement import Placement
+from starstruck_gen.scene_checks import check_scene, validate_folder
+from starstruck_gen.scene_dataset import load
+from starstruck_gen.scene_generation import make_rows
+from starstruck_gen.scene_meshes import build_meshes
+from starstruck_gen.scene_rows import scene_schema
+from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit.mesh import Mesh, check_manifold
 from tactile_toolkit.rows import table_of
 
@@ -88,7 +89,7 @@ def test_cap_triangles_turned_by_rounding_are_found_although_the_solid_is_one(tm
     pq.write_table(table_of([turned], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))
     assert check_manifold(Mesh(record.vertices_m, record.faces)).problem is None
-    assert "triangles of flat faces are turned over" in check_scene(record)
+    assert "triangles of flat faces are turned over" in check_scene(record)[0]
 
 
 @pytest.mark.parametrize("overlap_m", [1e-6, 5e-3])
@@ -101,4 +102,4 @@ def test_objects_that_overlap_are_found(tmp_path, overlap_m):
     overlapping = replace(row, placements=tuple(pair), vertices_m=mesh.vertices_m, faces=mesh.faces)
     pq.write_table(table_of([overlapping], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))
-    assert check_scene(record).startswith("overlap: two of 2 bodies overlap")
+    assert check_scene(record)[0].startswith("overlap: two of 2 bodies overlap")

@@ -84,7 +84,7 @@ def test_same_episodes(pair):
         off, pixels = off + int(far.sum()), pixels + far.size
 
     _walk(pair, 160, compare)
-    is_digit = type(native.current_data_points[0]).__name__ == "MeshRecord"
+    is_digit = type(native.current_data_points[0]).__name__ == "DigitRecord"
     assert off <= (3e-6 if is_digit else 2e-5) * pixels
 
 

@@ -35,7 +35,7 @@ PRESS_M = 0.002125
 def scenes(tmp_path_factory):
     """Three scenes of objects 5 mm high."""
     folder = tmp_path_factory.mktemp("scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), str(folder))
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), str(folder))
     return str(folder)
 
 

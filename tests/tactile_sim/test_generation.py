@@ -34,7 +34,7 @@ SPEC = tactile_sim.GenerateSpec((64, 48), "depth", plan=PLAN, image_format="png"
 def scenes(tmp_path_factory):
     """Seven scenes to train with, three to test."""
     folder = tmp_path_factory.mktemp("scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 7), ("test", 3))), str(folder))
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 7), ("test", 3))), str(folder))
     return str(folder)
 
 
@@ -126,7 +126,7 @@ def test_touches_of_the_published_renderer_are_made_again_from_a_table(tmp_path)
     """Where the sensor was, and how the object lay, as a table of given touches: the same images."""
     require_package()
     scenes = str(tmp_path / "scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), scenes)
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), scenes)
     solids = starstruck_gen.load(scenes, "test")
     oracle = Oracle(64, 64)
     rng = np.random.default_rng(3)

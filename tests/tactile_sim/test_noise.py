@@ -105,7 +105,7 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
     import starstruck_gen
 
     scenes = str(tmp_path / "scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), scenes)
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),)), scenes)
     # All touches of the bare plate: what differs is noise.
     given = tactile_sim.TouchTable(
         [0.0] * 3, [0.0] * 3, object_x_m=[0.5] * 3, object_y_m=[0.5] * 3, object_turn_rad=[0.0] * 3

@@ -103,7 +103,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
     import starstruck_gen
 
     scenes = str(tmp_path / "scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), scenes)
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), scenes)
     spec = tactile_sim.GenerateSpec(
         optics="depth", plan=tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**TABLE))
     )

@@ -34,7 +34,7 @@ def _call(*arguments: object) -> str:
 def made(tmp_path_factory) -> Path:
     """Touches of three scenes in two splits, as printed."""
     folder = tmp_path_factory.mktemp("way")
-    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3)))
+    scenes = starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3)))
     starstruck_gen.generate(scenes, str(folder / "scenes"))
     plan = tactile_sim.TouchPlan(1, 4, "object", seed=2)
     spec = tactile_sim.GenerateSpec((64, 48), "depth", plan=plan, layer_m=0.0002)

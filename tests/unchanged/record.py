@@ -23,11 +23,11 @@ import numpy as np
 from PIL import Image
 
 import mnist3d
-import mnist3d.previews
+import mnist3d.digit_previews
 import realtouch
 import realtouch.previews
 import starstruck_gen
-import starstruck_gen.previews
+import starstruck_gen.scene_previews
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.spec import TouchPreviewSpec
 from tactile_sim.pairs import make_pairs
@@ -131,12 +131,12 @@ def _functions(name: str, public: Any) -> Iterator[tuple[str, Any]]:
 def data_sets(folder: Path) -> dict[str, Any]:
     """Make a small data set of each kind below a folder and return the digests of all Parquet files."""
     source = SyntheticSource(seed=1)
-    mnist3d.generate(mnist3d.GenerateSpec(source, per_class=1), folder / "digits", splits=("test",))
+    mnist3d.generate(mnist3d.DigitSetSpec(source, per_class=1), folder / "digits", splits=("test",))
     coarse = mnist3d.SolidSpec(profile="linear", target_vertices=2000, join_bodies=True)
     mnist3d.generate(
-        mnist3d.GenerateSpec(source, coarse, limit=2), folder / "coarse", splits=("printed_test",)
+        mnist3d.DigitSetSpec(source, coarse, limit=2), folder / "coarse", splits=("printed_test",)
     )
-    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 30), ("test", 9)))
+    scenes = starstruck_gen.SceneSetSpec(scenes=(("train", 30), ("test", 9)))
     starstruck_gen.generate(scenes, folder / "scenes")
     rounds = [make_round(index, 6, (64, 48), (12, 16)) for index in range(3)]
     clips = str(write_set(folder / "clips", {"train": seq_rows(rounds)}, "seq"))
@@ -166,10 +166,12 @@ def styles() -> dict[str, str]:
 def pictures(sets: Path) -> dict[str, str]:
     """Draw the sets of :func:`data_sets` and a plate, and return digests of the pixels."""
     plans = (
-        mnist3d.previews.plan_previews(
+        mnist3d.digit_previews.plan_previews(
             str(sets / "coarse"), PreviewSpec(kinds=("sheet", "steps"), per_class=2)
         ),
-        starstruck_gen.previews.plan_previews(str(sets / "scenes"), PreviewSpec(split="test", per_class=2)),
+        starstruck_gen.scene_previews.plan_previews(
+            str(sets / "scenes"), PreviewSpec(split="test", per_class=2)
+        ),
         realtouch.previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay"))),
     )
     drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}
@@ -181,7 +183,7 @@ def pictures(sets: Path) -> dict[str, str]:
 
 def synthetic_touches(folder: Path) -> dict[str, Any]:
     """Make small sets of touches below a folder and return their digests, and what else decides them."""
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), folder / "scenes")
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),)), folder / "scenes")
     touch_sets(folder / "scenes", folder)
     files = sorted(folder.glob("touches-*/data/*.parquet"))
     digests = {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}

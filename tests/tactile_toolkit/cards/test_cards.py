@@ -13,8 +13,8 @@ import yaml
 from huggingface_hub import DatasetCard, DatasetCardData
 from hypothesis import given, strategies as st
 
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards.card import (
     check_card,
@@ -266,7 +266,7 @@ def test_types_for_people(entry, text):
 
 def test_the_same_rows_give_the_same_picture_and_card(made, tmp_path):
     again = tmp_path / "again"
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(again), ("holdout",))
     generate(spec, str(again), ("test",))
     for path in ("README.md", "previews/digits.png"):

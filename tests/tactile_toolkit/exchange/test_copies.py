@@ -24,7 +24,7 @@ ALL = {"ids": None, "labels": None, "limit": None, "per_class": None}
 
 
 def scenes(folder: Path, seed: int) -> str:
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),), seed=seed), folder)
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),), seed=seed), folder)
     return str(folder)
 
 

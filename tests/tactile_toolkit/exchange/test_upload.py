@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from starstruck_gen.make import GenerateSpec, generate
+from starstruck_gen.scene_generation import SceneSetSpec, generate
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
 from tactile_toolkit.store import DataFolder, read_manifest
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.filterwarnings(
 def made(tmp_path_factory) -> Path:
     """Three shards of train, one of test: 2,010 and 9 scenes."""
     folder = tmp_path_factory.mktemp("upload") / "stars"
-    generate(GenerateSpec(scenes=(("train", 2_010), ("test", 9))), str(folder))
+    generate(SceneSetSpec(scenes=(("train", 2_010), ("test", 9))), str(folder))
     return folder
 
 
@@ -89,7 +89,7 @@ def test_only_what_changed_is_sent(server, folder):
     (folder / "previews" / "scenes.png").unlink()
     with (folder / "README.md").open("a") as card:
         card.write("\nA line by hand.\n")
-    from starstruck_gen.card import write_card
+    from starstruck_gen.scene_card import write_card
 
     text = (folder / "README.md").read_text()
     manifest = read_manifest(DataFolder(str(folder)))

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.make import GenerateSpec, generate
+from starstruck_gen.scene_generation import SceneSetSpec, generate
 from tactile_toolkit.cards import configs, folder_facts
 from tactile_toolkit.exchange.upload import LocalFile, collect, compare
 from tactile_toolkit.hub import HubRepository
@@ -20,7 +20,7 @@ from tactile_toolkit.store import DataFolder, HubFile, read_manifest
 def folder(tmp_path) -> Path:
     """Two splits of scenes."""
     place = tmp_path / "stars"
-    generate(GenerateSpec(scenes=(("train", 9), ("test", 3))), str(place))
+    generate(SceneSetSpec(scenes=(("train", 9), ("test", 3))), str(place))
     return place
 
 

@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 import mnist3d
-from mnist3d.make import GenerateSpec, generate
+from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards import check_card
 from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.filterwarnings(
 def made(tmp_path_factory) -> Path:
     """Digits as they are by default, so that their size is what users will see."""
     folder = tmp_path_factory.mktemp("viewer") / "digits"
-    generate(GenerateSpec(SyntheticSource(), per_class=1), str(folder), SPLITS)
+    generate(DigitSetSpec(SyntheticSource(), per_class=1), str(folder), SPLITS)
     return folder
 
 

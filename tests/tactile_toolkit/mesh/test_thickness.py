@@ -13,7 +13,7 @@ import trimesh
 from hypothesis import given, settings, strategies as st
 from PIL import Image, ImageDraw
 
-from mnist3d.solid import solidify
+from mnist3d.solid.algorithm import solidify
 from tactile_toolkit.mesh import Mesh, PrintReport, inspect
 from tactile_toolkit.mesh.nearness import thinnest_wall_mm
 

@@ -27,9 +27,9 @@ def squared(record: Any) -> int:
 
 
 @pytest.fixture(scope="module")
-def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
+def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
     folder = tmp_path_factory.mktemp("digits") / "set"
-    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
+    spec = mnist3d.DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
     mnist3d.generate(spec, folder, splits=("test",))
     return mnist3d.load(str(folder))
 
@@ -37,8 +37,8 @@ def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
 SCENES = starstruck_gen.SceneDataset(size=6, seed=1)
 
 
-def test_points_lie_on_the_surface_evenly(digits: mnist3d.MeshDataset) -> None:
-    from mnist3d.torch import DigitTensors
+def test_points_lie_on_the_surface_evenly(digits: mnist3d.DigitDataset) -> None:
+    from mnist3d.digit_tensors import DigitTensors
 
     data = DigitTensors(digits, points=4000, seed=3)
     points, label = data[4]
@@ -63,10 +63,10 @@ def test_points_lie_on_the_surface_evenly(digits: mnist3d.MeshDataset) -> None:
     assert not torch.equal(DigitTensors(digits, points=4000, seed=4)[4][0], points)
 
 
-def test_voxels_are_the_inside(digits: mnist3d.MeshDataset) -> None:
+def test_voxels_are_the_inside(digits: mnist3d.DigitDataset) -> None:
     """Against the mesh itself, point by point, and by volume."""
-    from mnist3d.torch import DigitTensors
-    from starstruck_gen.torch import SceneTensors
+    from mnist3d.digit_tensors import DigitTensors
+    from starstruck_gen.scene_tensors import SceneTensors
 
     random = np.random.default_rng(0)
     for data, record, size_m in (
@@ -88,9 +88,9 @@ def test_voxels_are_the_inside(digits: mnist3d.MeshDataset) -> None:
         np.testing.assert_array_equal(record.mesh.contains(centres), grid[layer, row, column] == 1)
 
 
-def test_height_maps_and_meshes(digits: mnist3d.MeshDataset) -> None:
+def test_height_maps_and_meshes(digits: mnist3d.DigitDataset) -> None:
     from env_assets.height_map import top_surface
-    from mnist3d.torch import DigitTensors
+    from mnist3d.digit_tensors import DigitTensors
 
     heights, volume_m3 = DigitTensors(digits, "height_map", pitch_m=0.0005, target="volume_m3")[3]
     assert (tuple(heights.shape), heights.dtype) == ((1, 200, 200), torch.float32)
@@ -112,7 +112,7 @@ def test_height_maps_and_meshes(digits: mnist3d.MeshDataset) -> None:
 
 
 def test_what_cannot_be_is_refused() -> None:
-    from starstruck_gen.torch import SceneTensors
+    from starstruck_gen.scene_tensors import SceneTensors
 
     for given, words in (
         ({"representation": "soup"}, "no representation 'soup'"),

@@ -58,9 +58,9 @@ def every_set(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """A small data set of each kind, and what has no files."""
     place = tmp_path_factory.mktemp("kinds")
     spec = mnist3d.SolidSpec(target_vertices=2_000)
-    made = mnist3d.GenerateSpec(SyntheticSource(), spec, per_class=1)
+    made = mnist3d.DigitSetSpec(SyntheticSource(), spec, per_class=1)
     mnist3d.generate(made, place / "digits", splits=("test",))
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 12),)), place / "scenes")
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 12),)), place / "scenes")
     rounds = [factories.make_round(number, 4, (48, 32), (12, 16)) for number in range(4)]
     factories.write_set(place / "images", {"train": factories.single_rows(rounds)}, "single")
     factories.write_set(place / "clips", {"train": factories.seq_rows(rounds)}, "seq")
@@ -192,7 +192,7 @@ def test_items_are_found_by_their_ids(every_set: dict[str, Any], kind: str) -> N
 
 def test_equal_values_from_elsewhere_are_equal(every_set: dict[str, Any], tmp_path: Path) -> None:
     """Records stand for their values, not for the file that they are in; scenes without files too."""
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 12),), seed=5), tmp_path / "seed-5")
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 12),), seed=5), tmp_path / "seed-5")
     stored, endless = starstruck_gen.load(str(tmp_path / "seed-5")), every_set["endless"]
     assert [one == other for one, other in zip(stored, endless, strict=True)] == [True] * 12
     assert {*stored} == {*endless}
@@ -328,7 +328,7 @@ def test_a_hugging_face_set_of_touches_has_a_row_each(every_set: dict[str, Any],
 
 def test_a_repr_says_what_is_there(every_set: dict[str, Any], rows: Rows, tmp_path: Path) -> None:
     digits, touches = every_set["digits"], every_set["touches"]
-    assert repr(digits[3:4]) == f"MeshDataset(1 digit of 'digits', split test, class {digits[3].label})"
+    assert repr(digits[3:4]) == f"DigitDataset(1 digit of 'digits', split test, class {digits[3].label})"
     assert repr(touches[:4]) == "Touches(4 touches of 4 rounds of 'images', split train, class 0)"
     assert repr(rows[:60] + rows) == "Rows(160 rows of 'some', split train, classes a, b, c)"
     assert repr(rows[:0]) == "Rows(0 rows of 'some', split train, no classes)"

@@ -11,7 +11,7 @@ import pytest
 import realtouch
 import starstruck_gen
 from realtouch.dataset import TouchSingleDataset
-from starstruck_gen.loader import MadeScenes
+from starstruck_gen.scenes_on_the_fly import MadeScenes
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read import ChosenGroups, Row, RowGroup, RowSource, Shard, ShardedTable, all_blocks
 from tests.realtouch import factories

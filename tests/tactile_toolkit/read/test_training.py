@@ -301,7 +301,7 @@ def test_views_come_shard_by_shard(paths: list[str]) -> None:
 
 def test_touches_and_scenes(tmp_path: Path) -> None:
     from realtouch.torch import TouchTensors
-    from starstruck_gen.torch import SceneTensors
+    from starstruck_gen.scene_tensors import SceneTensors
 
     rounds = [factories.make_round(index, 5, (64, 48), (4, 5)) for index in range(7)]
     layout = factories.Layout(shards=4, group_rows=1)

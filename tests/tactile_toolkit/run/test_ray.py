@@ -200,7 +200,7 @@ def test_the_command_line_makes_the_same_bytes_and_prints_its_document_only(
     assert json.loads(said)["complete"]
     assert complained.startswith("making scenes: ")
     assert "ray" not in complained.lower()
-    spec = starstruck_gen.GenerateSpec(scenes=(("train", 400), ("test", 100)))
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 400), ("test", 100)))
     starstruck_gen.generate(spec, tmp_path / "one")
     assert folder_bytes(tmp_path / "ray") == folder_bytes(tmp_path / "one")
 
