@@ -43,7 +43,7 @@ from tactile_sim.noise import SensorNoise
 from tactile_sim.optics import TaximOptics, scaled
 from tactile_sim.pairs import Pairs
 from tactile_sim.spec import TrainConfig
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 
 SIZE = (64, 64)
 # In fewer pixels the published network shows hardly any relief; what it makes here is scaled down.
@@ -221,7 +221,7 @@ def main() -> None:
     work.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
     arrays = read_weights(published_weights("touch")).arrays
-    write_weights(DataFolder(str(work)), "published.npz", GeneratorWeights(arrays, RENDERED))
+    write_weights(open_folder(str(work)), "published.npz", GeneratorWeights(arrays, RENDERED))
     for split, *each in SETS:
         if not (work / f"pairs-{split}" / "README.md").exists():
             make(work, split, *each)
@@ -241,7 +241,7 @@ def main() -> None:
         print((work / f"evaluation-{noise}" / "evaluation.md").read_text())
     untrained = Generator(config.filters, config.blocks)
     initialise(untrained, 0)
-    write_weights(DataFolder(str(work)), "untrained.npz", weights_of(untrained, SIZE))
+    write_weights(open_folder(str(work)), "untrained.npz", weights_of(untrained, SIZE))
     known = Known(work)
     picture_errors(known, work, depth_errors(known, work))
     # What a generator without any fault would reach.

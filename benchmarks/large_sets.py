@@ -78,7 +78,7 @@ def fabricate_groups(folder: Path, groups: int) -> None:
     from mnist3d import SolidSpec
     from mnist3d.digit_generation import DigitMaking, DigitSetSpec
     from mnist3d.sources.synthetic import SyntheticSource
-    from tactile_toolkit.making import plan_build
+    from tactile_toolkit.generation import plan_build
     from tactile_toolkit.store import ShardName, encode_parquet
 
     small = SolidSpec(target_vertices=600)
@@ -95,7 +95,7 @@ def fabricate_groups(folder: Path, groups: int) -> None:
 
 
 def fabricate(folder: Path, shards: int) -> None:
-    """Make a set of so many shards of one digit, with manifest, report and files of small columns."""
+    """Make a set of so many shards of one digit, with manifest and report."""
     from dataclasses import replace
 
     import msgspec
@@ -105,8 +105,8 @@ def fabricate(folder: Path, shards: int) -> None:
     from mnist3d.digit_generation import DigitSetSpec, generate
     from mnist3d.digit_rows import REPORT_FILE
     from mnist3d.sources.synthetic import SyntheticSource
-    from tactile_toolkit.store import DataFolder, ShardName, write_manifest
-    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex, write_small_columns
+    from tactile_toolkit.store import ShardName, open_folder, write_manifest
+    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex
 
     made = generate(DigitSetSpec(SyntheticSource(), limit=1), folder, ("train",))
     (record,) = made.shards
@@ -121,10 +121,7 @@ def fabricate(folder: Path, shards: int) -> None:
     (folder / REPORT_FILE).write_bytes(content)
     records = tuple(msgspec.structs.replace(record, file=name.data_path) for name in names)
     manifest = replace(made, shards=records, files={REPORT_FILE: sha256_hex(content)})
-    start_s = time.perf_counter()
-    files = write_small_columns(DataFolder(str(folder)), manifest)
-    print(f"files of small columns of {shards:,} shards, once: {time.perf_counter() - start_s:.1f} s")
-    write_manifest(DataFolder(str(folder)), replace(manifest, files={**(manifest.files or {}), **files}))
+    write_manifest(open_folder(str(folder)), manifest)
 
 
 def peak_mb() -> float:
@@ -219,10 +216,10 @@ def merging(folder: Path) -> dict[str, float]:
 
     from mnist3d.digit_card import summarise
     from mnist3d.digit_rows import REPORT_FILE
-    from tactile_toolkit.store import DataFolder, Manifest, ShardName, ShardRecord
-    from tactile_toolkit.store.parquet import merge_reports
+    from tactile_toolkit.store import Manifest, ShardName, ShardRecord, open_folder
+    from tactile_toolkit.store.reports import merge_reports
 
-    where, names = DataFolder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]
+    where, names = open_folder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]
     each, digest = REPORT_ROWS // REPORTS, "0" * 64
     more = {"report_sha256": digest, "unpacked_bytes": 1}
     records = [ShardRecord.of(name, each, 1, digest, **more) for name in names]
@@ -246,7 +243,7 @@ def planning_digits(_: Path) -> dict[str, float]:
     from mnist3d.digit_generation import DigitMaking, DigitSetSpec
     from mnist3d.published_splits import SplitSpec
     from mnist3d.sources.synthetic import SyntheticSource
-    from tactile_toolkit.making import plan_build
+    from tactile_toolkit.generation import plan_build
 
     sizes = (("train", 95 * ROWS // 1000), ("test", ROWS // 1000))
     start_s, start_cpu_s = time.perf_counter(), time.process_time()
@@ -258,7 +255,7 @@ def planning_digits(_: Path) -> dict[str, float]:
 
 def planning_scenes(_: Path) -> dict[str, float]:
     from starstruck_gen.scene_generation import SceneMaking, SceneSetSpec
-    from tactile_toolkit.making import plan_build
+    from tactile_toolkit.generation import plan_build
 
     start_s = time.perf_counter()
     plan = plan_build(SceneMaking(SceneSetSpec(scenes=(("train", SCENES), ("test", SCENES // 100)))))

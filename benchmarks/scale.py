@@ -33,7 +33,7 @@ from figures import tell
 
 from mnist3d.digit_generation import DigitMaking, DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.making import plan_build
+from tactile_toolkit.generation import plan_build
 from tactile_toolkit.run import InlineRunner, ProcessRunner, RayRunner, Runner
 
 ROWS: dict[str, Callable[[], None]] = {}

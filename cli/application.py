@@ -21,7 +21,7 @@ from tactile_toolkit.errors import (
     ToolkitError,
     require_public,
 )
-from tactile_toolkit.wording import printable
+from tactile_toolkit.shown_text import printable
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130

@@ -17,7 +17,7 @@ from tactile_toolkit import cards, catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import switch
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +59,7 @@ def verify(
 
     Exit code 3 when something is damaged; each damaged file is named.
     """
-    place = store.DataFolder(folder)
+    place = store.open_folder(folder)
     manifest = places.open_place(folder).require(kind, "verify").manifest
     result = store.verify(
         place, kind.schema_of(manifest), check_card=cards.check_card, workers=process_count(workers)
@@ -69,7 +69,7 @@ def verify(
     # "witness" is what programs read, and older than the name that Python has for it.
     document = {"ok": result.ok, "witness": result.reference, **counts_of, "findings": findings}
     if result.ok:
-        counts = f"{counted(result.files, 'files')}, {counted(result.rows, 'rows')}"
+        counts = f"{with_count(result.files, 'files')}, {with_count(result.rows, 'rows')}"
         sink.line(f"{folder}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
         if objects.geometry and checks is not None:
             check_objects(sink, checks, [folder], Opening(), objects.split, objects.limit, workers, document)
@@ -88,7 +88,7 @@ def verify(
     # Unknown files, links and cards: what no run would repair states itself what to do.
     if all("; next: " in finding.problem for finding in result.findings):
         again = "follow the next step of each"
-    raise IntegrityError(f"{counted(len(findings), 'problems')} in {folder!r}", next=again)
+    raise IntegrityError(f"{with_count(len(findings), 'problems')} in {folder!r}", next=again)
 
 
 def validate(

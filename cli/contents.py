@@ -14,7 +14,7 @@ from tactile_toolkit import catalog, hub, places, read, store
 from tactile_toolkit.checked_fields import integer
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_copy
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _STATES = {True: "finished", False: "unfinished"}
 
@@ -82,12 +82,14 @@ def show(
     chosen = split or place.splits[0]
     rows = read.ShardedTable(place.shards(chosen))
     if row >= len(rows):
-        raise InputError(f"--row is {row}; expected less than the {counted(len(rows), 'rows')} of {chosen!r}")
+        raise InputError(
+            f"--row is {row}; expected less than the {with_count(len(rows), 'rows')} of {chosen!r}"
+        )
     group, index = rows.locate(row)
     stored = group.table.slice(index, 1)
     values = {name: brief(stored_value(stored[name][0])) for name in stored.column_names}
     sink.document({"data_set": name, "split": chosen, "row": row, "values": values})
-    sink.line(f"{name}: row {row:,} of the {counted(len(rows), 'rows')} in {chosen}")
+    sink.line(f"{name}: row {row:,} of the {with_count(len(rows), 'rows')} in {chosen}")
     lines = []
     for field in stored.schema:
         kept = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
@@ -114,7 +116,7 @@ def list_sets(
     sink.document(found)
     rows = [list({**each, "bytes": bytes_text(each["bytes"])}.values()) for each in found]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
-    sink.line(f"{counted(len(found), 'data sets')} in {folder}")
+    sink.line(f"{with_count(len(found), 'data sets')} in {folder}")
 
 
 def _sets_in(folder: Path) -> list[dict[str, Any]]:
@@ -125,7 +127,7 @@ def _sets_in(folder: Path) -> list[dict[str, Any]]:
     """
     if not folder.is_dir():
         raise InputError(
-            store.DataFolder(str(folder)).missing_message("data sets"),
+            store.open_folder(str(folder)).missing_message("data sets"),
             next="give a folder with data set folders",
         )
     found = []
@@ -133,7 +135,7 @@ def _sets_in(folder: Path) -> list[dict[str, Any]]:
     for name in [".", *inner]:
         kind, table, state = "", dict[str, dict[str, int]](), ""
         try:
-            manifest = store.manifest_so_far(store.DataFolder(str(folder / name)))
+            manifest = store.manifest_so_far(store.open_folder(str(folder / name)))
         except ToolkitError as error:
             state = str(error)
         else:

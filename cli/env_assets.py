@@ -21,7 +21,7 @@ from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import switch, text
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _WRITTEN = {False: "written to {}", True: "would be written to {}; nothing was written"}
 
@@ -127,7 +127,7 @@ def list_environments(
     sink.document(found)
     columns = ("task", "split", "sensor", "assets", "state", "native")
     sink.table(("environment", *columns), [[each[name] for name in ("id", *columns)] for each in found])
-    sink.line(f"{counted(len(found), 'environments')} of tactile-mnist {version('tactile-mnist')}")
+    sink.line(f"{with_count(len(found), 'environments')} of tactile-mnist {version('tactile-mnist')}")
     for note in dict.fromkeys(each["note"] for each in found if each["note"]):
         sink.line(note)
     if any(each["native"] for each in found):

@@ -26,7 +26,7 @@ from tactile_toolkit import catalog, exchange, places, printing, store
 from tactile_toolkit.checked_fields import choice, real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     pass
@@ -62,7 +62,7 @@ def export(
     name: str = ANY_SET,
     opening: Opening,
     form: Form,
-    chosen: catalog.Chosen,
+    chosen: catalog.RowFilter,
     distances: Annotated[dict[str, Any], OptionsOf(printing.PlateSpec)],
     material: Annotated[dict[str, Any], OptionsOf(printing.Physics)],
     out: Path = local_out_folder("prints"),
@@ -154,10 +154,12 @@ def _export_files(
     kept = _kept(sum(file.state == "kept" for file in made.files))
     size = bytes_text(sum(file.bytes for file in made.files))
     if job.dry_run:
-        count = counted(len(made.files), f"{ending} files")
+        count = with_count(len(made.files), f"{ending} files")
         sink.line(f"would write {count} to {out} ({size}){kept}; nothing was written")
     else:
-        sink.line(f"{counted(len(made.files), 'files')} in {out} ({size}), each read back as a solid{kept}")
+        sink.line(
+            f"{with_count(len(made.files), 'files')} in {out} ({size}), each read back as a solid{kept}"
+        )
     _report_failures(sink, made.failed)
 
 
@@ -174,12 +176,12 @@ def _export_flat(
     plan = exchange.plan_tables(kind, place, choices, some, out)
     if job.dry_run:
         if not job.overwrite:
-            store.inspect_job(store.DataFolder(out), plan)
+            store.inspect_job(store.open_folder(out), plan)
         rows = sum(task.size for task in plan.tasks)
         sink.document({"folder": out, "rows": rows})
-        sink.line(f"would write {counted(rows, kind.nouns)} to {out}; nothing was written")
+        sink.line(f"would write {with_count(rows, kind.nouns)} to {out}; nothing was written")
         return
-    make = partial(store.build, store.DataFolder(out), plan, write_card=kind.write_card)
+    make = partial(store.build, store.open_folder(out), plan, write_card=kind.write_card)
     work = Work(job.workers, overwrite=job.overwrite)
     make_with_progress(sink, "writing", kind, make, work, out, print_set)
 
@@ -212,7 +214,7 @@ def _export_plates(
     ]
     sink.table(("plate", "objects", "share of the plate", "size"), rows)
     kept = _kept(sum(plate.state == "kept" for plate in made.files))
-    placed, plates = counted(len(made.objects), "objects"), counted(len(made.files), "plates")
+    placed, plates = with_count(len(made.objects), "objects"), with_count(len(made.files), "plates")
     sink.line(f"{wrote} {placed} on {plates} of {spec.text} to {out}{kept}; {ending}")
     _report_failures(sink, made.failed)
 

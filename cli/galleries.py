@@ -19,7 +19,7 @@ from realtouch.kind import KIND
 from tactile_toolkit import catalog, gallery
 from tactile_toolkit.checked_fields import integer
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 
 def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
@@ -27,7 +27,7 @@ def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
     nouns, workers = page.nouns[1], process_count(job.workers)
     if job.dry_run:
         path = gallery.site_folder(page, str(out), overwrite=job.overwrite)
-        items, splits = counted(page.size, nouns), dict(page.splits)
+        items, splits = with_count(page.size, nouns), dict(page.splits)
         sink.document({"path": str(path), "items": page.size, "splits": splits})
         sink.table(("split", nouns), list(splits.items()))
         verb = "make"
@@ -47,7 +47,7 @@ def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
     sink.document({"page": index, **made})
     sink.table(("split", nouns), list(site.splits.items()))
     took = duration_text(time.monotonic() - start_s)
-    items, files = counted(site.items, nouns), counted(site.files, "files")
+    items, files = with_count(site.items, nouns), with_count(site.files, "files")
     sink.line(f"made {out} in {took}: {items}, {files}, {bytes_text(site.bytes)}")
     sink.line(f"next: open {index} in a browser")
 
@@ -57,7 +57,7 @@ def gallery_of_meshes(
     kind: DatasetKind,
     name: str = ANY_SET,
     opening: Opening,
-    chosen: catalog.Chosen,
+    chosen: catalog.RowFilter,
     out: Path = local_out_folder("gallery"),
     job: Job,
     sink: Sink,
@@ -76,7 +76,7 @@ def gallery_of_touches(
     kind: DatasetKind,
     name: str = TOUCH_SET,
     opening: Opening,
-    chosen: catalog.Chosen,
+    chosen: catalog.RowFilter,
     touches: int = integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
     out: Path = local_out_folder("gallery"),
     job: Job,

@@ -16,7 +16,7 @@ from tactile_toolkit import catalog, exchange, places
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _LARGE_BYTES = 1_000_000_000
 # Files of a longer list that are named.
@@ -200,7 +200,7 @@ def _print_upload(
         sink.line("nothing was sent")
     else:
         sink.line(
-            f"sent {counted(len(result.sent), 'files')}, removed {len(result.removed):,}; all "
+            f"sent {with_count(len(result.sent), 'files')}, removed {len(result.removed):,}; all "
             f"{len(prepared.files):,} compared by checksum"
         )
     if result is not None:
@@ -222,7 +222,7 @@ def _print_download_plan(sink: Sink, name: str, plan: exchange.DownloadPlan) -> 
     known, files = places.published_set(name), plan.record.files.values()
     sink.info(
         f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
-        f"{counted(len(files), 'files')}, {bytes_text(sum(file.size_bytes for file in files))}, of which "
+        f"{with_count(len(files), 'files')}, {bytes_text(sum(file.size_bytes for file in files))}, of which "
         f"{bytes_text(plan.missing_bytes)} are to be fetched"
     )
     if plan.leftover:
@@ -252,7 +252,7 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: D
             "folder": place or None,
         }
     )
-    missing, leftover = counted(len(plan.missing), "files"), counted(len(plan.leftover), "files")
+    missing, leftover = with_count(len(plan.missing), "files"), with_count(len(plan.leftover), "files")
     if not place:
         size = bytes_text(plan.missing_bytes)
         sink.line(f"would fetch {missing}, {size}, and remove {leftover}; nothing was fetched or removed")

@@ -11,7 +11,7 @@ from tactile_toolkit import catalog, exchange
 from tactile_toolkit.checked_fields import integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import listed
+from tactile_toolkit.parsed_text import comma_separated
 
 if TYPE_CHECKING:
     pass
@@ -20,7 +20,7 @@ from cli.runs import make_with_progress, print_set
 
 def _fractions(words: str) -> tuple[float, ...]:
     try:
-        shares = tuple(map(float, listed(words)))
+        shares = tuple(map(float, comma_separated(words)))
     except ValueError:
         shares = ()
     if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:
@@ -61,7 +61,7 @@ def split(
         help="Fractions of the rows of each split, one for each part.",
     ),
     seed: int = integer(0, help="Random seed for --fractions."),
-    chosen: catalog.Chosen,
+    chosen: catalog.RowFilter,
     work: Work,
     sink: Sink,
 ) -> None:

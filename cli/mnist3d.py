@@ -75,7 +75,7 @@ def _print_made(
     # The report that the figures come from is written at the end of a run.
     summaries = []
     if manifest.complete:
-        summaries = mnist3d.summarise(store.DataFolder(out), manifest)
+        summaries = mnist3d.summarise(store.open_folder(out), manifest)
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
     skipped = manifest.skipped_reasons()
     facts = cards.facts_table(summaries, mnist3d.SUMMED_UP)

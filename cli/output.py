@@ -14,7 +14,7 @@ from typing import Any
 
 from cli.quantities import BYTES, bytes_text, duration_text, rate_text
 from tactile_toolkit.checked_fields import switch
-from tactile_toolkit.wording import printable, printable_json
+from tactile_toolkit.shown_text import printable, printable_json
 
 # Where no terminal is, lines stay: a job of a day writes some 17,000 of them, 1 MB of log.
 _LINE_INTERVAL_S = 5.0

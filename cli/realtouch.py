@@ -33,7 +33,7 @@ from tactile_toolkit import catalog, places, store
 from tactile_toolkit.checked_fields import switch
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
 
@@ -78,7 +78,7 @@ def info(*, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: O
     manifest = place.manifest
     operation = ""
     if manifest is not None:
-        operation = store.typed(
+        operation = store.convert_json(
             manifest.spec.get("operation"), str, f"{name}/{store.MANIFEST_FILE}", "spec.operation"
         )
         if not manifest.complete or operation in ("frames", "export", "merge", "split"):
@@ -131,12 +131,12 @@ def verify(
     sink.document({"ok": result.ok, **counts_of, "findings": findings, "unprotected": unprotected})
     _require_intact(sink, result, name)
     how = _DEPTHS[quick]
-    counts = f"{counted(result.rounds, 'rounds')}, {counted(result.touches, 'touches')}"
+    counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"
     sink.line(f"{name}: {counts}: nothing is wrong; {how}")
     if result.unprotected:
         sink.line(
-            f"{counted(len(result.unprotected), 'files')} unprotected, {result.unprotected[0]!r} first: no "
-            "checksums of pages and none by a manifest or the Hub, so that a changed number shows nowhere"
+            f"{with_count(len(result.unprotected), 'files')} unprotected, {result.unprotected[0]!r} first: "
+            "no checksums of pages and none by a manifest or the Hub, so that a changed number shows nowhere"
         )
 
 
@@ -175,7 +175,7 @@ def _require_intact(sink: Sink, result: realtouch.TouchVerification, name: str) 
         sink.warn(f"damaged: {finding}")
     if not result.ok:
         raise IntegrityError(
-            f"{counted(len(result.findings), 'problems')} in {name!r}",
+            f"{with_count(len(result.findings), 'problems')} in {name!r}",
             next="download or convert it again, or open it with on_error='skip' to leave them out",
         )
 
@@ -186,7 +186,7 @@ def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
     contact = "unknown"
     if summary.contact_share is not None:
         contact = f"{summary.contact_share:.1%} ({summary.contact_rule})"
-    gels = ", ".join(f"{gel}: {counted(n, 'rounds')}" for gel, n in summary.gel_ids.items())
+    gels = ", ".join(f"{gel}: {with_count(n, 'rounds')}" for gel, n in summary.gel_ids.items())
     rows: list[tuple[str, Any]] = [
         ("rounds", f"{summary.rounds:,}"),
         ("touches", f"{summary.touches:,} ({least_to_most(summary.touches_per_round)} per round)"),

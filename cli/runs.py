@@ -14,10 +14,11 @@ from cli.output import Sink
 from cli.quantities import bytes_text, duration_text
 from tactile_toolkit import store
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted, printable
+from tactile_toolkit.shown_text import printable
+from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
-    from tactile_toolkit.making import Forecast, Making as RowMaking
+    from tactile_toolkit.generation import Forecast, Generator as RowMaking
 
 _LEFT_OUT_SHOWN = 20
 
@@ -40,7 +41,7 @@ def generate_set(
 ) -> None:
     """Make a data set of a kind, or forecast it, and print what was made and what comes next."""
     # Arrow and numpy, which no help needs.
-    from tactile_toolkit.making import forecast, generate
+    from tactile_toolkit.generation import forecast, generate
 
     if making.dry_run:
         view = forecast(rows, out, splits, require=require, **making.run_keywords())
@@ -92,9 +93,9 @@ def make_with_progress(
     elapsed_s = time.monotonic() - start_s
     made = "nothing was left to make"
     if rows or skipped:
-        made = f"made {counted(rows, kind.nouns)} in {duration_text(elapsed_s)}"
+        made = f"made {with_count(rows, kind.nouns)} in {duration_text(elapsed_s)}"
     if skipped:
-        made += f", left out {counted(skipped, unit or kind.nouns)}"
+        made += f", left out {with_count(skipped, unit or kind.nouns)}"
     if work.part is not None:
         counts = {"rows": rows, "skipped": skipped, "elapsed_s": round(elapsed_s, 3)}
         sink.document({"folder": out, "complete": False, "part": work.part, **counts})
@@ -102,7 +103,7 @@ def make_with_progress(
         sink.line("next: when all parts have ended, the same command with --finish instead of --part")
         return None
     # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
-    manifest = store.manifest_so_far(store.DataFolder(out)) or manifest
+    manifest = store.manifest_so_far(store.open_folder(out)) or manifest
     print_made(sink, kind, manifest, out, elapsed_s)
     sink.line(f"{made}; the data set is in {out}")
     return manifest
@@ -114,16 +115,16 @@ def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, mak
     sink.table(header, [tuple(entry.values()) for entry in view.splits])
     if view.replaced is not None:
         parts = ", ".join(f"{split} {rows:,}" for split, rows in view.replaced.items())
-        held = counted(sum(view.replaced.values()), "rows")
+        held = with_count(sum(view.replaced.values()), "rows")
         sink.line(f"would replace the data set in {out}: {held} ({parts or 'no split'})")
     part = ""
     if making.part is not None:
         part = f" (part {making.part})"
     sink.line(
-        f"would make {counted(view.rows_to_make, kind.nouns)}{part} in {out}: about "
+        f"would make {with_count(view.rows_to_make, kind.nouns)}{part} in {out}: about "
         f"{bytes_text(view.bytes)} of Parquet, about {duration_text(view.seconds)} with "
-        f"{counted(process_count(making.workers), 'workers')} (measured on "
-        f"{counted(view.sampled, kind.nouns)}); nothing was written"
+        f"{with_count(process_count(making.workers), 'workers')} (measured on "
+        f"{with_count(view.sampled, kind.nouns)}); nothing was written"
     )
 
 
@@ -160,7 +161,7 @@ def print_set(
         }
     )
     if not manifest.complete:
-        record, activity = store.read_record(store.DataFolder(out)), "run"
+        record, activity = store.read_record(store.open_folder(out)), "run"
         next_step = f"repeat the same `{kind.command_of(manifest)}`, or name what is missing with --finish"
         if record is not None:
             activity, next_step = "download", f"download {record.repo_id} there again; it continues"
@@ -173,7 +174,7 @@ def print_set(
     if manifest.complete:
         sink.table(header, rows)
     for reason, count in manifest.skipped_reasons().items():
-        items = counted(count, left_out or kind.nouns)
+        items = with_count(count, left_out or kind.nouns)
         sink.line(f"left out {items}: {reason} (each is named in {out}/manifest.json)")
 
 

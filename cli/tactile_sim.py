@@ -23,11 +23,11 @@ from cli.shared import add_shared
 from tactile_sim.kind import KIND
 from tactile_sim.spec import SENSOR_NOISE, PairsSpec, PictureOptions, TouchPlan, TrainConfig
 from tactile_toolkit import mesh, run, store, touch
-from tactile_toolkit.catalog import Chosen
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
 
@@ -39,7 +39,7 @@ def generate(
     *,
     objects: str = argument("DIR|NAME", "Digits, scenes or other meshes: folder, file or Hub id."),
     opening: Opening,
-    chosen: Chosen,
+    chosen: RowFilter,
     out: str = out_folder("touches"),
     plan: Annotated[dict[str, Any], OptionsOf(TouchPlan)],
     picture: PictureOptions,
@@ -136,7 +136,7 @@ def render(
         sink.info(f"note: {file}: {note}")
     seen = tactile_sim.look(solid, spec, at, math.radians(turn_deg))
     encoded = touch.encode_image(seen.picture, image_format, picture.quality)
-    store.DataFolder(str(out.parent.absolute())).write_bytes(out.name, encoded)
+    store.open_folder(str(out.parent.absolute())).write_bytes(out.name, encoded)
     sink.document({"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact})
     sink.line(
         f"{out}: the sensor stops {1e3 * seen.sensor_z_m:.3f} mm above the plate; "
@@ -221,7 +221,7 @@ def train(
     losses = dict.fromkeys(done.losses)
     losses |= {name: loss for name, loss in done.losses.items() if math.isfinite(loss)}
     talks.document({"folder": done.folder, "steps": done.steps, "taken": done.taken, "losses": losses})
-    talks.line(f"{counted(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
+    talks.line(f"{with_count(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
     talks.line(f"next: tactile-sim evaluate {out} --pairs {pairs}")
 
 

@@ -15,7 +15,7 @@ from realtouch.spec import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import listed
+from tactile_toolkit.parsed_text import comma_separated
 
 
 def import_touches(
@@ -31,7 +31,7 @@ def import_touches(
     columns: ImportColumns,
     table: str | None = text(metavar="FILE", help="Path of the table; by default the only CSV file in DIR."),
     classes: list[str] | None = text(
-        metavar="A,B", read=listed, help="Names of the classes, in order; by default those found."
+        metavar="A,B", read=comma_separated, help="Names of the classes, in order; by default those found."
     ),
     split_name: str | None = text(
         name="--split",

@@ -12,7 +12,7 @@ from tactile_toolkit.cache import cache_folder, cached_files, prune_cache
 from tactile_toolkit.checked_fields import choice, real
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 
 def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
@@ -28,7 +28,7 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
     manifest = opened.manifest
     if kind.needs_manifest:
         manifest = opened.require_manifest(kind)
-    place = store.DataFolder(folder)
+    place = store.open_folder(folder)
     with catalog.specification_read(place.address()):
         kind.write_card(place, manifest)
     findings = cards.check_card(place)
@@ -61,7 +61,7 @@ def cache(
     document = {name: {"files": count, "bytes": size} for name, count, size in rows}
     sink.document({"folder": str(cache_folder()), "held": document, "removed": list(map(str, removed))})
     if action == "prune":
-        sink.line(f"removed {counted(len(removed), 'files')} of {cache_folder()}")
+        sink.line(f"removed {with_count(len(removed), 'files')} of {cache_folder()}")
         return
     sink.table(("what", "files", "size"), [(name, count, bytes_text(size)) for name, count, size in rows])
     sink.line(f"kept in {cache_folder()}; next: cache prune removes it")

@@ -52,7 +52,7 @@ SHARED = (
     "tactile_toolkit.mesh.torch.SolidTensors",
     "tactile_toolkit.read.dataset.Record",
     "tactile_toolkit.read.dataset.RecordDataset",
-    "tactile_toolkit.store.building.Progress",
+    "tactile_toolkit.store.run_options.Progress",
     "tactile_toolkit.store.run_options.RunOptions",
     "realtouch.media.MAX_BATCH_PIXELS",
 )

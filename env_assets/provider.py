@@ -32,7 +32,7 @@ from tactile_toolkit.wording import did_you_mean
 if TYPE_CHECKING:
     from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
     from starstruck_gen.placement import Placement
-    from tactile_toolkit.making import Recipe
+    from tactile_toolkit.generation import Recipe
 
 
 KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
@@ -430,7 +430,7 @@ def inventory(root: Path) -> list[dict[str, Any]]:
     """
     if not root.is_dir():
         raise InputError(
-            f"{store.DataFolder(str(root)).missing_message('data sets')}",
+            f"{store.open_folder(str(root)).missing_message('data sets')}",
             next="give the folder of an AssetProvider",
         )
     found = []

@@ -12,7 +12,8 @@ from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, catalog, mesh, pictures, read, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.wording import counted, printable
+from tactile_toolkit.shown_text import printable
+from tactile_toolkit.wording import with_count
 
 COLUMNS = meanings(DigitRow)
 
@@ -116,7 +117,7 @@ def _limits(
     lines = [
         words["limit"],
         f"{in_pieces}; `--join-bodies` makes bridges.",
-        f"The print profile raises {counted(warned, 'warnings')}; a digit with a warning may still print.",
+        f"The print profile raises {with_count(warned, 'warnings')}; a digit with a warning may still print.",
         "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
     ]
     if manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None:

@@ -191,4 +191,4 @@ def _is_single_file(path: str) -> bool:
     if store.is_remote(path):
         return False
     place = Path(store.normalize_uri(path))
-    return place.is_file() and not places.is_parquet_file(store.DataFolder(str(place.parent)), place.name)
+    return place.is_file() and not places.is_parquet_file(store.open_folder(str(place.parent)), place.name)

@@ -16,7 +16,7 @@ from mnist3d.sources.digit_source import DigitSource
 from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.source_choice import chosen_source
 from mnist3d.splits import plan_splits
-from tactile_toolkit import making, store
+from tactile_toolkit import generation, store
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh import PrintProfile, inspect
@@ -70,7 +70,7 @@ class DigitSetSpec:
 
 
 @dataclass(frozen=True)
-class DigitMaking(making.Making):
+class DigitMaking(generation.Generator):
     """How digits are made: the source is divided into splits, and each image becomes a proved solid."""
 
     spec: DigitSetSpec
@@ -89,9 +89,9 @@ class DigitMaking(making.Making):
         plan = plan_splits(self.spec.source.catalog(), self.spec.split)
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in SPLITS}
 
-    def layout(self) -> making.Layout:
+    def layout(self) -> generation.StorageLayout:
         """Return how rows are stored."""
-        return making.Layout(
+        return generation.StorageLayout(
             PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
             smallest=50,
@@ -183,10 +183,10 @@ def generate(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    return making.generate(DigitMaking.of(spec, splits), out, splits, **run)
+    return generation.generate(DigitMaking.of(spec, splits), out, splits, **run)
 
 
-def digit_recipe(seed: int, per_class: int | None) -> making.Recipe:
+def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return how digits are made without any input: from the embedded synthetic source."""
     spec = DigitSetSpec(chosen_source("synthetic", {}, seed), split=SplitSpec(seed=seed), per_class=per_class)
-    return making.Recipe(DigitMaking(spec), {"per-class": per_class, "seed": seed})
+    return generation.Recipe(DigitMaking(spec), {"per-class": per_class, "seed": seed})

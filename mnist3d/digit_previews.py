@@ -22,7 +22,7 @@ from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import FORMATS, MM_PER_M, Mesh, check_manifold, read_mesh, refuse_unit
 from tactile_toolkit.places import Name, Place
-from tactile_toolkit.wording import class_name, counted
+from tactile_toolkit.wording import class_name, with_count
 
 _TILE_PX = 132
 _VIEW_PX = 520
@@ -140,7 +140,7 @@ def draw_sheet(records: Sequence[DigitRecord], per_row: int, title: str, names: 
         (class_name(names, record.label), pictures.Tile(pictures.relief_of(mesh, px_per_mm), f"{record.id}"))
         for mesh, record in zip(meshes, records, strict=True)
     ]
-    words = f"{counted(len(records), 'digits')} from above, at one scale; the id of each below it"
+    words = f"{with_count(len(records), 'digits')} from above, at one scale; the id of each below it"
     return pictures.draw_by_class(tiles, per_row, title, words, px_per_mm)
 
 

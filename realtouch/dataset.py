@@ -27,10 +27,11 @@ from realtouch.rounds import (
 from realtouch.schema import POSE_COLUMN, flat_row, is_per_touch, media_kind
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
+from tactile_toolkit.builtin_values import is_integer, to_builtin_number
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, PRESS_DEPTH_M, Kind
-from tactile_toolkit.wording import counted, is_integer, plain_number
+from tactile_toolkit.wording import with_count
 
 _INDEX = "touch_index"
 _POSITION = ("x_m", "y_m")
@@ -406,7 +407,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             Something else than integers is given.
         """
-        numbers = list(map(plain_number, read.flattened(wanted)))
+        numbers = list(map(to_builtin_number, read.flattened(wanted)))
         if not is_integer(*numbers):
             raise InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
@@ -538,7 +539,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     def _description(self) -> list[str]:
         of_rounds, *further = self.dataset._description()
-        return [f"{counted(len(self), self.things)} of {of_rounds}", *further]
+        return [f"{with_count(len(self), self.things)} of {of_rounds}", *further]
 
 
 def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed: int) -> Int64:
@@ -547,7 +548,7 @@ def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed:
     Raises InputError for a fraction, a seed or a mask that is none.
     """
     wanted, number, mask = (
-        plain_number(fraction, float),
+        to_builtin_number(fraction, float),
         checked_integer(seed, "the seed"),
         np.asarray(contact),
     )

@@ -49,7 +49,7 @@ _SHOWN = (
 
 def plan_gallery(
     name: places.Name | places.Place,
-    chosen: catalog.Chosen = catalog.ALL_ROWS,
+    chosen: catalog.RowFilter = catalog.NO_FILTER,
     *,
     touches: int = DEFAULT_TOUCHES,
 ) -> gallery.Gallery:

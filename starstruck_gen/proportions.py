@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 from tactile_toolkit.array_types import Float64
+from tactile_toolkit.builtin_values import to_builtin_number
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import plain_number
 
 Outline = tuple[Float64, ...]
 """Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""
@@ -40,7 +40,7 @@ class Proportions:
         for entry in fields(self):
             kind: Any = type(entry.default)
             least, most = entry.metadata.get("least", -_LARGEST), entry.metadata.get("most", _LARGEST)
-            value = plain_number(getattr(self, entry.name), float)
+            value = to_builtin_number(getattr(self, entry.name), float)
             if not (isinstance(value, float) and least <= value <= most and kind(value) == value):
                 raise InputError(
                     f"{entry.name} of shape {self.name!r} is {getattr(self, entry.name)!r}; expected "

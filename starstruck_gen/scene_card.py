@@ -18,7 +18,8 @@ from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit import cards, pictures, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.wording import counted, markdown_text
+from tactile_toolkit.shown_text import markdown_text
+from tactile_toolkit.wording import with_count
 
 _SCENES_SHOWN = 12
 _TILE_PX = 140
@@ -79,7 +80,9 @@ def _placement_values(spec: SceneSpec) -> dict[str, str]:
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
         "classes": ", ".join(map(markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
-        "distractors": counted(most, "objects") if least == most else f"{cards.between(least, most)} objects",
+        "distractors": with_count(most, "objects")
+        if least == most
+        else f"{cards.between(least, most)} objects",
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",
         "rotation": f" by 0 to {turned:g} degrees about z" if turned else " by 0 degrees",
         "heights": " or ".join(f"{1e3 * height:g}" for height in spec.heights_m) + " mm",

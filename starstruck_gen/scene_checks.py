@@ -16,7 +16,7 @@ from starstruck_gen.scene_meshes import build_meshes
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _COLUMNS = (
     *("id", "label", VERTICES, FACES),
@@ -70,7 +70,7 @@ class CheckedScenes:
             if self.declared
             else "; which of them are stars is not declared"
         )
-        solids = f"{counted(self.bodies, 'solids')}{which}"
+        solids = f"{with_count(self.bodies, 'solids')}{which}"
         title = f"{self.path}: {self.checked:,} checked, {self.failed:,} failed; {solids}"
         shown = [(failure.split, failure.id, failure.problem) for failure in self.failures[:_SHOWN]]
         return ("split", "scene", "finding"), shown, title

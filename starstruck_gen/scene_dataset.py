@@ -13,7 +13,7 @@ from starstruck_gen.scene_drawing import draw_scene
 from tactile_toolkit import mesh, pictures, places, read
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 
 class SceneRecord(mesh.SolidRecord):
@@ -80,7 +80,7 @@ class SceneRecord(mesh.SolidRecord):
 
     def _tile_html(self) -> str:
 
-        caption = f"{counted(self.star_count, 'stars')}, id {self.id}"
+        caption = f"{with_count(self.star_count, 'stars')}, id {self.id}"
         if not self.has_placements:
             return pictures.relief_tile_html(self.vertices_m, self.faces, caption)
         return pictures.figure_html(self._drawn(0.8), caption, pictures.TILE_STYLE)

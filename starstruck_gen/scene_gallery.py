@@ -16,7 +16,7 @@ from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit import catalog, gallery, places
 from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintReport
 from tactile_toolkit.rows import Column, columns, with_role
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _ROWS_PER_TASK = 32
 _OPAQUE_FROM = 150  # levels darker than the plate, as the fill of every object is
@@ -32,7 +32,7 @@ _SHOWN = (
 
 
 def plan_gallery(
-    name: places.Name | places.Place, chosen: catalog.Chosen = catalog.ALL_ROWS
+    name: places.Name | places.Place, chosen: catalog.RowFilter = catalog.NO_FILTER
 ) -> gallery.Gallery:
     """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
     return gallery.gallery_of_rows(KIND, name, chosen, "Starstruck scenes", _SHOWN, _item, _ROWS_PER_TASK)
@@ -61,7 +61,7 @@ def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None
         }
     return gallery.GalleryItem(
         id=str(record.id),
-        title=counted(stars, "stars"),
+        title=with_count(stars, "stars"),
         values=values,
         thumbnail=_thumbnail(record),
         content={

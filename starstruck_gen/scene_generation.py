@@ -15,7 +15,7 @@ from starstruck_gen.scene_meshes import build_meshes
 from starstruck_gen.scene_rows import PARQUET_STYLE, SceneRow, scene_schema
 from starstruck_gen.scene_seeds import MOST_SCENES, SPLITS, scene_id, scene_seed
 from starstruck_gen.scene_spec import SceneSpec
-from tactile_toolkit import making, store
+from tactile_toolkit import generation, store
 from tactile_toolkit.checked_fields import check_fields, integer, split_counts
 from tactile_toolkit.errors import InputError
 
@@ -96,7 +96,7 @@ class SceneSetSpec:
 
 
 @dataclass(frozen=True)
-class SceneMaking(making.Making):
+class SceneMaking(generation.Generator):
     """How scenes are made: drawn by rejection, then made solids."""
 
     spec: SceneSetSpec
@@ -106,9 +106,9 @@ class SceneMaking(making.Making):
         """Return the numbers of the scenes of each split."""
         return {split: range(self.spec.rows(split)) for split in SPLITS}
 
-    def layout(self) -> making.Layout:
+    def layout(self) -> generation.StorageLayout:
         """Return how rows are stored."""
-        return making.Layout(
+        return generation.StorageLayout(
             PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
             smallest=1_000,
@@ -167,13 +167,13 @@ def generate(
         The folder holds a data set of another specification, or cannot be written. What was finished stays.
     """
     require = partial(require_feasible, spec.scene, spec.seed, on_failure)
-    return making.generate(SceneMaking(spec), out, splits, require=require, **run)
+    return generation.generate(SceneMaking(spec), out, splits, require=require, **run)
 
 
-def scene_recipe(seed: int, per_class: int | None) -> making.Recipe:
+def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return how scenes are made without any input: as published, or with fewer scenes."""
     most = MOST_SCENES if per_class is None else per_class * len(KIND.class_names)
     scenes = {split: min(size, most) for split, size in PUBLISHED_SIZES}
     sizes = None if per_class is None else ",".join(f"{split}={size}" for split, size in scenes.items())
     spec = SceneSetSpec(scenes=tuple(scenes.items()), seed=seed)
-    return making.Recipe(SceneMaking(spec), {"scenes": sizes, "seed": seed})
+    return generation.Recipe(SceneMaking(spec), {"scenes": sizes, "seed": seed})

@@ -9,7 +9,7 @@ import starstruck_gen
 from tactile_toolkit import catalog
 from tactile_toolkit.checked_fields import choice, integer, read_split_counts, real, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_count, listed
+from tactile_toolkit.parsed_text import comma_separated, is_count
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 # Notches at half the radius, as published, are not notches any more between 3 tips.
@@ -22,9 +22,9 @@ def _counts(option: str, words: str) -> tuple[int, ...]:
     # Bounded here, before a tuple of the range is made; what a cell has room for `SceneSpec` checks.
     if is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
-    if not all(map(is_count, listed(words))) or not listed(words):
+    if not all(map(is_count, comma_separated(words))) or not comma_separated(words):
         raise InputError(f"{option} is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
-    return tuple(map(int, listed(words)))
+    return tuple(map(int, comma_separated(words)))
 
 
 def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
@@ -78,7 +78,7 @@ class SceneOptions:
     def spec(self) -> starstruck_gen.SceneSpec:
         """Return the specification of scenes. Raises InputError for what cannot be read or made."""
         others = _counts("--distractors", self.distractors)
-        if len(listed(self.distractors)) > 2:
+        if len(comma_separated(self.distractors)) > 2:
             raise InputError(
                 f"--distractors is {self.distractors!r}; expected the least and the most such as 0-5"
             )

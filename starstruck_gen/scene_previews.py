@@ -12,7 +12,7 @@ from starstruck_gen.scene_drawing import draw_scene
 from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit import catalog, mesh, pictures, places
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _TILE_PX = 150
 
@@ -42,10 +42,10 @@ def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, ti
         return pictures.relief_of(mesh.Mesh(record.vertices_m, record.faces), px_per_mm)
 
     tiles = [
-        (counted(record.star_count, "stars"), pictures.Tile(from_above(record), f"{record.id}"))
+        (with_count(record.star_count, "stars"), pictures.Tile(from_above(record), f"{record.id}"))
         for record in records
     ]
     known = all(record.has_placements for record in records)
     colours = "stars are yellow" if known else "it is not stored which objects are stars"
-    words = f"{counted(len(records), 'scenes')} from above, the id of each below it; {colours}"
+    words = f"{with_count(len(records), 'scenes')} from above, the id of each below it; {colours}"
     return pictures.draw_by_class(tiles, per_row, title, words, px_per_mm)

@@ -12,9 +12,9 @@ from typing import Any
 from starstruck_gen.outlines import STAR
 from starstruck_gen.prisms import require_fine_steps
 from starstruck_gen.shapes import Shape
+from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_integer, plain
 
 COLLISION_RULES = ("circles", "exact")
 """``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
@@ -90,7 +90,7 @@ class SceneSpec:
             ("distractor_shapes", int),
             ("heights_m", float),
         ):
-            value = plain(getattr(self, name), kind)
+            value = to_builtin(getattr(self, name), kind)
             object.__setattr__(self, name, value if isinstance(value, tuple) else (value,))
         stars, shapes, heights = self.stars, self.distractor_shapes, self.heights_m
         fits = bool(stars) and is_integer(*stars) and stars[0] >= 0 and all(a < b for a, b in pairwise(stars))
@@ -161,14 +161,14 @@ class SceneSpec:
                 f"unknown field {unknown[0]!r} in a scene specification; see starstruck_gen.SceneSpec"
             )
         try:
-            plain: dict[str, Any] = {
+            to_builtin: dict[str, Any] = {
                 name: tuple(v) if isinstance(v, list) else v for name, v in values.items()
             }
             if "star" in values:
-                plain["star"] = Shape.from_dict(values["star"])
+                to_builtin["star"] = Shape.from_dict(values["star"])
             if "distractor_shapes" in values:
                 shapes = values["distractor_shapes"]
-                plain["distractor_shapes"] = tuple(Shape.from_dict(entry) for entry in shapes)
-            return cls(**plain)
+                to_builtin["distractor_shapes"] = tuple(Shape.from_dict(entry) for entry in shapes)
+            return cls(**to_builtin)
         except (TypeError, ValueError) as error:
             raise InputError(f"a scene specification has a value of a wrong type: {error}") from error

@@ -18,8 +18,8 @@ import numpy as np
 
 from starstruck_gen.outlines import kind_named
 from starstruck_gen.proportions import Outline, Proportions
+from tactile_toolkit.builtin_values import to_builtin_number
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import plain_number
 
 PUBLISHED_RADIUS_M = 0.010
 """Circumscribed radius of every published object (package tactile-mnist 0.13.0)."""
@@ -74,7 +74,7 @@ class Shape:
             raise InputError(
                 f"proportions of shape {self.name!r} are {self.proportions!r}; expected {kind.__name__}(...)"
             )
-        radius_m = plain_number(self.radius_m, float)
+        radius_m = to_builtin_number(self.radius_m, float)
         if not isinstance(radius_m, float) or not _LEAST_RADIUS_M <= radius_m <= _MOST_RADIUS_M:
             raise InputError(
                 f"radius_m of shape {self.name!r} is {self.radius_m!r}; expected {_LEAST_RADIUS_M} to "

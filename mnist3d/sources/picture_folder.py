@@ -18,7 +18,8 @@ from mnist3d.sources.picture_files import is_picture_name, pages_of
 from mnist3d.sources.picture_levels import read_picture
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.wording import natural_key, printable
+from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit.shown_text import printable
 
 _CHOICES = {"ink": ("auto", "dark", "light"), "threshold": ("auto", "local", "global")}
 _DIGITS = frozenset("0123456789")

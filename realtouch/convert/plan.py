@@ -288,7 +288,7 @@ def convert(
 
     ``plan`` takes the source and the number of rounds of each split to take at most.
     """
-    opened, folder = Source.open(source, split=split), store.DataFolder(fspath(out))
+    opened, folder = Source.open(source, split=split), store.open_folder(fspath(out))
     conversion = plan(opened, require_limit(limit))
     catalog.refuse_source(folder, opened.name, chain.from_iterable(opened.shards.values()))
     origin = origin_of(opened.schema, opened.manifest())

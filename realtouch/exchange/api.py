@@ -43,8 +43,8 @@ from realtouch.spec import ImportColumns
 from tactile_toolkit import catalog, places, store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.read import Shard
+from tactile_toolkit.shown_text import printable
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_TYPE, with_features
-from tactile_toolkit.wording import printable
 
 Layout = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
 ImportLayout = Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"]
@@ -186,7 +186,7 @@ def import_images(
     IntegrityError, SpecMismatchError, StorageError
         A tar is damaged; or as :func:`realtouch.clips_to_images`.
     """
-    home, folder = store.DataFolder(fspath(source)), store.DataFolder(fspath(out))
+    home, folder = store.open_folder(fspath(source)), store.open_folder(fspath(out))
     format_of(layout, get_args(ImportLayout))
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
@@ -204,11 +204,11 @@ def import_images(
 
 def _items(home: store.DataFolder, layout: str, columns: ImportColumns, table: str | None) -> list[Item]:
     """Read what a folder holds: of an export of ours below the name of the format, and in all splits."""
-    folders = [store.DataFolder(home.address(layout)) if layout in home.entries() else home]
+    folders = [store.open_folder(home.address(layout)) if layout in home.entries() else home]
     found = {name: size for name, size in folders[0].entries().items() if not store.is_hidden(name)}
     splits = [name for name, size in found.items() if size is None]
     if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
-        folders = [store.DataFolder(folders[0].address(split)) for split in splits]
+        folders = [store.open_folder(folders[0].address(split)) for split in splits]
     read = format_of(layout, get_args(ImportLayout)).items
     every = (item for folder in folders for item in read(folder, columns, table))
     items = [item.used(number, columns) for number, item in enumerate(every)]
@@ -360,7 +360,7 @@ def _file_of(item: Item) -> tuple[str, str]:
 def _version(file: tuple[str, str]) -> tuple[object, ...] | None:
     """Return what changes whenever a file, by folder and path, is replaced."""
     folder, path = file
-    return store.DataFolder(folder).version(path)
+    return store.open_folder(folder).version(path)
 
 
 def _noted(contents: Iterable[bytes | ItemError], digest: Any) -> Iterator[bytes | ItemError]:

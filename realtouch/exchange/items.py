@@ -114,7 +114,7 @@ def contents_of(items: Iterable[Item]) -> Iterator[bytes | ItemError]:
 def _contents(items: Sequence[Item]) -> list[bytes | ItemError]:
     found: list[bytes | ItemError] = []
     try:
-        with store.open_inside(store.DataFolder(items[0].home), items[0].path) as stream:
+        with store.open_inside(store.open_folder(items[0].home), items[0].path) as stream:
             for item in items:
                 stream.seek(item.start)
                 found.append(stream.read(item.size))

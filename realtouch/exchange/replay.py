@@ -125,7 +125,7 @@ def conversion(items: Sequence[Item]) -> str:
 def _pictures(item: Item) -> PictureArray:
     """Open the pictures that an item is one of."""
     divisor, _, name = item.part.partition(" ")
-    return PictureArray(ZarrGroup(store.DataFolder(item.home), item.path).array(name), float(divisor))
+    return PictureArray(ZarrGroup(store.open_folder(item.home), item.path).array(name), float(divisor))
 
 
 def _images(shards: Sequence[read.Shard]) -> Any:

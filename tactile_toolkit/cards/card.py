@@ -22,7 +22,7 @@ from tactile_toolkit.cards.facts import FolderFacts, card_head, folder_facts, he
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_export
 from tactile_toolkit.mesh import FACES, MESH, SIZES, VERTICES, unpack_mesh
-from tactile_toolkit.wording import markdown_code, markdown_text, printable, printable_json
+from tactile_toolkit.shown_text import markdown_code, markdown_text, printable, printable_json
 
 CARD_FILE = "README.md"
 PREVIEW_FOLDER = "previews"

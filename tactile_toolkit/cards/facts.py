@@ -16,8 +16,8 @@ from typing import Any
 
 from tactile_toolkit import places, read, run, store
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.shown_text import printable
 from tactile_toolkit.system import usable_cores
-from tactile_toolkit.wording import printable
 
 _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"

@@ -9,8 +9,8 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import store
+from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.rows import Column
-from tactile_toolkit.wording import natural_key
 
 _MOST_LISTED = 12
 

@@ -167,7 +167,7 @@ def _build(
     out: str,
     run: store.RunKeywords,
 ) -> store.Manifest:
-    folder, tasks, found = store.DataFolder(out), [], {}
+    folder, tasks, found = store.open_folder(out), [], {}
     for source in sources:
         catalog.refuse_source(folder, source.name, source.table.files)
     for split in dict.fromkeys(split for source in sources for split in source.shards):
@@ -269,7 +269,7 @@ def plan_tables(
         **_unfinished([place]),
     }
     every = [shard for found in shards.values() for shard in found]
-    catalog.refuse_source(store.DataFolder(out), place.name, every)
+    catalog.refuse_source(store.open_folder(out), place.name, every)
     return _copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")
 
 

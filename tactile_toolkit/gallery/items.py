@@ -86,7 +86,7 @@ class Gallery:
 def gallery_of_rows(
     kind: DatasetKind,
     name: places.Name | places.Place,
-    chosen: catalog.Chosen,
+    chosen: catalog.RowFilter,
     title: str,
     columns: Sequence[Column],
     item: Callable[[Any, str, tuple[str, ...], Any], GalleryItem],

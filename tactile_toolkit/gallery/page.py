@@ -14,8 +14,8 @@ from typing import Any
 
 from tactile_toolkit import __version__
 from tactile_toolkit.gallery.items import Gallery, GalleryItem
+from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.rows import Column
-from tactile_toolkit.wording import natural_key
 
 NONE, UNKNOWN = "none", "unknown"
 """Values of a facet for items that have no value, and for those whose value is not known."""

@@ -169,7 +169,7 @@ def _page_of(files: Path) -> bytes:
 def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
     """Return where the site of a gallery may be made; InputError where :func:`build_site` would raise it."""
     # Where a symbolic link leads: the link itself is not ours to replace.
-    path = Path(os.path.realpath(store.local_folder(out)))
+    path = Path(os.path.realpath(store.local_folder_path(out)))
     if path.is_dir():
         _former_folders(path, overwrite=overwrite)
     one, many = gallery.nouns

@@ -20,7 +20,7 @@ from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh
 from tactile_toolkit.mesh.readers import read_obj, read_ply, read_stl
 from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
 from tactile_toolkit.units import MM_PER_UNIT
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
@@ -81,7 +81,7 @@ def _content(path: Path, below: Path | None) -> bytes:
     try:
         if below is not None:
             with store.open_inside(
-                store.DataFolder(str(below)), path.relative_to(below).as_posix()
+                store.open_folder(str(below)), path.relative_to(below).as_posix()
             ) as stream:
                 return stream.read()
         with store.open_regular(path) as stream:
@@ -229,7 +229,7 @@ def _welded(vertices: Float64, faces: Int32) -> Mesh:
         return Mesh(vertices, faces)
     welded = int((moved != np.arange(len(vertices))).sum())
     kept = corners_used.reshape(-1, 3).astype(np.int32)
-    return Mesh(vertices[used], kept, (f"{counted(welded, 'corners')} welded",))
+    return Mesh(vertices[used], kept, (f"{with_count(welded, 'corners')} welded",))
 
 
 def _is_closed(faces: Integers, count: int) -> bool:

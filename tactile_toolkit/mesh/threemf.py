@@ -26,7 +26,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
 from tactile_toolkit.mesh.readers import numbers_of
 from tactile_toolkit.units import MM_PER_UNIT
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _UNITS = {
     "micron": "um",
@@ -244,7 +244,7 @@ class _Package:
                 vertices_mm, faces = joined(surfaces)
                 items.append(BuildItem(self._objects[named].name, Mesh(vertices_mm / MM_PER_M, faces)))
         left_out = tuple(
-            f"left out: {counted(count, things)} {kind}"
+            f"left out: {with_count(count, things)} {kind}"
             for (things, kind), count in self._left_out.items()
             if count
         )

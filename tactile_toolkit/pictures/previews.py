@@ -20,7 +20,7 @@ from tactile_toolkit.pictures.sheets import (
     sheet,
     with_scale_bar,
 )
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 D = TypeVar("D", bound=read.RecordDataset[Any])
 
@@ -50,7 +50,7 @@ class MeshPreviews(Generic[D]):
         for split, dataset, found in self.chosen:
             rows = dataset[found[np.argsort(dataset.labels[found], kind="stable")]]
             if len(rows):
-                what = f"{counted(len(rows), self.things)} of {split} from above"
+                what = f"{with_count(len(rows), self.things)} of {split} from above"
                 heading = f"{self.stem}: {split}"
                 if self.unfinished:
                     heading = f"{heading} (unfinished, {self.unfinished})"

@@ -16,7 +16,8 @@ from typing import Any, TypeAlias
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import kinds
-from tactile_toolkit.wording import counted, did_you_mean, natural_key
+from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit.wording import did_you_mean, with_count
 
 CARD_FILE = "README.md"
 PARQUET = ".parquet"
@@ -293,7 +294,7 @@ def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str
     expected = max(counts) if len(counts) == 1 and None not in names else len(chosen)
     if chosen and len(chosen) >= expected:
         return chosen
-    found = f"{len(chosen)} of {counted(max(expected, 1), 'files')}"
+    found = f"{len(chosen)} of {with_count(max(expected, 1), 'files')}"
     raise IntegrityError(
         f"{where!r} has {found} of split {split!r}; expected all",
         next="download or generate the data set again (with a network, if it is on the Hub)",

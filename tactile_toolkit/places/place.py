@@ -34,7 +34,7 @@ from tactile_toolkit.places.layout import (
 )
 from tactile_toolkit.places.other_files import is_parquet_file, not_a_set
 from tactile_toolkit.places.published import kind_of_published, named_on_hub, published_set
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 # Folders below that of a data set in which files are looked for, and how many at most.
 _DEPTH = 4
@@ -86,7 +86,9 @@ class Place:
     @property
     def folder(self) -> store.DataFolder | None:
         """The folder, local or in an object store; None for files and repositories of the Hub."""
-        return self.source if isinstance(self.source, store.DataFolder) and not self.is_file else None
+        if self.is_file or isinstance(self.source, (hub.HubRepository, tuple)):
+            return None
+        return self.source
 
     @property
     def repository(self) -> hub.HubRepository | None:
@@ -307,13 +309,11 @@ class Place:
         if isinstance(self.source, tuple):
             every = (place.shards(place.splits[0], streaming=streaming) for place in self.source)
             return tuple(shard for found in every for shard in found)
-        if isinstance(self.source, store.DataFolder):
-            if self.manifest is not None:
-                return self._recorded_shards(self.source, self.manifest, split)
-            paths = self.paths_of(split)
-            return tuple(read.Shard(self.source.address(path)) for path in paths)
-        paths = self.paths_of(split)
-        return _hub_shards(self.source, paths, streaming)
+        if isinstance(self.source, hub.HubRepository):
+            return _hub_shards(self.source, self.paths_of(split), streaming)
+        if self.manifest is not None:
+            return self._recorded_shards(self.source, self.manifest, split)
+        return tuple(read.Shard(self.source.address(path)) for path in self.paths_of(split))
 
     def paths_of(self, split: str) -> tuple[str, ...]:
         """Return the paths of the files of a split; raises as :meth:`shards`."""
@@ -338,22 +338,16 @@ class Place:
             if self.complete:
                 raise IntegrityError(
                     f"{store.MANIFEST_FILE} of {self.name!r} lists {len(records)} of "
-                    f"{counted(records[0].shard.count, 'shards')} of split {split!r}; expected all",
+                    f"{with_count(records[0].shard.count, 'shards')} of split {split!r}; expected all",
                     next="download or generate the data set again",
                 )
             raise self._not_finished()
-        small: dict[int, tuple[read.Shard, str]] = {}
-        for file in store.small_files(manifest, split):
-            if file.path in (manifest.files or ()):
-                entry = (read.Shard(folder.address(file.path), file.rows), file.made_of)
-                small |= {record.shard.index: entry for record in file.records}
         # Names were checked when the manifest was read: address(PATH) would do so again for each of 50,000.
         return tuple(
             [
                 read.Shard(
                     f"{root}/{record.shard.data_path}",
                     record.rows,
-                    small=small.get(record.shard.index),
                     size_bytes=record.bytes,
                 )
                 for record in records
@@ -504,7 +498,7 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
     if store.is_remote(name):
         if name.endswith(PARQUET):
             return store.split_uri(store.normalize_uri(name))
-        folder = store.DataFolder(name)
+        folder = store.open_folder(name)
         if not folder.exists():
             raise InputError(
                 f"{folder.missing_message('data set')}; expected the folder of a data set, or a Parquet file",
@@ -518,8 +512,8 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
     with store.readable(name):
         is_there = store.path_exists(place)
     if is_there and place.is_dir():
-        return store.DataFolder(str(place)), ""
-    return (store.DataFolder(str(place.parent)), place.name) if is_there and place.is_file() else None
+        return store.open_folder(str(place)), ""
+    return (store.open_folder(str(place.parent)), place.name) if is_there and place.is_file() else None
 
 
 def folder_named(name: str) -> store.DataFolder | None:

@@ -113,7 +113,7 @@ def content_of(path: Path) -> bytes | None:
 
 def _before(folder: Path, product: Product[R]) -> set[Path]:
     """Return the files of a product that are there; InputError where a folder of it is a link."""
-    places = [store.DataFolder(str(folder)).place(pattern) for pattern in product.patterns]
+    places = [store.LocalFolder(str(folder)).local_path(pattern) for pattern in product.patterns]
     return {path for place in places for path in place.parent.glob(place.name)}
 
 
@@ -169,9 +169,9 @@ def export(
     files stand in the way, before anything is written, and StorageError where the folder cannot be written;
     finished files stay.
     """
-    folder = store.local_folder(out)
+    folder = store.local_folder_path(out)
     if not dry_run:
-        store.DataFolder(out).require_folder()
+        store.open_folder(out).require_folder()
         store.remove_drafts(folder)  # of killed exports
     found: dict[str, tuple[str, Any]] = {}
 

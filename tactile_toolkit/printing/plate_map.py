@@ -14,7 +14,7 @@ from tactile_toolkit import pictures
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.printing.packing import PlacedObject, PlateLayout
 from tactile_toolkit.printing.plate_spec import PlateSpec
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _PLATE, _GRID, _MARGIN, _OUTLINE = "#f4f2ec", "#e0dcd2", "#b9b3a3", "#222222"
 # One per class; the words on the map, not the colours, distinguish objects.
@@ -36,7 +36,7 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
     too; words that would cover others are left out and counted. The same input always gives the same bytes.
     """
     spec, plate = layout.spec, layout.plates[number - 1]
-    title = f"plate {number} of {len(layout.plates)}: {counted(len(plate), 'objects')}, {spec.text}"
+    title = f"plate {number} of {len(layout.plates)}: {with_count(len(plate), 'objects')}, {spec.text}"
     every = [placed.item for other in layout.plates for placed in other]
     labels, ids = sorted({item.label for item in every}), Counter(item.id for item in every)
     # More pixels for a larger plate, so that words keep their room.

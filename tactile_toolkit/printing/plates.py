@@ -92,7 +92,7 @@ def write_plates(
     Raises InputError where plates of another export stand in the folder, before anything is written, and
     StorageError where the folder cannot be written; finished files stay.
     """
-    unknown = _unknown_files(layout, store.local_folder(out))
+    unknown = _unknown_files(layout, store.local_folder_path(out))
     # The table first: it says most clearly whether these are the plates of another export.
     export([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
     plates = [

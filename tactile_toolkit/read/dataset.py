@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactile_toolkit.array_types import AnyArray, Int64
+from tactile_toolkit.builtin_values import is_integer, to_builtin_number
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read.columns import (
@@ -27,7 +28,8 @@ from tactile_toolkit.read.columns import (
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.parquet import ShardedTable
 from tactile_toolkit.read.source import RowSource
-from tactile_toolkit.wording import class_name, counted, is_integer, plain_number, printable
+from tactile_toolkit.shown_text import printable
+from tactile_toolkit.wording import class_name, with_count
 
 T = TypeVar("T")
 
@@ -389,7 +391,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         length = len(self._rows)
         # Not `checked_index`, which would cost a tenth of all that `touches[i]` does.
         if not -length <= position < length:
-            raise IndexError(f"index {position} is out of range for {counted(length, self.things)}")
+            raise IndexError(f"index {position} is out of range for {with_count(length, self.things)}")
         return self._stored(int(self._rows[position]))
 
     def _select(self, chosen: slice | Int64) -> Self:
@@ -440,7 +442,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             No item has it, or the items have no ids.
         """
-        number = plain_number(id)
+        number = to_builtin_number(id)
         places = np.flatnonzero(self.ids == number)
         if not len(places):
             # Those of items, for touches have others than the column of their rounds.
@@ -559,7 +561,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         Touches of one round, or rounds of one object, may come into several parts. Divide the objects
         instead where that matters.
         """
-        ends = _part_ends([plain_number(part) for part in parts], len(self))
+        ends = _part_ends([to_builtin_number(part) for part in parts], len(self))
         order = self._order(seed)
         if not stratify:
             return tuple(self._select(part) for part in np.split(order, ends)[: len(ends)])
@@ -673,7 +675,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self._table.row_groups(numbers)
 
     def _description(self) -> list[str]:
-        return with_origins(counted(len(self), self.things), self._table)
+        return with_origins(with_count(len(self), self.things), self._table)
 
     def _each(self) -> Iterator[tuple[int, T]]:
         """Yield place and item of all, in whatever order is quickest, for looking at small fields."""
@@ -683,7 +685,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return np.argsort(_numbers(seed, len(self)), kind="stable")
 
     def _label_number(self, label: Any) -> int:
-        known, number = self.label_names, plain_number(label)
+        known, number = self.label_names, to_builtin_number(label)
         if number in known:
             return known.index(number)
         if is_integer(number) and 0 <= number < len(known):
@@ -732,7 +734,7 @@ def _part_ends(parts: Sequence[Any], length: int) -> list[int]:
         asked = ", ".join(map(repr, parts)) or "nothing"
         raise InputError(
             f"a split into {asked} was asked for; expected shares such as 0.8, 0.2 that add up to at most 1, "
-            f"or integers that add up to at most {counted(length, 'rows')}"
+            f"or integers that add up to at most {with_count(length, 'rows')}"
         )
     if numbers:
         ends = np.cumsum(parts).tolist()

@@ -20,7 +20,7 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import accumulate, chain, groupby, pairwise
+from itertools import accumulate, chain, pairwise
 from pathlib import Path
 from typing import IO, Any, TypeVar
 
@@ -44,7 +44,6 @@ from tactile_toolkit.read.columns import (
 from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.store import (
     DATA_FOLDER,
-    SOURCE_DIGEST,
     VERSION_KEYS,
     ShardName,
     locked,
@@ -169,10 +168,8 @@ class Shard:
     """One Parquet file of a data set, local or at any fsspec address.
 
     ``rows`` and ``size_bytes`` are what its manifest states, where there is one: rows are counted without
-    opening the file then, and another file is refused. ``small`` is the file in which its small columns lie
-    next to those of its neighbours, and what that file must state that it was made of. ``failures``, pickled
-    with it, makes the context in which the bytes of a remote file are read: there, whoever knows the store
-    names what goes wrong with it.
+    opening the file then, and another file is refused. ``failures``, pickled with it, makes the context in
+    which the bytes of a remote file are read: there, whoever knows the store names what goes wrong with it.
     """
 
     path: str
@@ -180,7 +177,6 @@ class Shard:
     failures: Callable[[], contextlib.AbstractContextManager[None]] = field(
         default=contextlib.nullcontext, repr=False, compare=False
     )
-    small: tuple[Shard, str] | None = field(default=None, repr=False, compare=False)
     size_bytes: int | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
@@ -548,18 +544,6 @@ def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource])
     return run.in_threads(function, shards, 1 if len(shards) < _FEW_SHARDS else _READERS)
 
 
-def _small_column(small: tuple[Shard, str] | None, shards: Sequence[RowSource], name: str) -> Any:
-    """Read a column of some shards from their file of small columns; None where it is to be asked of them."""
-    # What is wrong with it costs speed only; `verify` names it.
-    with contextlib.suppress(IntegrityError):
-        if small is not None:
-            file, made_of = small
-            is_theirs = (file.schema.metadata or {}).get(SOURCE_DIGEST) == made_of.encode()
-            if is_theirs and name in file.schema.names and sum(map(len, shards)) == len(file):
-                return file.column(name)
-    return None
-
-
 @dataclass(frozen=True)
 class ShardedTable:
     """The rows of several sources, such as shards, in their order; reads nothing until asked."""
@@ -648,13 +632,5 @@ class ShardedTable:
         return self._columns[key]
 
     def _arrays(self, name: str) -> Iterator[Any]:
-        """Yield the Arrow arrays of one column in order, from few files where the data set has such."""
-        for small, neighbours in groupby(
-            self.shards, key=lambda each: each.small if isinstance(each, Shard) else None
-        ):
-            shards = list(neighbours)
-            column = _small_column(small, shards, name)
-            if column is not None:
-                yield column
-            else:
-                yield from _in_threads(lambda shard: shard.column(name), shards)
+        """Yield the Arrow arrays of one column in order."""
+        return _in_threads(lambda shard: shard.column(name), self.shards)

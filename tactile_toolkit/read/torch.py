@@ -10,11 +10,11 @@ import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
+from tactile_toolkit.builtin_values import is_integer, to_builtin_number
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler
-from tactile_toolkit.wording import is_integer, plain_number
 
 if TYPE_CHECKING:
     import torch
@@ -129,7 +129,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self.collate_fn = collate_fn
         distributed = torch.distributed
         if rank is not None or world_size is not None:
-            numbers = plain_number(rank), plain_number(world_size)
+            numbers = to_builtin_number(rank), to_builtin_number(world_size)
         elif distributed.is_available() and distributed.is_initialized():
             numbers = distributed.get_rank(), distributed.get_world_size()
         else:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.tactile_toolkit.toy import folder_bytes
@@ -33,7 +33,7 @@ def test_gallery_says_what_was_made_and_what_next(program, folders, tmp_path, ca
     out = tmp_path / "site"
     assert call(program, "gallery", folders[program], "--out", out, "--workers", 1) == 0
     printed = capsys.readouterr()
-    assert f": {counted(count, nouns)}, " in printed.out
+    assert f": {with_count(count, nouns)}, " in printed.out
     assert f"next: open {out / 'index.html'} in a browser" in printed.out
     assert f"making the gallery: {count} of {count}" in printed.err
     assert (out / "index.html").is_file()
@@ -47,7 +47,7 @@ def test_dry_run_counts_the_items_of_each_split_and_writes_nothing(program, fold
     view = json.loads(capsys.readouterr().out)
     assert not out.exists()
     assert call(program, *arguments, "--dry-run") == 0
-    assert f"would make {out}: {counted(*ITEMS[program])}; nothing was written" in capsys.readouterr().out
+    assert f"would make {out}: {with_count(*ITEMS[program])}; nothing was written" in capsys.readouterr().out
     assert call(program, *arguments, "--json", "--quiet") == 0
     printed = capsys.readouterr()
     made = json.loads(printed.out)

@@ -9,8 +9,8 @@ import pytest
 import realtouch
 from tactile_toolkit.hub import HubRepository
 from tactile_toolkit.places import Place
-from tactile_toolkit.store import DataFolder, read_manifest
-from tactile_toolkit.wording import counted
+from tactile_toolkit.store import DataFolder, open_folder, read_manifest
+from tactile_toolkit.wording import with_count
 from tests import command_line
 from tests.realtouch import factories
 
@@ -119,7 +119,7 @@ def test_what_is_fetched_is_told(capsys):
     announce_fetching(Sink(), place("real-seq", repository), None)
     other = HubRepository("someone/touches", None, "0" * 40, {})
     announce_fetching(Sink(), place("someone/touches", other), "test")
-    announce_fetching(Sink(), place("here", DataFolder("here")), None)
+    announce_fetching(Sink(), place("here", open_folder("here")), None)
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 2
     assert "tactile-mnist-touch-real-seq" in told[0]
@@ -163,8 +163,8 @@ def test_conversions(command, check, images, tmp_path, capsys):
     assert call(name, images, "--out", out, *options, "--workers", 1) == 0
     printed = capsys.readouterr().out
     assert "the data set is in" in printed
-    rows = sum(split["rows"] for split in read_manifest(DataFolder(str(out))).split_table().values())
-    assert f"made {counted(rows, 'touches' if name == 'frames' else 'rounds')} in " in printed
+    rows = sum(split["rows"] for split in read_manifest(open_folder(str(out))).split_table().values())
+    assert f"made {with_count(rows, 'touches' if name == 'frames' else 'rounds')} in " in printed
     assert check(out)
     before = (out / "manifest.json").stat().st_mtime_ns
     assert call(name, images, "--out", out, *options, "--workers", 1, "--quiet") == 0

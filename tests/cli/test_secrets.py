@@ -23,7 +23,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange import plan_download
 from tactile_toolkit.hub import hub_name
 from tactile_toolkit.mesh import read_mesh
-from tactile_toolkit.store import DataFolder, split_uri
+from tactile_toolkit.store import open_folder, split_uri
 from tests.command_line import call, program
 
 FORMS = (
@@ -99,7 +99,7 @@ FUNCTIONS: tuple[Callable[[str], object], ...] = (
     realtouch.load,
     realtouch.verify,
     read_mesh,
-    DataFolder,
+    open_folder,
     split_uri,
     hub_name,
     plan_download,

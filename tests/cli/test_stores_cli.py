@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.command_line import call
 from tests.hub_server import hub
 from tests.tactile_toolkit.exchange.upload_client import logged_in
@@ -53,7 +53,7 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         "scenes-test-sheet.png",
         "scenes-train-sheet.png",
     ]
-    shard = f"data/{DataFolder(place).names('data')[0]}"
+    shard = f"data/{open_folder(place).names('data')[0]}"
     assert call("starstruck", "validate", f"{place}/{shard}", "--quiet") == 0
     for split in ("train", "test"):
         there, here = starstruck_gen.load(place, split), starstruck_gen.load(str(local), split)
@@ -90,7 +90,7 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         s3.traffic.reset()
         assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
         assert s3.traffic.requests["PUT"] == 0
-        DataFolder(back).write_bytes(shard, b"cut")
+        open_folder(back).write_bytes(shard, b"cut")
         assert call("starstruck", "verify", back) == 3
         assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
         assert stored(s3, bucket, "back") == copied

@@ -10,7 +10,7 @@ import pytest
 
 from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import DataFolder, read_manifest
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
 from tests.processes import start_held
 from tests.realtouch import factories
@@ -118,7 +118,7 @@ def test_a_killed_merge_continues_and_damage_is_not_copied(tmp_path, capsys):
     assert call("mnist3d", "merge", one, two, "--out", out, "--workers", 1) == 0
     assert "made 5 digits in " in capsys.readouterr().out
     assert call("mnist3d", "verify", out, "-q") == 0
-    manifest = read_manifest(DataFolder(str(one)))
+    manifest = read_manifest(open_folder(str(one)))
     assert manifest is not None
     file = one / manifest.shards[0].shard.data_path
     content = bytearray(file.read_bytes())

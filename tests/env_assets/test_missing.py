@@ -8,7 +8,7 @@ import pytest
 
 import env_assets
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.store import DataFolder, read_manifest
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
 from tests.forked import start_forked
 
@@ -49,7 +49,7 @@ def test_splits_are_added_one_by_one_and_named_where_one_is_missing(tmp_path):
     ):
         env_assets.AssetProvider(tmp_path, per_class=2).meshes("starstruck", "train")
     assert len(made.meshes("starstruck", "train")) == 6
-    manifest = read_manifest(DataFolder(str(tmp_path / "starstruck")))
+    manifest = read_manifest(open_folder(str(tmp_path / "starstruck")))
     assert (manifest.splits, manifest.complete) == (("train", "test"), True)
 
 
@@ -106,6 +106,6 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
     again = env_assets.AssetProvider(tmp_path)
     for split, process in zip(splits, running, strict=True):
         assert str(again.meshes("starstruck", split).ids.tolist()) in process.out
-    manifest = read_manifest(DataFolder(str(tmp_path / "starstruck")))
+    manifest = read_manifest(open_folder(str(tmp_path / "starstruck")))
     assert (manifest.splits, manifest.complete) == (("train", "test"), True)
     assert not list((tmp_path / "starstruck").rglob(".writing-*"))

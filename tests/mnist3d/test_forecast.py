@@ -12,7 +12,7 @@ from mnist3d.published_splits import SplitSpec
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.making import forecast
+from tactile_toolkit.generation import forecast
 from tactile_toolkit.run import Part
 
 

@@ -16,8 +16,8 @@ from mnist3d.published_splits import SPLITS, SplitSpec
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.making import plan_build
-from tactile_toolkit.store import DataFolder, verify
+from tactile_toolkit.generation import plan_build
+from tactile_toolkit.store import open_folder, verify
 from tests.command_line import call
 from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
 from tests.processes import PATIENCE_S, start_held
@@ -47,7 +47,7 @@ def test_every_digit_is_a_row_or_skipped_with_its_reason(flawed):
     assert f"digit {BLANK} of source 'flawed'" in skipped[BLANK].message
     ids = np.concatenate([mnist3d.load(str(folder), split).ids for split in rows])
     assert sorted(ids.tolist()) == sorted(set(range(30)) - set(skipped))
-    assert verify(DataFolder(str(folder)), digit_schema()).ok
+    assert verify(open_folder(str(folder)), digit_schema()).ok
     written = json.loads((folder / "manifest.json").read_text())
     assert written["skipped"] == {"all-ink": 1, "no-ink": 1, "unreadable": 1}
 

@@ -9,7 +9,7 @@ from PIL import Image
 
 import starstruck_gen
 from starstruck_gen.scene_gallery import plan_gallery
-from tactile_toolkit.catalog import Chosen
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, files_of, index_of
@@ -40,7 +40,7 @@ def test_scenes_are_filtered_by_what_stands_in_them(folder, tmp_path):
 
 
 def test_thumbnails_show_stars_on_clear_paper(folder, tmp_path):
-    build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "site"))
+    build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "site"))
     for number, record in enumerate(starstruck_gen.load(str(folder), "test")):
         content = (files_of(tmp_path / "site") / "thumbs" / f"{number:06d}.png").read_bytes()
         pixels = np.asarray(Image.open(io.BytesIO(content))).astype(int)
@@ -79,7 +79,7 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
 @pytest.mark.browser
 def test_stars_and_others_have_their_own_paint(folder, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "site"))
+        build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "site"))
         scenes = list(starstruck_gen.load(str(folder), "test"))
         place = max(range(6), key=lambda number: scenes[number].distractor_count)
         with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:

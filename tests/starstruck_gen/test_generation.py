@@ -22,8 +22,8 @@ from starstruck_gen.scene_rows import scene_schema
 from starstruck_gen.scene_spec import SceneSpec
 from starstruck_gen.shapes import Shape
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.making import plan_build
-from tactile_toolkit.store import DataFolder, inspect_job, read_manifest, verify
+from tactile_toolkit.generation import plan_build
+from tactile_toolkit.store import inspect_job, open_folder, read_manifest, verify
 from tests.command_line import call
 
 
@@ -46,7 +46,7 @@ def whole(tmp_path_factory) -> Path:
 
 
 def test_folder_holds_what_is_promised(whole):
-    manifest = read_manifest(DataFolder(str(whole)))
+    manifest = read_manifest(open_folder(str(whole)))
     assert manifest.complete
     assert manifest.kind == "starstruck"
     assert {split: entry["rows"] for split, entry in manifest.split_table().items()} == {
@@ -60,7 +60,7 @@ def test_folder_holds_what_is_promised(whole):
         "manifest.json",
         "previews/scenes.png",
     ]
-    assert verify(DataFolder(str(whole)), scene_schema()).ok
+    assert verify(open_folder(str(whole)), scene_schema()).ok
     shard = pq.ParquetFile(whole / "data" / "train-00000-of-00003.parquet")
     assert shard.schema_arrow.names[:4] == ["id", "label", "mesh.vertices", "mesh.faces"]
     assert [
@@ -78,7 +78,7 @@ def test_published_size_is_3000_and_300_balanced():
 
 
 def test_statistics_are_those_of_all_scenes(whole):
-    found = summarise(read_manifest(DataFolder(str(whole))))["train"]
+    found = summarise(read_manifest(open_folder(str(whole))))["train"]
     assert found.classes == (700, 700, 700)
     rows = make_rows(SceneSpec(), "train", 0, 0, 2_100)
     assert found == count_scenes(SceneSpec(), rows)
@@ -159,7 +159,7 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
     generate(plain, str(tmp_path / "text"), ("train",))
     assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
     assert (
-        inspect_job(DataFolder(str(tmp_path / "path")), plan_build(SceneMaking(given), ("train",))).remaining
+        inspect_job(open_folder(str(tmp_path / "path")), plan_build(SceneMaking(given), ("train",))).remaining
         == ()
     )
 

@@ -20,7 +20,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.places import open_place
 from tactile_toolkit.read import ShardedTable
-from tactile_toolkit.store import DataFolder, read_manifest
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
 from tests.env_assets.factories import write_meshes
 from tests.realtouch.images_of_others import write_table
@@ -112,7 +112,7 @@ def test_pictures_and_galleries_frame_them(touches):
 
 
 def test_pairs_are_drawn_by_the_same_rule(pairs):
-    manifest = read_manifest(DataFolder(pairs))
+    manifest = read_manifest(open_folder(pairs))
     assert manifest is not None
     assert [record.statistics["on_object"] for record in manifest.shards] == [8, 8]
     assert " 6 mm" not in Path(pairs, "README.md").read_text()

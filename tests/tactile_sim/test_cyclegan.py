@@ -29,7 +29,7 @@ from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
 )
 from tactile_sim.optics import make_optics  # noqa: E402
 from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError  # noqa: E402
-from tactile_toolkit.store import DataFolder  # noqa: E402
+from tactile_toolkit.store import open_folder  # noqa: E402
 
 
 def _depths(size):
@@ -59,7 +59,7 @@ def small(tmp_path):
     def made(name="small.npz", size_px=(32, 24), filters=4, blocks=2, seed=5):
         network = Generator(filters, blocks)
         initialise(network, seed)
-        files.write_weights(DataFolder(str(tmp_path)), name, weights_of(network, size_px))
+        files.write_weights(open_folder(str(tmp_path)), name, weights_of(network, size_px))
         return tmp_path / name
 
     return made

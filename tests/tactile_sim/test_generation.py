@@ -18,7 +18,7 @@ from tactile_sim.optics import make_optics
 from tactile_sim.plan import REACH_M
 from tactile_sim.spec import PictureOptions
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.making import plan_build
+from tactile_toolkit.generation import plan_build
 from tests.command_line import call
 from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
 from tests.tactile_sim.solids import block

@@ -62,7 +62,7 @@ from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
 )
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.spec import TrainConfig  # noqa: E402
-from tactile_toolkit.store import DataFolder  # noqa: E402
+from tactile_toolkit.store import open_folder  # noqa: E402
 from tests.sealed import edit  # noqa: E402
 
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
@@ -247,7 +247,7 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
     def no_room(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tactile_toolkit.store.folder.os.fsync", no_room)
+    monkeypatch.setattr("tactile_toolkit.store.files.os.fsync", no_room)
     with pytest.raises(StorageError, match="No space left"):
         train(pairs, full, CONFIG, device="cpu")
     assert not [file for file in full.rglob("*") if file.is_file()]
@@ -324,7 +324,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     assert made.exit_code == 0, made.output
     assert realtouch.load(tmp_path / "touches", "train").touches().images().shape == (2, 32, 32, 3)
     larger = GeneratorWeights(read_weights(weights).arrays, (36, 36))
-    write_weights(DataFolder(str(tmp_path)), weights.name, larger)
+    write_weights(open_folder(str(tmp_path)), weights.name, larger)
     with pytest.raises(InputError, match="weights were trained with 36 x 36"):
         evaluate(tmp_path, pairs)
 

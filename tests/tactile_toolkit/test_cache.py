@@ -22,7 +22,7 @@ from tactile_toolkit.cache import (
     prune_cache,
 )
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.forked import run_forked, start_forked
 
 
@@ -200,7 +200,7 @@ def test_a_cache_in_the_home_of_nobody_is_named(monkeypatch, variable):
     with pytest.raises(InputError, match=f"{variable} '~nobody-of-that-name/x': no home folder is known"):
         cache_folder()
     with pytest.raises(InputError, match="no home folder is known"):
-        DataFolder("~nobody-of-that-name/x")
+        open_folder("~nobody-of-that-name/x")
 
 
 def _write(folder: Path, writer: int) -> None:

@@ -10,9 +10,9 @@ import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.exchange.upload import check_folder, collect
-from tactile_toolkit.making import forecast, generate
+from tactile_toolkit.generation import forecast, generate
 from tactile_toolkit.run import Part
-from tactile_toolkit.store import DataFolder, read_manifest
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.tactile_toolkit import boxes
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -49,7 +49,7 @@ def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Pa
     assert folder_bytes(tmp_path / "recipe") == folder_bytes(whole)
     assert boxes.KIND.recipe(4, 9).arguments("train") == "--split train --boxes 9 --seed 4"
     # verify, with the card
-    folder = DataFolder(str(whole))
+    folder = open_folder(str(whole))
     assert list(check_folder(boxes.KIND, folder)) == []
     card = (whole / "README.md").read_text(encoding="utf-8")
     assert "| `width_m` | float64 | m | extent along x |" in card

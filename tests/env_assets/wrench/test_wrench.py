@@ -22,7 +22,7 @@ from env_assets.wrench.spec import (
 )
 from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
-from tactile_toolkit.store import DataFolder, verify
+from tactile_toolkit.store import open_folder, verify
 
 
 def middles_mm(spec: WrenchSpec) -> tuple[tuple[float, float, float], ...]:
@@ -226,7 +226,7 @@ def test_the_table_is_that_of_iso_272():
 def test_a_written_wrench_is_whole_and_loads_everywhere(tmp_path):
     spec = WrenchSpec.for_size("M10")
     write_wrench(spec, str(tmp_path / "wrench"), mesh_file=tmp_path / "wrench.stl")
-    folder = DataFolder(str(tmp_path / "wrench"))
+    folder = open_folder(str(tmp_path / "wrench"))
     assert verify(folder, wrench_schema(), check_card=check_card).ok
     assert check_card(folder) == []
     provider = env_assets.AssetProvider(tmp_path)

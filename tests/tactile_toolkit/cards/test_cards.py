@@ -22,7 +22,7 @@ from tactile_toolkit.cards.card import (
     with_repo_name,
 )
 from tactile_toolkit.cards.facts import folder_facts, size_category, with_head, yaml_features
-from tactile_toolkit.store import DataFolder, verify
+from tactile_toolkit.store import open_folder, verify
 
 
 def head_of(folder: Path) -> dict:
@@ -38,7 +38,7 @@ def edit_head(folder: Path, edit: Callable[[dict], None]) -> None:
 
 
 def problems(folder: Path) -> list[str]:
-    return [f"{finding.file}: {finding.problem}" for finding in check_card(DataFolder(str(folder)))]
+    return [f"{finding.file}: {finding.problem}" for finding in check_card(open_folder(str(folder)))]
 
 
 def test_the_head_is_what_datasets_itself_writes(made):
@@ -57,7 +57,7 @@ def test_unpacked_bytes_are_those_that_datasets_counts(made, tmp_path):
     bare = tmp_path / "bare"  # without a card, `datasets` counts for itself
     shutil.copytree(made / "data", bare / "data")
     loaded = datasets.load_dataset(str(bare))
-    facts = folder_facts(DataFolder(str(made)))
+    facts = folder_facts(open_folder(str(made)))
     assert {split.split for split in facts.splits} == set(loaded)
     for split in facts.splits:
         counted = loaded[split.split].info.splits[split.split].num_bytes
@@ -85,7 +85,7 @@ def test_the_hubs_own_classes_read_the_card(made):
 
 def test_a_true_card_has_no_findings(made):
     assert problems(made) == []
-    assert verify(DataFolder(str(made)), check_card=check_card).ok
+    assert verify(open_folder(str(made)), check_card=check_card).ok
 
 
 def _drop_split(head: dict) -> None:
@@ -143,8 +143,8 @@ def test_a_lie_in_the_head_is_named(folder, lie, words):
     edit_head(folder, lie)
     (found,) = [problem for problem in problems(folder) if words in problem]
     assert found.startswith("README.md: ")
-    assert not verify(DataFolder(str(folder)), check_card=check_card).ok
-    assert verify(DataFolder(str(folder))).ok, "the rows are fine"
+    assert not verify(open_folder(str(folder)), check_card=check_card).ok
+    assert verify(open_folder(str(folder))).ok, "the rows are fine"
 
 
 def show(folder: Path, picture: str) -> None:

@@ -17,7 +17,7 @@ from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.exchange import divide, merge_sets, plan_tables, write_part
 from tactile_toolkit.places import open_place
-from tactile_toolkit.store import DataFolder, Progress, build
+from tactile_toolkit.store import Progress, build, open_folder
 from tests.realtouch import factories
 
 ALL = {"ids": None, "labels": None, "limit": None, "per_class": None}
@@ -44,7 +44,7 @@ def divided(source: str, out: str, **run: Any) -> None:
 
 def flat(source: str, out: str, **run: Any) -> None:
     choices = [("train", starstruck_gen.load(source), np.arange(3))]
-    build(DataFolder(out), plan_tables(SCENES, open_place(source), choices, ALL, out), **run)
+    build(open_folder(out), plan_tables(SCENES, open_place(source), choices, ALL, out), **run)
 
 
 def resized(source: str, out: str, **run: Any) -> None:

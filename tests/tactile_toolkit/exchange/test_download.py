@@ -15,7 +15,7 @@ from huggingface_hub import constants
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange import plan_download, run_download
 from tactile_toolkit.places import open_place
-from tactile_toolkit.store import DataFolder, build, verify
+from tactile_toolkit.store import build, open_folder, verify
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.exchange.upload_client import logged_in
@@ -49,7 +49,7 @@ def test_a_split_in_a_folder_is_a_data_set_of_its_own(server, tmp_path):
     assert (place, leftover, done) == (str(out), [], False)
     assert sorted(missing) == [*shards, "reports/toy.parquet"]
     assert sorted(path for path in server.fetched if path != "manifest.json") == sorted(missing)
-    result = verify(DataFolder(str(out)), SCHEMA)
+    result = verify(open_folder(str(out)), SCHEMA)
     assert result.ok, result.findings
     assert result.rows == 9
     assert len(open_place(str(out)).shards("test")) == 2
@@ -103,7 +103,7 @@ def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, 
         server.faults.released.set()
         assert [each.result(PATIENCE_S) for each in done] == [out, out]
     assert "this download begins when that has ended" in said[0]
-    result = verify(DataFolder(out), SCHEMA)
+    result = verify(open_folder(out), SCHEMA)
     assert result.ok, result.findings
     assert {
         path: content for path, content in folder_bytes(Path(out)).items() if path != RECORD
@@ -139,7 +139,7 @@ def test_only_what_was_downloaded_and_is_gone_on_the_hub_is_removed(server, tmp_
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text("mine")
     (server.root / NAME / "reports" / "toy.parquet").unlink()
-    build(DataFolder(str(server.root / NAME)), toy_plan(spec={"seed": 2}), overwrite=True)
+    build(open_folder(str(server.root / NAME)), toy_plan(spec={"seed": 2}), overwrite=True)
     (server.root / NAME / "reports" / "toy.parquet").rename(server.root / NAME / "reports" / "new.parquet")
     _, missing, leftover, _ = fetch(server, tmp_path, script(out=out))
     assert leftover == ["reports/toy.parquet"]
@@ -169,7 +169,7 @@ def test_a_revision(server, tmp_path):
 
 def test_another_data_set_is_not_overwritten(server, tmp_path):
     own = tmp_path / "own"
-    build(DataFolder(str(own)), toy_plan(spec={"seed": 3}))
+    build(open_folder(str(own)), toy_plan(spec={"seed": 3}))
     before = folder_bytes(own)
     code, kind, words = fetch(server, tmp_path, script(out=own))
     assert (code, kind) == (2, "SpecMismatchError")
@@ -227,7 +227,7 @@ def test_a_killed_download_goes_on_with_the_files_that_are_missing(server, tmp_p
         path for path in fetch(server, tmp_path, script(NAME, "train", out=out))[1] if "data" in path
     ] == [last]
     assert [path for path in server.fetched[before:] if path.startswith("data")] == [last]
-    assert verify(DataFolder(str(out)), SCHEMA).ok
+    assert verify(open_folder(str(out)), SCHEMA).ok
 
 
 def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
@@ -237,12 +237,12 @@ def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
     assert (code, kind) == (4, "HubError")
     assert "the Hub answered 503" in words
     assert not (out / "data" / "train-00002-of-00004.parquet").exists()
-    assert not verify(DataFolder(str(out)), SCHEMA).ok
+    assert not verify(open_folder(str(out)), SCHEMA).ok
     with pytest.raises(IntegrityError, match="not finished"):
         open_place(str(out)).shards("train")
     server.faults.clear()
     assert "data/train-00002-of-00004.parquet" in fetch(server, tmp_path, script(NAME, "train", out=out))[1]
-    assert verify(DataFolder(str(out)), SCHEMA).ok
+    assert verify(open_folder(str(out)), SCHEMA).ok
 
 
 @pytest.mark.parametrize("kept_in_git", [False, True])

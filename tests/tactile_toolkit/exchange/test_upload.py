@@ -13,7 +13,7 @@ import pytest
 from starstruck_gen.scene_generation import SceneSetSpec, generate
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
-from tactile_toolkit.store import DataFolder, read_manifest
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub.client import settings, start_here
 from tests.tactile_toolkit.toy import folder_bytes
@@ -92,9 +92,9 @@ def test_only_what_changed_is_sent(server, folder):
     from starstruck_gen.scene_card import write_card
 
     text = (folder / "README.md").read_text()
-    manifest = read_manifest(DataFolder(str(folder)))
+    manifest = read_manifest(open_folder(str(folder)))
     assert manifest is not None
-    write_card(DataFolder(str(folder)), manifest)
+    write_card(open_folder(str(folder)), manifest)
     (folder / "README.md").write_text(text)
     server.requests.clear()
     assert upload(folder).sent == ("README.md",)
@@ -298,7 +298,7 @@ def test_what_is_no_data_set_of_ours_is_refused(server, tmp_path):
 
 def test_a_folder_in_a_store_is_sent_from_a_copy_that_goes_with_the_upload(server, folder):
     """Without hidden files; a name that leads elsewhere or a failure of the store ends it."""
-    store = DataFolder("memory://uploads/stars")
+    store = open_folder("memory://uploads/stars")
     for path, content in folder_bytes(folder).items():
         store.write_bytes(path, content)
     store.write_bytes(".hidden", b"mine")

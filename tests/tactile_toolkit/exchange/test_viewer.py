@@ -14,7 +14,7 @@ from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards import check_card
 from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
-from tactile_toolkit.store import DataFolder, verify
+from tactile_toolkit.store import open_folder, verify
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_here, settings, start_here
@@ -107,7 +107,7 @@ def test_a_copy_of_the_repository_is_whole_with_and_without_it(sent, made, tmp_p
     for path, content in sent.items():
         (tmp_path / "copy" / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "copy" / path).write_bytes(content)
-    copy = DataFolder(str(tmp_path / "copy"))
+    copy = open_folder(str(tmp_path / "copy"))
     assert verify(copy, check_card=check_card).findings == ()
     assert mnist3d.load(str(tmp_path / "copy"), split="test").ids.tolist()
     (tmp_path / "copy" / "viewer" / "test-00000-of-00001.parquet").unlink()
@@ -136,7 +136,7 @@ def test_a_download_leaves_it_out(server, sent, made, tmp_path):
     out = tmp_path / "whole"
     done = run_here(DOWNLOAD.format(splits=(), out=str(out)), settings(server, tmp_path), tmp_path)
     assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
-    assert verify(DataFolder(str(out)), check_card=check_card).findings == ()
+    assert verify(open_folder(str(out)), check_card=check_card).findings == ()
     whole = folder_bytes(out)
     del whole[".download.json"]
     expected = folder_bytes(made)
@@ -145,7 +145,7 @@ def test_a_download_leaves_it_out(server, sent, made, tmp_path):
     part = tmp_path / "part"
     done = run_here(DOWNLOAD.format(splits=("test",), out=str(part)), settings(server, tmp_path), tmp_path)
     assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
-    assert verify(DataFolder(str(part)), check_card=check_card).findings == ()
+    assert verify(open_folder(str(part)), check_card=check_card).findings == ()
     assert "viewer" not in (part / "README.md").read_text().split("---\n")[1]
 
 

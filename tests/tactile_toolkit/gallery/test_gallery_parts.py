@@ -26,8 +26,8 @@ from tactile_toolkit.gallery import (
 )
 from tactile_toolkit.gallery.page import index_of, script_json
 from tactile_toolkit.gallery.viewer_mesh import STEP_MM
+from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.rows import Column
-from tactile_toolkit.wording import natural_key
 from tests.gallery_toy import CORNERS_M, FACES
 
 

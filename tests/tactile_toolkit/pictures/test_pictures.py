@@ -25,7 +25,7 @@ from tactile_toolkit.pictures.sheets import (
     with_scale_bar,
     write_pictures,
 )
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 
 
 def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
@@ -98,11 +98,13 @@ def test_pictures_before_a_failing_one_stay_and_nothing_half_written_is_left(tmp
     told: list[tuple[int, int]] = []
     with pytest.raises(InputError):
         write_pictures(
-            DataFolder(str(tmp_path)), [good, PlannedPicture("bad.png", "", fails)], lambda *n: told.append(n)
+            open_folder(str(tmp_path)),
+            [good, PlannedPicture("bad.png", "", fails)],
+            lambda *n: told.append(n),
         )
     assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
     assert told == [(1, 2)]
-    (written,) = write_pictures(DataFolder(str(tmp_path)), [good])
+    (written,) = write_pictures(open_folder(str(tmp_path)), [good])
     assert (written.width, written.height) == (3, 2)
     assert written.bytes == (tmp_path / "good.png").stat().st_size
 

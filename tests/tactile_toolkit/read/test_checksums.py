@@ -16,7 +16,7 @@ from realtouch.verification import has_page_checksums
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError, ToolkitError
 from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable, map_block, write_block
-from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet
+from tactile_toolkit.store import ParquetStyle, encode_parquet, open_folder
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
 
@@ -87,7 +87,7 @@ def test_a_flipped_bit_is_always_found(shard_file: Path, where: str) -> None:
 
 
 def test_who_carries_checksums(shard_file: Path, tmp_path: Path) -> None:
-    folder = DataFolder(str(tmp_path))
+    folder = open_folder(str(tmp_path))
     assert has_page_checksums(folder, NAME)
     for name, options in {
         "plain": {},

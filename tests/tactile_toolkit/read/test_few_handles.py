@@ -78,9 +78,9 @@ def test_a_folder_is_not_called_damaged(tmp_path: Path, name: str) -> None:
     code = """
         import os, resource, sys
         from tactile_toolkit.errors import ToolkitError
-        from tactile_toolkit.store.folder import DataFolder
+        from tactile_toolkit.store import open_folder
         resource.setrlimit(resource.RLIMIT_NOFILE, (32, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
-        folder, taken = DataFolder(sys.argv[1]), []
+        folder, taken = open_folder(sys.argv[1]), []
         folder.read_bytes(sys.argv[2])
         try:
             while True:

@@ -15,7 +15,7 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.read import Record, RecordDataset, Shard, ShardedTable
 from tactile_toolkit.read.columns import ragged_column
-from tactile_toolkit.store import DataFolder, build
+from tactile_toolkit.store import build, open_folder
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
 from tests.tactile_toolkit.toy import points, toy_plan
@@ -42,7 +42,7 @@ class ToyDataset(RecordDataset[ToyRecord]):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("toy") / "set"
-    build(DataFolder(str(path)), toy_plan())
+    build(open_folder(str(path)), toy_plan())
     return path
 
 

@@ -23,7 +23,7 @@ import pytest
 import starstruck_gen
 from tactile_toolkit.errors import InputError, MissingExtraError
 from tactile_toolkit.run import RayRunner
-from tactile_toolkit.store import BuildPlan, DataFolder, build
+from tactile_toolkit.store import BuildPlan, build, open_folder
 from tests.processes import alive, children, printed_by, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
@@ -70,13 +70,13 @@ from dataclasses import replace
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.run import RayRunner
 from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.tactile_toolkit.run.test_ray import plan_of
 
 # A shell that starts a job in the background has it ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 try:
-    build(DataFolder(sys.argv[2]), plan_of(sys.argv[3]), RayRunner(sys.argv[1], *map(int, sys.argv[4:])))
+    build(open_folder(sys.argv[2]), plan_of(sys.argv[3]), workers=RayRunner(sys.argv[1], *map(int, sys.argv[4:])))
 except ToolkitError as error:
     sys.exit(f"{type(error).__name__}: {error}")
 """
@@ -176,7 +176,7 @@ def wait_for(condition: Callable[[], object], process: subprocess.Popen[str] | N
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
     """The bytes of a run in one process."""
     path = tmp_path_factory.mktemp("whole") / "set"
-    build(DataFolder(str(path)), plan_of())
+    build(open_folder(str(path)), plan_of())
     return folder_bytes(path)
 
 
@@ -240,7 +240,7 @@ from pathlib import Path
 from tactile_toolkit.errors import ItemError, MissingExtraError
 from tactile_toolkit.run import RayRunner
 from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.tactile_toolkit.toy import toy_plan
 
 class Odd(Exception):
@@ -292,7 +292,7 @@ except Exception as error:
 for name, (place, options) in cases.items():
     tasks = (replace(plan.tasks[0], **options), *plan.tasks[1:])
     try:
-        build(DataFolder(place), replace(plan, tasks=tasks), RayRunner(address))
+        build(open_folder(place), replace(plan, tasks=tasks), workers=RayRunner(address))
         found[name] = "made"
     except Exception as error:
         found[name] = f"{type(error).__name__}: {error}"
@@ -348,10 +348,10 @@ import sys
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import RayRunner
 from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.tactile_toolkit.toy import toy_plan
 try:
-    build(DataFolder(sys.argv[1]), toy_plan(), RayRunner(*sys.argv[2:]))
+    build(open_folder(sys.argv[1]), toy_plan(), workers=RayRunner(*sys.argv[2:]))
 except InputError as error:
     print(error)
 """

@@ -12,7 +12,7 @@ import trimesh
 
 from tactile_toolkit.mesh import Mesh, inspect, write_mesh
 from tactile_toolkit.run import ProcessRunner
-from tactile_toolkit.store import DataFolder, build
+from tactile_toolkit.store import build, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 
 SCRIPT = """
@@ -37,10 +37,10 @@ for shard in open_place(sys.argv[1]).shards("train"):
 """,
     ),
     "report": (
-        "tactile_toolkit.store.parquet",
+        "tactile_toolkit.store.reports",
         """
-from tactile_toolkit.store.folder import DataFolder
-assert len(tactile_toolkit.store.parquet.read_report(DataFolder(sys.argv[1]), "reports/toy.parquet"))
+from tactile_toolkit.store import open_folder
+assert len(tactile_toolkit.store.reports.read_report(open_folder(sys.argv[1]), "reports/toy.parquet"))
 """,
     ),
 }
@@ -50,7 +50,7 @@ assert len(tactile_toolkit.store.parquet.read_report(DataFolder(sys.argv[1]), "r
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
 @pytest.mark.parametrize("what", READS)
 def test_reading_starts_no_thread(tmp_path, what):
-    build(DataFolder(str(tmp_path)), toy_plan())
+    build(open_folder(str(tmp_path)), toy_plan())
     module, code = READS[what]
     script = SCRIPT.format(module=module, code=code)
     done = subprocess.run(

@@ -22,7 +22,7 @@ from hypothesis import settings
 
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
 from tactile_toolkit.run import Part
-from tactile_toolkit.store import DataFolder, ShardName, build, locks, read_manifest, verify
+from tactile_toolkit.store import LocalFolder, ShardName, build, locks, open_folder, read_manifest, verify
 from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, toy_plan
 
 SAMPLED = 20
@@ -53,7 +53,7 @@ def card(folder, manifest):
 
 
 def run(place, a_plan=None, **options):
-    return build(DataFolder(str(place)), a_plan or plan(), write_card=card, **options)
+    return build(open_folder(str(place)), a_plan or plan(), write_card=card, **options)
 
 
 @dataclass(frozen=True)
@@ -133,7 +133,7 @@ class Disturbed:
         self.point, self.moment, self.fault, self.other = point, moment, fault, other
         self.calls, self.done, self.ended = 0, False, False
         for name in CHANGES:
-            monkeypatch.setattr(DataFolder, name, self._watched(name, getattr(DataFolder, name)))
+            monkeypatch.setattr(LocalFolder, name, self._watched(name, getattr(LocalFolder, name)))
 
     def _watched(self, name, call):
         if name == "locked":
@@ -215,7 +215,7 @@ def disturb(
         with contextlib.suppress(ToolkitError, KeyboardInterrupt, Ended):
             command.run(place)
         assert disturbed.done, case
-    folder = DataFolder(str(place))
+    folder = open_folder(str(place))
     manifest = read_manifest(folder) if place.exists() else None
     if manifest is not None and manifest.complete:
         damaged = [each for each in verify(folder, SCHEMA).findings if "not finished" not in each.problem]

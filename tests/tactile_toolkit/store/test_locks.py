@@ -18,7 +18,7 @@ import pytest
 from tactile_toolkit.cache import LOCKS, cache_folder
 from tactile_toolkit.errors import BusyError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.store import LOCK_FILE, DataFolder, Progress, build, locked, locks
+from tactile_toolkit.store import LOCK_FILE, Progress, build, locked, locks, open_folder
 from tests.processes import records_so_far
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
@@ -163,7 +163,7 @@ def stopped_beside(place: Path, moment: str) -> BusyError:
                 stack.enter_context(held(place))
 
         with pytest.raises(BusyError) as caught:
-            build(DataFolder(str(place)), toy_plan(), on_progress=stop)
+            build(open_folder(str(place)), toy_plan(), on_progress=stop)
         return caught.value
 
 
@@ -175,14 +175,14 @@ def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: s
     assert "which was stopped, holds" in str(stopped_beside(tmp_path / "set", moment))
     assert 60 <= clock.now_s < 61
     assert len(records_so_far(tmp_path / "set")) == finished
-    build(DataFolder(str(tmp_path / "set")), toy_plan())
-    build(DataFolder(str(tmp_path / "whole")), toy_plan())
+    build(open_folder(str(tmp_path / "set")), toy_plan())
+    build(open_folder(str(tmp_path / "whole")), toy_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
 
 
 @needs_list
 def test_a_stopped_reader_keeps_no_other_from_reading(tmp_path: Path, clock: Clock) -> None:
-    build(DataFolder(str(tmp_path)), toy_plan())
+    build(open_folder(str(tmp_path)), toy_plan())
     (shard, *_) = open_place(str(tmp_path)).shards("train")
     lock = cache_folder() / LOCKS / shard.digest[:2]
     lock.parent.mkdir(parents=True)

@@ -11,7 +11,7 @@ from tactile_toolkit.cards import check_card
 from tactile_toolkit.cards.facts import card_head, configs, folder_facts, head_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places.layout import parquet_paths
-from tactile_toolkit.store import DataFolder, ShardName, build
+from tactile_toolkit.store import ShardName, build, open_folder
 from tests.tactile_toolkit.toy import ToyTask, toy_plan
 
 COUNT = 100_001
@@ -59,7 +59,7 @@ def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
 
     numbers = (10_000, 10_001, 99_999, 100_000)
     tasks = tuple(ToyTask(ShardName("train", number, COUNT), (10 * number,)) for number in numbers)
-    folder = DataFolder(str(tmp_path))
+    folder = open_folder(str(tmp_path))
     build(folder, replace(toy_plan(), tasks=tasks, report_file=None))
     facts = folder_facts(folder)
     (entry,) = configs(facts)[0]["data_files"]

@@ -16,14 +16,14 @@ from hypothesis import settings
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import InlineRunner, ProcessRunner
-from tactile_toolkit.store import DataFolder, build, verify
+from tactile_toolkit.store import LocalFolder, build, open_folder, verify
 from tests.command_line import call
 from tests.processes import printed_by, start_held
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 
 def make(path, plan, **options):
-    return build(DataFolder(str(path)), plan, **options)
+    return build(open_folder(str(path)), plan, **options)
 
 
 def seeded(seed, **options):
@@ -61,7 +61,7 @@ def test_a_slower_run_leaves_the_set_that_replaced_its_own(tmp_path, fresh, runn
         make(tmp_path / "set", seeded(10), workers=runner, on_progress=hold)
     assert finished
     assert folder_bytes(tmp_path / "set") == fresh[20]
-    assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
+    assert verify(open_folder(str(tmp_path / "set")), SCHEMA).ok
 
 
 def test_where_the_manifest_has_gone_the_reasons_are_named(tmp_path):
@@ -88,7 +88,7 @@ def test_an_outdated_view_of_a_network_file_system_ends_no_run(tmp_path, fresh, 
         if path == "" and hidden.exists():
             hidden.rename(manifest)
 
-    monkeypatch.setattr(DataFolder, "refresh", look_again)
+    monkeypatch.setattr(LocalFolder, "refresh", look_again)
     make(tmp_path / "set", seeded(10), on_progress=hide)
     assert folder_bytes(tmp_path / "set") == fresh[10]
 
@@ -102,7 +102,7 @@ def test_the_first_of_two_that_create_a_file_wins_on_file_systems_without_links_
 
     if not has_links:
         monkeypatch.setattr(os, "link", refuse)
-    folder = DataFolder(str(tmp_path))
+    folder = open_folder(str(tmp_path))
     for content in (b"first", b"second"):
         folder.create_bytes("manifest.json", content)
         assert [path.name for path in tmp_path.iterdir()] == ["manifest.json"]
@@ -119,7 +119,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.run.processes import InlineRunner
 from tactile_toolkit.store import locks
 from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.tactile_toolkit.store.test_ownership import seeded
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -133,7 +133,7 @@ def few(seed):
 plans = {seed: few(seed) for seed in (10, 20, 30)}
 whole = {}
 for seed, plan in plans.items():
-    build(DataFolder(str(base / str(seed))), plan)
+    build(open_folder(str(base / str(seed))), plan)
     whole[seed] = folder_bytes(base / str(seed))
 broken = replace(plans[10], tasks=tuple(replace(task, error=InputError("stop")) for task in plans[10].tasks))
 
@@ -148,7 +148,7 @@ first, second, before = {
 
 def run(place, plan, overwrite):
     try:
-        build(DataFolder(str(place)), plan, overwrite=overwrite)
+        build(open_folder(str(place)), plan, overwrite=overwrite)
     except InputError:
         return False
     return True

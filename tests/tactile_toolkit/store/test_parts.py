@@ -9,15 +9,16 @@ import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
 from tactile_toolkit.run import Part, ProcessRunner, parse_part
-from tactile_toolkit.store import DataFolder, build, read_manifest, verify
-from tactile_toolkit.store.job import MissingPartsError, array_text, manifest_so_far
+from tactile_toolkit.store import LocalFolder, build, open_folder, read_manifest, verify
+from tactile_toolkit.store.job import MissingPartsError, array_text
+from tactile_toolkit.store.pending import manifest_so_far
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
 SHARDS = 6
 
 
 def make(path, plan=None, **options):
-    return build(DataFolder(str(path)), plan or toy_plan(), **options)
+    return build(open_folder(str(path)), plan or toy_plan(), **options)
 
 
 @pytest.fixture
@@ -29,9 +30,9 @@ def whole(tmp_path) -> dict[str, bytes]:
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("count", [1, 2, 4, SHARDS, 100])
 def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count):
-    folder = DataFolder(str(tmp_path / "set"))
+    folder = open_folder(str(tmp_path / "set"))
     for number in random.Random(count).sample(range(1, count + 1), count):  # from 1, as many arrays are
-        manifest = make(folder.url, part=Part(number, count))
+        manifest = make(folder.root, part=Part(number, count))
         assert not manifest.complete
         first = (number % count) % SHARDS
         if number % count < SHARDS:
@@ -39,25 +40,25 @@ def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count
             assert read_manifest(folder).shards == ()
     assert not manifest_so_far(folder).complete
     for _ in range(2):  # twice is once
-        assert make(folder.url, finish=True).complete
+        assert make(folder.root, finish=True).complete
         assert folder_bytes(tmp_path / "set") == whole
 
 
 def test_damage_of_the_same_size_counts_as_missing_where_all_is_read(tmp_path, whole):
-    folder = DataFolder(str(tmp_path / "set"))
-    make(folder.url, part=Part(0, 2))
-    make(folder.url, part=Part(1, 2))
+    folder = open_folder(str(tmp_path / "set"))
+    make(folder.root, part=Part(0, 2))
+    make(folder.root, part=Part(1, 2))
     path = toy_plan().tasks[1].shard.data_path
     content = bytearray(folder.read_bytes(path))
     content[len(content) // 2] ^= 1
     folder.write_bytes(path, bytes(content))
-    make(folder.url, part=Part(1, 2))
+    make(folder.root, part=Part(1, 2))
     assert folder.read_bytes(path) == content  # parts believe sizes
     with pytest.raises(MissingPartsError) as caught:
-        make(folder.url, check=True, finish=True)
+        make(folder.root, check=True, finish=True)
     assert (caught.value.array, caught.value.parts) == ("1", SHARDS)
-    make(folder.url, check=True, part=Part(1, 2))
-    assert make(folder.url, check=True, finish=True).complete
+    make(folder.root, check=True, part=Part(1, 2))
+    assert make(folder.root, check=True, finish=True).complete
     assert folder_bytes(tmp_path / "set") == whole
 
 
@@ -126,13 +127,13 @@ def test_parts_of_other_sets_are_refused(tmp_path):
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_of_two_first_parts_at_the_same_moment_the_later_is_held_to_the_other(tmp_path, monkeypatch, seed):
-    create, first = DataFolder.create_bytes, toy_plan(spec={"seed": seed, "size": [1, 2]}).new_manifest()
+    create, first = LocalFolder.create_bytes, toy_plan(spec={"seed": seed, "size": [1, 2]}).new_manifest()
 
     def just_behind(folder, path, content):
         create(folder, path, first.to_json().encode())
         return create(folder, path, content)
 
-    monkeypatch.setattr(DataFolder, "create_bytes", just_behind)
+    monkeypatch.setattr(LocalFolder, "create_bytes", just_behind)
     if seed == 1:
         make(tmp_path / "set", part=Part(1, 4))
         return
@@ -175,7 +176,7 @@ def test_finishing_clears_up_after_all_writers(tmp_path, whole):
     assert left.exists()
     make(tmp_path / "set", finish=True)
     assert folder_bytes(tmp_path / "set") == whole
-    assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
+    assert verify(open_folder(str(tmp_path / "set")), SCHEMA).ok
 
 
 @pytest.mark.parametrize("moment", ["at the first look", "between two shards"])
@@ -197,7 +198,7 @@ def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, momen
 
 
 def test_parts_in_a_store_of_objects(whole):
-    folder = DataFolder("memory://bucket/parts")
+    folder = open_folder("memory://bucket/parts")
     for index in (0, 2):
         build(folder, toy_plan(), part=Part(index, 3))
     with pytest.raises(MissingPartsError, match="--array=1,4"):

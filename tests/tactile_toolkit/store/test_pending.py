@@ -7,10 +7,10 @@ import pytest
 from tactile_toolkit.errors import InputError, StorageError
 from tactile_toolkit.run import Part
 from tactile_toolkit.store import (
-    DataFolder,
     build,
     inspect_job,
     manifest_so_far,
+    open_folder,
     read_manifest,
     verify,
     write_manifest,
@@ -19,7 +19,7 @@ from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 
 def make(path, plan):
-    return build(DataFolder(str(path)), plan)
+    return build(open_folder(str(path)), plan)
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def indices(manifest, split="train"):
 
 
 def test_manifest_so_far_counts_what_an_unfinished_run_finished(interrupted):
-    folder = DataFolder(str(interrupted))
+    folder = open_folder(str(interrupted))
     assert indices(read_manifest(folder)) == []
     so_far = manifest_so_far(folder)
     assert not so_far.complete
@@ -49,9 +49,9 @@ def test_manifest_so_far_counts_what_an_unfinished_run_finished(interrupted):
 
 
 def test_manifest_so_far_is_the_manifest_of_a_finished_run(tmp_path):
-    assert manifest_so_far(DataFolder(str(tmp_path))) is None
+    assert manifest_so_far(open_folder(str(tmp_path))) is None
     manifest = make(tmp_path / "set", toy_plan())
-    assert manifest_so_far(DataFolder(str(tmp_path / "set"))) == manifest
+    assert manifest_so_far(open_folder(str(tmp_path / "set"))) == manifest
 
 
 @pytest.mark.parametrize("damage", ["record cut", "record no JSON object", "file cut", "file gone"])
@@ -66,7 +66,7 @@ def test_what_no_whole_receipt_vouches_for_is_not_counted_and_made_again(interru
         file.write_bytes(file.read_bytes()[:-40])
     else:
         file.unlink()
-    folder = DataFolder(str(interrupted))
+    folder = open_folder(str(interrupted))
     assert indices(manifest_so_far(folder)) == [0]
     assert [record.shard.index for record in inspect_job(folder, toy_plan(("train",))).finished] == [0]
     make(interrupted, toy_plan())
@@ -77,7 +77,7 @@ def test_what_no_whole_receipt_vouches_for_is_not_counted_and_made_again(interru
 def made_by(path, plan, runner=None, **options):
     """Make a plan, and return which shards this run made."""
     told = []
-    build(DataFolder(str(path)), plan, on_progress=told.append, **options)
+    build(open_folder(str(path)), plan, on_progress=told.append, **options)
     return [progress.record.shard.index for progress in told if progress.record is not None]
 
 
@@ -119,7 +119,7 @@ def test_an_unfinished_set_is_verified_as_such(interrupted, kept, count):
             path.unlink()
     for split in kept:
         make(interrupted, toy_plan((split,)))
-    folder = DataFolder(str(interrupted))
+    folder = open_folder(str(interrupted))
     manifest = read_manifest(folder)
     if manifest is None:
         write_manifest(folder, toy_plan().new_manifest())
@@ -130,6 +130,6 @@ def test_an_unfinished_set_is_verified_as_such(interrupted, kept, count):
 def test_damage_of_an_unfinished_set_is_named_beside(interrupted):
     shard = interrupted / "data" / "train-00001-of-00004.parquet"
     shard.write_bytes(shard.read_bytes().replace(b"PAR1", b"PAR2", 1))
-    first, second = verify(DataFolder(str(interrupted))).findings
+    first, second = verify(open_folder(str(interrupted))).findings
     assert first.problem == "not finished: 2 of 4 shards; the same command continues"
     assert (second.file, second.problem[:6]) == ("data/train-00001-of-00004.parquet", "sha256")

@@ -17,8 +17,8 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError, RemoteError
 from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import (
-    DataFolder,
     build,
+    open_folder,
     read_manifest,
     remote,
     verify,
@@ -34,7 +34,7 @@ from tests.s3_server import KEY, SECRET  # noqa: E402
 
 @pytest.fixture
 def folder(bucket):
-    return DataFolder(f"s3://{bucket}/deep/set")
+    return open_folder(f"s3://{bucket}/deep/set")
 
 
 def test_what_is_written_is_listed_with_its_size_and_read_again(folder):
@@ -172,7 +172,7 @@ def boto_put(s3, key, body, folder):
     import boto3
 
     boto3.client("s3", endpoint_url=s3.endpoint).put_object(
-        Bucket=folder.url.split("/")[2], Key=key, Body=body
+        Bucket=folder.root.split("/")[2], Key=key, Body=body
     )
 
 
@@ -184,10 +184,10 @@ def test_no_bucket_is_ever_made(s3, act):
     with pytest.raises(
         InputError, match=r"bucket 'mistyped' of 's3://mistyped/set' does not exist; .*; next: "
     ):
-        act(DataFolder("s3://mistyped/set"))
+        act(open_folder("s3://mistyped/set"))
     assert s3.buckets() == before
     assert (
-        DataFolder("s3://mistyped/set").missing_message("data")
+        open_folder("s3://mistyped/set").missing_message("data")
         == "the bucket 'mistyped' of 's3://mistyped/set' does not exist"
     )
 
@@ -195,7 +195,7 @@ def test_no_bucket_is_ever_made(s3, act):
 def test_a_file_in_the_place_of_the_folder_is_refused(folder, bucket):
     folder.write_bytes("data/a", b"1")
     with pytest.raises(InputError, match="is a file, a folder was expected"):
-        DataFolder(f"{folder.url}/data/a").require_folder()
+        open_folder(f"{folder.root}/data/a").require_folder()
 
 
 @pytest.mark.parametrize("code", ["SlowDown", "InternalError", "503"])
@@ -242,7 +242,7 @@ def test_a_status_without_a_reason_names_the_region(folder, s3):
 @pytest.mark.parametrize("mark", ["\n", "\r", "\x1b"])
 def test_a_line_break_in_an_address_is_refused_and_no_bucket_is_called_missing(bucket, mark):
     with pytest.raises(InputError, match=r"control characters.*; next: ") as told:
-        DataFolder(f"s3://{bucket}/se{mark}t").write_bytes("a", b"1")
+        open_folder(f"s3://{bucket}/se{mark}t").write_bytes("a", b"1")
     assert mark not in str(told.value)
 
 
@@ -288,7 +288,7 @@ def test_a_store_that_is_not_there_is_named_in_bounded_time(s3, monkeypatch, cap
     with pytest.raises(
         RemoteError, match=r"store of 's3://lake/set' gives no answer.*AWS_ENDPOINT_URL"
     ) as told:
-        DataFolder("s3://lake/set").names()
+        open_folder("s3://lake/set").names()
     assert told.value.exit_code == 4
     assert capfd.readouterr() == ("", "")
 
@@ -300,7 +300,7 @@ def test_without_credentials_the_way_to_give_some_is_named(s3, monkeypatch, tmp_
     monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "none"))
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(tmp_path / "none"))
     with pytest.raises(RemoteError, match=r"is refused.*next: give credentials.*AWS_PROFILE"):
-        DataFolder("s3://lake/set").names()
+        open_folder("s3://lake/set").names()
 
 
 def wide_plan(rows=2_000):
@@ -346,7 +346,7 @@ def test_damage_of_the_same_size_is_put_right_where_it_is_asked_for(folder, s3, 
 
 def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, bucket, tmp_path):
     build(folder, toy_plan())
-    build(DataFolder(str(tmp_path)), toy_plan())
+    build(open_folder(str(tmp_path)), toy_plan())
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
     assert verify(folder, SCHEMA).ok
@@ -377,7 +377,7 @@ def test_a_store_that_takes_connections_and_says_nothing_is_named(s3, monkeypatc
     monkeypatch.setattr(remote, "_PATIENCE_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{silent.getsockname()[1]}")
-        folder = DataFolder("s3://lake/set")
+        folder = open_folder("s3://lake/set")
         for act in (folder.names, folder.require_folder, lambda: folder.read_bytes("manifest.json")):
             with pytest.raises(RemoteError, match=r"gives no answer \(.*[Tt]imeout.*; next: ") as told:
                 act()
@@ -388,22 +388,22 @@ _KILLED = """
 import os, signal, sys
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 def die(progress):
     if progress.done >= 10:
         os.kill(os.getpid(), signal.SIGKILL)
-build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.2), workers=ProcessRunner(2), on_progress=die)
+build(open_folder(sys.argv[1]), toy_plan(pause_s=0.2), workers=ProcessRunner(2), on_progress=die)
 """
 
 
 def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bucket, tmp_path):
-    done = subprocess.run([sys.executable, "-c", _KILLED, folder.url], check=False)
+    done = subprocess.run([sys.executable, "-c", _KILLED, folder.root], check=False)
     assert done.returncode == -9
     assert any(name.endswith(".json") for name in folder.names(".pending"))
     assert not read_manifest(folder).complete
     build(folder, toy_plan(), workers=ProcessRunner(2))
-    build(DataFolder(str(tmp_path)), toy_plan())
+    build(open_folder(str(tmp_path)), toy_plan())
     # Workers of the killed run may live on for a moment, and what they write is what stands there already.
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)

@@ -11,14 +11,14 @@ import pytest
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.run import InlineRunner, Part, ProcessRunner
-from tactile_toolkit.store import DataFolder, build, read_manifest
+from tactile_toolkit.store import LocalFolder, build, open_folder, read_manifest
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 FAILURE = InputError("no place for the third object")
 
 
 def make(path, plan=None, **options):
-    return build(DataFolder(str(path)), plan or toy_plan(), **options)
+    return build(open_folder(str(path)), plan or toy_plan(), **options)
 
 
 def other_plan(**options):
@@ -60,7 +60,7 @@ def test_readers_wait_for_a_replacement_that_was_begun(finished, tmp_path, monke
     """Killed in its middle, it is carried on with by who opens the set."""
     make(tmp_path / "fresh", replace(other_plan(), kind="toy"))
     moved = []
-    move = DataFolder.move
+    move = LocalFolder.move
 
     def stop(folder, path, target):
         if moved:
@@ -69,10 +69,10 @@ def test_readers_wait_for_a_replacement_that_was_begun(finished, tmp_path, monke
         move(folder, path, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr(DataFolder, "move", stop)
+        patch.setattr(LocalFolder, "move", stop)
         with pytest.raises(KeyboardInterrupt):
             make(finished, other_plan(), overwrite=True)
-    assert not read_manifest(DataFolder(str(finished))).complete
+    assert not read_manifest(open_folder(str(finished))).complete
     assert len(open_place(str(finished)).shards("test")) == 2
     assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
 
@@ -104,7 +104,6 @@ def test_all_that_the_former_set_wrote_beside_its_rows_goes(tmp_path):
     (tmp_path / "set" / "images" / "train" / "0").mkdir(parents=True)
     (tmp_path / "set" / "images" / "train" / "0" / "000.png").write_bytes(b"picture")
     (tmp_path / "set" / "index.csv").write_text("id")
-    (tmp_path / "set" / "croissant.json").write_text("{}")  # of an earlier checkout
     make(tmp_path / "set", other_plan(), overwrite=True)
     make(tmp_path / "fresh", other_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "fresh")
@@ -206,7 +205,7 @@ def test_a_split_of_which_nothing_is_left_is_refused_beside_a_finished_one(tmp_p
 
 
 def test_a_data_set_in_a_store_is_not_replaced():
-    folder = DataFolder("memory://bucket/started-again")
+    folder = open_folder("memory://bucket/started-again")
     finished = build(folder, toy_plan(), overwrite=True)
     with pytest.raises(
         InputError, match=r"--overwrite replaces none in an object store.*next: choose another"

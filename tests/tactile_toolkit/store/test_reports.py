@@ -10,8 +10,9 @@ import msgspec
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store import DataFolder, build, parquet
-from tactile_toolkit.store.parquet import ParquetStyle, merge_reports, read_report
+from tactile_toolkit.store import build, open_folder, parquet
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.reports import merge_reports, read_report
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 REPORT = "reports/toy.parquet"
@@ -25,13 +26,13 @@ def small_row_groups(monkeypatch):
 
 @pytest.fixture
 def whole(tmp_path: Path) -> Path:
-    build(DataFolder(str(tmp_path / "whole")), toy_plan())
+    build(open_folder(str(tmp_path / "whole")), toy_plan())
     return tmp_path / "whole"
 
 
 @pytest.mark.parametrize("splits", [("train", "test"), ("test", "train")])
 def test_rows_come_from_the_run_before_and_from_this_one(tmp_path, whole, splits):
-    folder = DataFolder(str(tmp_path / "set"))
+    folder = open_folder(str(tmp_path / "set"))
     for split in splits:
         build(folder, toy_plan((split,)))
     assert folder_bytes(tmp_path / "set") == folder_bytes(whole)
@@ -46,7 +47,7 @@ def test_rows_come_from_the_run_before_and_from_this_one(tmp_path, whole, splits
 
 
 def test_what_is_as_it_should_be_is_not_written_again(whole):
-    folder = DataFolder(str(whole))
+    folder = open_folder(str(whole))
     before = (whole / REPORT).stat()
     build(folder, toy_plan())
     after = (whole / REPORT).stat()
@@ -54,7 +55,7 @@ def test_what_is_as_it_should_be_is_not_written_again(whole):
 
 
 def test_rows_that_are_nowhere_are_named_and_the_report_stays(whole):
-    folder = DataFolder(str(whole))
+    folder = open_folder(str(whole))
     manifest = build(folder, toy_plan())
     before = folder_bytes(whole)
     first, *others = manifest.shards
@@ -67,7 +68,7 @@ def test_rows_that_are_nowhere_are_named_and_the_report_stays(whole):
 
 def test_a_report_of_more_shards_than_the_manifest_is_put_right(tmp_path, whole):
     """A run of another split was killed between the two."""
-    folder = DataFolder(str(tmp_path / "set"))
+    folder = open_folder(str(tmp_path / "set"))
     build(folder, toy_plan(("train",)))
     before = folder_bytes(tmp_path / "set")
     (tmp_path / "set" / REPORT).write_bytes((whole / REPORT).read_bytes())

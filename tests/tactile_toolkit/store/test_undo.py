@@ -8,14 +8,14 @@ import pytest
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import InlineRunner, ProcessRunner
-from tactile_toolkit.store import DataFolder, build
+from tactile_toolkit.store import build, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 
 IMPOSSIBLE = InputError("no place for the third object")
 
 
 def make(path, plan, **options):
-    return build(DataFolder(str(path)), plan, **options)
+    return build(open_folder(str(path)), plan, **options)
 
 
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])

@@ -14,9 +14,10 @@ from typing import IO
 
 import msgspec
 
+from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.files import open_regular
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import Count, decode, names_inside, require_seal, seal
+from tactile_toolkit.store.names import names_inside
+from tactile_toolkit.store.sealed_json import Count, decode, require_seal, seal
 
 RECORD_FILE = ".download.json"
 DIGEST = re.compile("[0-9a-f]{64}|[0-9a-f]{40}")

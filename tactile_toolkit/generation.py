@@ -22,13 +22,13 @@ _START_S = 1.5
 
 
 @dataclass(frozen=True)
-class Layout:
+class StorageLayout:
     """How the rows of a kind are stored.
 
     Attributes
     ----------
     style : ParquetStyle
-        Layout of the shards.
+        StorageLayout of the shards.
     libraries : tuple of str
         Distributions whose versions decide bytes.
     smallest, largest, wanted : int
@@ -52,7 +52,7 @@ class Layout:
     together: int = 1
 
 
-class Making(ABC):
+class Generator(ABC):
     """How a data set of a kind is made: what a kind brings to :func:`generate`.
 
     A small picklable value, usually a frozen dataclass of a specification: each task takes it to the process
@@ -72,7 +72,7 @@ class Making(ABC):
         """Return what the rows of each split are made of: sequences or arrays; splits in canonical order."""
 
     @abstractmethod
-    def layout(self) -> Layout:
+    def layout(self) -> StorageLayout:
         """Return how rows are stored."""
 
     @abstractmethod
@@ -92,20 +92,22 @@ class Making(ABC):
         return None
 
 
-def make_shard(making: Making, shard: store.ShardName, items: Sequence[Any]) -> store.ShardContent:
+def make_shard(generator: Generator, shard: store.ShardName, items: Sequence[Any]) -> store.ShardContent:
     """Make the rows of a shard; items that give none are listed instead."""
     rows: list[Any] = []
     skipped: list[store.Skipped] = []
-    for each in making.make(shard.split, items):
+    for each in generator.make(shard.split, items):
         (skipped if isinstance(each, store.Skipped) else rows).append(each)
     with store.without_collecting():
-        table = table_of(rows, making.schema(shard.split))
-    return store.ShardContent(table, tuple(skipped), making.report(shard, rows), making.statistics(rows))
+        table = table_of(rows, generator.schema(shard.split))
+    return store.ShardContent(
+        table, tuple(skipped), generator.report(shard, rows), generator.statistics(rows)
+    )
 
 
-def plan_build(making: Making, splits: Sequence[str] | None = None) -> store.BuildPlan:
+def plan_build(generator: Generator, splits: Sequence[str] | None = None) -> store.BuildPlan:
     """Decide which shards hold what; writes nothing. InputError: an unknown split, or nothing to make."""
-    items, layout = making.items(), making.layout()
+    items, layout = generator.items(), generator.layout()
     known = tuple(items)
     wanted = known if splits is None else splits
     for split in wanted:
@@ -113,16 +115,16 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> store.Bui
             raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
     # However they are asked for, tasks stand in canonical order, and so do shards in the manifest.
     chosen = {split: each for split, each in items.items() if split in wanted}
-    tasks = _tasks(making, chosen, layout)
+    tasks = _tasks(generator, chosen, layout)
     if not tasks:
         sizes = {split: len(each) for split, each in items.items()}
         raise InputError(
-            f"no {making.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
+            f"no {generator.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
             next="choose another --split, or larger ones",
         )
     return store.BuildPlan(
-        making.kind.name,
-        making.manifest(),
+        generator.kind.name,
+        generator.manifest(),
         known,
         tasks,
         layout.style,
@@ -131,9 +133,11 @@ def plan_build(making: Making, splits: Sequence[str] | None = None) -> store.Bui
     )
 
 
-def _tasks(making: Making, items: Mapping[str, Any], layout: Layout) -> tuple[store.ShardTask[Any], ...]:
+def _tasks(
+    generator: Generator, items: Mapping[str, Any], layout: StorageLayout
+) -> tuple[store.ShardTask[Any], ...]:
     return tuple(
-        store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, making))
+        store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
         for split, each in items.items()
         for shard, rows in store.shard_ranges(
             split,
@@ -147,7 +151,7 @@ def _tasks(making: Making, items: Mapping[str, Any], layout: Layout) -> tuple[st
 
 
 def generate(
-    making: Making,
+    generator: Generator,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
     *,
@@ -162,7 +166,7 @@ def generate(
 
     Parameters
     ----------
-    making : Making
+    generator : Generator
         What to make.
     out : str or path-like
         Folder to write.
@@ -178,9 +182,9 @@ def generate(
     Manifest
         What the folder holds now.
     """
-    plan = plan_build(making, splits)
+    plan = plan_build(generator, splits)
     require()
-    return store.build(store.DataFolder(os.fspath(out)), plan, write_card=making.kind.write_card, **run)
+    return store.build(store.open_folder(os.fspath(out)), plan, write_card=generator.kind.write_card, **run)
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,7 +205,7 @@ class Forecast:
 
 
 def forecast(
-    making: Making,
+    generator: Generator,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
     *,
@@ -213,11 +217,11 @@ def forecast(
     Of one part of a run, the shards of that part count. Raises what the run would raise before its first row.
     """
     options = store.RunOptions(**run)
-    plan = plan_build(making, splits)
+    plan = plan_build(generator, splits)
     require()
-    folder = store.DataFolder(os.fspath(out))
+    folder = store.open_folder(os.fspath(out))
     if options.overwrite and store.require_replaceable(folder, plan):
-        job = store.Job(folder, plan, plan.new_manifest(), plan.tasks)
+        job = store.BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
     else:
         job = store.inspect_job(folder, plan, options)
     rows, left = Counter[str](), Counter[str]()
@@ -226,7 +230,7 @@ def forecast(
     for task in job.remaining:
         left[task.shard.split] += task.size
     shards = Counter(task.shard.split for task in job.tasks)
-    sampled, item_bytes, item_s = _sample(making, plan)
+    sampled, item_bytes, item_s = _sample(generator, plan)
     # A runner that states no number, or 0, is taken for one worker, or for one per core.
     processes = (
         options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
@@ -245,11 +249,11 @@ def forecast(
     )
 
 
-def _sample(making: Making, plan: store.BuildPlan) -> tuple[int, float, float]:
+def _sample(generator: Generator, plan: store.BuildPlan) -> tuple[int, float, float]:
     """Make the first few items; return how many rows they gave, and bytes and seconds of an item."""
     first = plan.tasks[0]
     replace(first, items=first.items[:1]).make()  # pays for imports and for what is kept in memory
-    few = replace(first, items=first.items[: making.layout().sampled])
+    few = replace(first, items=first.items[: generator.layout().sampled])
     start_s = time.perf_counter()
     content = few.make()
     table = content.table
@@ -275,13 +279,13 @@ class Recipe:
     ``options`` are those of the command that makes the same, by name; None where it takes no ``--split``.
     """
 
-    making: Making
+    generator: Generator
     options: Mapping[str, Any] | None = None
 
     @property
     def splits(self) -> tuple[str, ...]:
         """Splits that can be made, in order."""
-        return tuple(self.making.items())
+        return tuple(self.generator.items())
 
     def arguments(self, split: str) -> str:
         """Return the arguments of the command that makes a split, but for the folder."""
@@ -292,4 +296,4 @@ class Recipe:
 
     def make(self, out: str, split: str, workers: int) -> None:
         """Make one split in a folder, continuing where an interrupted run stopped."""
-        generate(self.making, out, (split,), workers=workers)
+        generate(self.generator, out, (split,), workers=workers)

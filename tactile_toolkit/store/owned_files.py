@@ -7,23 +7,13 @@ from collections.abc import Iterable
 from pathlib import PurePosixPath
 
 from tactile_toolkit.kind import kinds
+from tactile_toolkit.store.download_record import RECORD_FILE
 from tactile_toolkit.store.files import DRAFT
-from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, TEMPORARY, DataFolder
 from tactile_toolkit.store.manifest import MANIFEST_FILE
-from tactile_toolkit.store.origin import RECORD_FILE
+from tactile_toolkit.store.pending import is_pending
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
-PROMOTION_FILE = f"{NEXT_FOLDER}/.promotion.json"
-"""Lists the files of the former data set that the next one does not have."""
-
-# Earlier checkouts wrote a croissant.json.
-_USUAL = ("reports/*.parquet", "previews/*.png", "README.md", "croissant.json", RECORD_FILE, MANIFEST_FILE)
-_SHARD = r"\w+-[0-9]{5,12}-of-[0-9]{5,12}"
-
-is_pending = re.compile(
-    rf"{PENDING_FOLDER}/(?:{TEMPORARY}|{_SHARD}[.]json|report-{_SHARD}[.]parquet)"
-).fullmatch
-"""Matches the path of a record, of report rows or of a temporary file of a run."""
+_USUAL = ("reports/*.parquet", "previews/*.png", "README.md", RECORD_FILE, MANIFEST_FILE)
 
 
 def extra_files() -> list[str]:
@@ -42,13 +32,3 @@ def is_ours(path: str, further: Iterable[str]) -> bool:
     return any(
         place.match(pattern) and len(place.parts) == pattern.count("/") + 1 for pattern in (*_USUAL, *further)
     )
-
-
-def remove_next(folder: DataFolder) -> None:
-    """Remove the data set that was to take the place of the one in a folder."""
-    if folder.exists(NEXT_FOLDER):
-        every = extra_files()
-        folder.remove_tree(
-            NEXT_FOLDER,
-            lambda path: path == PROMOTION_FILE or is_ours(path.removeprefix(f"{NEXT_FOLDER}/"), every),
-        )

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import IO
 
 from tactile_toolkit.errors import IntegrityError, ItemError
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.names import problem_of_name
 
 
