@@ -76,7 +76,8 @@ from tests.tactile_toolkit.run.test_ray import plan_of
 # A shell that starts a job in the background has it ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 try:
-    build(open_folder(sys.argv[2]), plan_of(sys.argv[3]), workers=RayRunner(sys.argv[1], *map(int, sys.argv[4:])))
+    cluster = RayRunner(sys.argv[1], *map(int, sys.argv[4:]))
+    build(open_folder(sys.argv[2]), plan_of(sys.argv[3]), workers=cluster)
 except ToolkitError as error:
     sys.exit(f"{type(error).__name__}: {error}")
 """
