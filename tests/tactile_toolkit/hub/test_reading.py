@@ -130,7 +130,7 @@ def test_a_stream_stays_at_the_commit_that_it_began_with(server, tmp_path):
 
 STREAM = """
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.places.place import open_place
+from tactile_toolkit.places import open_place
 try:
     (shard,) = open_place([{address!r}]).shards(streaming=True)
     {meanwhile}

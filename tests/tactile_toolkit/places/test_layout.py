@@ -14,7 +14,7 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import Place, open_place
-from tactile_toolkit.places.layout import splits_by_card, splits_by_name
+from tactile_toolkit.places.split_files import splits_by_card, splits_by_name
 
 
 def folder_of(root: Path, files: dict[str, int], card: str = "") -> Path:

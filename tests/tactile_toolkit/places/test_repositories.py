@@ -29,7 +29,7 @@ OPEN = """
 import json
 from realtouch.kind import KIND
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.places.place import open_place
+from tactile_toolkit.places import open_place
 try:
     place = open_place({arguments})
     shards = place.require(KIND).shards()

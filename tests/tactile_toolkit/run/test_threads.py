@@ -29,7 +29,7 @@ READS = {
     "rows": (
         "tactile_toolkit.read.parquet",
         """
-from tactile_toolkit.places.place import open_place
+from tactile_toolkit.places import open_place
 for shard in open_place(sys.argv[1]).shards("train"):
     groups = range(shard.metadata.num_row_groups)
     assert sum(len(part.table) for group in groups for part in shard.blocks(group)) == len(shard)

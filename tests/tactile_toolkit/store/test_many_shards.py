@@ -10,7 +10,7 @@ import pytest
 from tactile_toolkit.cards import check_card
 from tactile_toolkit.cards.facts import card_head, configs, folder_facts, head_text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places.layout import parquet_paths
+from tactile_toolkit.places.split_files import parquet_paths
 from tactile_toolkit.store import ShardName, build, open_folder
 from tests.tactile_toolkit.toy import ToyTask, toy_plan
 
