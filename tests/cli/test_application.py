@@ -212,6 +212,7 @@ def test_packages_have_a_version_and_run_as_modules(package, capsys):
     assert "Did you mean 'info'?" in said
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("package", PACKAGES)
 def test_shells_complete_commands_options_and_choices(package, monkeypatch, capsys):
     name = PACKAGES[package]
@@ -230,17 +231,7 @@ def test_shells_complete_commands_options_and_choices(package, monkeypatch, caps
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--help"],
-        ["info", "missing"],
-        *(
-            pytest.param(words, marks=pytest.mark.thorough)
-            for words in (["info", "--help"], ["--version"], ["info", "."])
-        ),
-    ],
-)
+@pytest.mark.parametrize("words", [["--help"], ["info", "missing"], ["--version"], ["info", "."]])
 def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
     reader, writer = os.pipe()
     os.close(reader)
@@ -256,13 +247,8 @@ def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
     assert (done.returncode, done.stderr or "") == (141, "")
 
 
-@pytest.mark.parametrize(
-    "words",
-    [
-        ["--version"],
-        *(pytest.param(words, marks=pytest.mark.thorough) for words in (["--help"], ["info", "."])),
-    ],
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("words", [["--version"], ["--help"], ["info", "."]])
 @pytest.mark.parametrize(
     ("redirected", "code", "why"),
     [(">&-", 0, ""), (">/dev/full", 2, "No space left on device")],
@@ -273,16 +259,7 @@ def test_an_output_that_takes_nothing_is_named(tmp_path, words, redirected, code
     assert (done.returncode, done.stderr) == (code, message if why else "")
 
 
-@pytest.mark.parametrize(
-    "redirected",
-    [
-        "2>&-",
-        *(
-            pytest.param(redirected, marks=pytest.mark.thorough)
-            for redirected in ("2>/dev/full", ">&- 2>&-", "<&- 2>&-")
-        ),
-    ],
-)
+@pytest.mark.parametrize("redirected", ["2>&-", "2>/dev/full", ">&- 2>&-", "<&- 2>&-"])
 def test_the_exit_code_needs_no_stream(tmp_path, redirected):
     assert _redirected(tmp_path, ["info", "missing"], redirected).returncode == 2
 

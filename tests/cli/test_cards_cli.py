@@ -82,6 +82,7 @@ def blocks(folder: Path) -> list[str]:
     return re.findall(r"```python\n(.*?)```", card_of(folder), flags=re.DOTALL)
 
 
+@pytest.mark.one_at_a_desk
 def test_the_card_was_written_with_the_data_and_is_written_the_same_again(folders, kind, tmp_path, capsys):
     folder = Path(shutil.copytree(folders[kind], tmp_path / kind))
     before = folder_bytes(folder)
@@ -92,6 +93,7 @@ def test_the_card_was_written_with_the_data_and_is_written_the_same_again(folder
     assert folder_bytes(folder) == before
 
 
+@pytest.mark.one_at_a_desk
 def test_datasets_follows_the_card(folders, kind):
     loaded = datasets.load_dataset(str(folders[kind]))
     told = DatasetCard(card_of(folders[kind])).data.dataset_info

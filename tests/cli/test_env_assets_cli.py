@@ -104,6 +104,7 @@ def test_info_lists_what_a_provider_would_give(tmp_path):
     assert run("info", tmp_path / "nowhere").exit_code == 2
 
 
+@pytest.mark.thorough
 def test_a_wrench_is_exported_for_printers_and_simulators(tmp_path):
     """Through the export of all data sets of meshes; the simulator weighs it as the report says."""
     made = run("wrench", "--size", 10, "--out", tmp_path / "wrench", "--json")

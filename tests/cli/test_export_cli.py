@@ -41,6 +41,7 @@ def test_one_file_per_object(folder: Path, tmp_path: Path, capsys: pytest.Captur
     assert all(check_manifold(read_mesh(path)).problem is None for path in files)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("kind", ["3mf", "ply", "obj", "glb"])
 def test_other_formats_and_scales(kind: str, folder: Path, tmp_path: Path) -> None:
     choice = ("--split", "printed_test", "--labels", "3", "--quiet")
@@ -106,6 +107,7 @@ def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert folder_bytes(tmp_path) == before
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("plate", [(), ("--plate", "200x200")])
 def test_dry_run_writes_nothing(
     plate: tuple[str, ...], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -164,6 +166,7 @@ def test_other_files_are_refused_unless_overwritten(
     assert folder_bytes(tmp_path) != before
 
 
+@pytest.mark.thorough
 def test_what_is_no_solid_is_named_and_the_rest_is_written(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -246,6 +249,7 @@ def test_tables_are_a_data_set_folder(
     assert "column 'mesh.vertices' is missing" in capsys.readouterr().err
 
 
+@pytest.mark.thorough
 def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     import datasets
 

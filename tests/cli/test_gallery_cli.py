@@ -27,6 +27,7 @@ def folders(tmp_path_factory) -> dict[str, Path]:
 ITEMS = {"mnist3d": (10, "digits"), "starstruck": (6, "scenes"), "realtouch": (1, "rounds")}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("program", ITEMS)
 def test_gallery_says_what_was_made_and_what_next(program, folders, tmp_path, capsys):
     count, nouns = ITEMS[program]
@@ -39,6 +40,7 @@ def test_gallery_says_what_was_made_and_what_next(program, folders, tmp_path, ca
     assert (out / "index.html").is_file()
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("program", ITEMS)
 def test_dry_run_counts_the_items_of_each_split_and_writes_nothing(program, folders, tmp_path, capsys):
     out = tmp_path / "site"

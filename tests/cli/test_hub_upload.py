@@ -165,7 +165,8 @@ def test_dry_run_sends_nothing_and_needs_no_login(server, folder, capsys, monkey
     assert {request.method for request in server.requests} == {"GET"}
 
 
-@pytest.mark.parametrize(("answer", "code"), [pytest.param("y", 0, marks=pytest.mark.thorough), ("n", 2)])
+@pytest.mark.thorough
+@pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 2)])
 def test_on_a_terminal_it_asks(server, folder, tmp_path, answer, code):
     environment = settings(server, tmp_path, next(iter(server.accounts)), PYTHONPATH=str(Path.cwd()))
     ours, theirs = pty.openpty()

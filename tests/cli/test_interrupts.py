@@ -87,10 +87,7 @@ def commands() -> dict[str, str]:
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("module", ["typer", "cli.output", "pyarrow"])
-@pytest.mark.parametrize(
-    "command",
-    [name if name == "mnist3d" else pytest.param(name, marks=pytest.mark.thorough) for name in commands()],
-)
+@pytest.mark.parametrize("command", commands())
 def test_ctrl_c_while_a_command_starts_ends_it_without_a_traceback(command, module):
     done = subprocess.run(
         [sys.executable, "-c", STARTED, commands()[command], "info", module],

@@ -120,6 +120,7 @@ def test_every_process_writes_the_same_bytes(digits, scenes, clips, tmp_path, ru
         assert content.startswith(b"\x89PNG")
 
 
+@pytest.mark.thorough
 def test_one_picture_goes_into_the_file_that_is_named(digits, scenes, clips, tmp_path, run):
     corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01)])
     faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)

@@ -112,6 +112,7 @@ FUNCTIONS: tuple[Callable[[str], object], ...] = (
 )
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("function", FUNCTIONS)
 @settings(max_examples=20, deadline=None)
 @given(secret=ENCODED, form=st.sampled_from(FORMS))

@@ -108,6 +108,7 @@ def test_rounds_are_taken_by_their_ids(tmp_path, capsys):
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.thorough
 def test_a_killed_merge_continues_and_damage_is_not_copied(tmp_path, capsys):
     folder = _made("mnist3d", tmp_path / "all")
     assert call("mnist3d", "split", folder, "--fractions", "0.5,0.5", "--out", tmp_path, *ALONE) == 0

@@ -24,6 +24,7 @@ def parquet(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in sorted((folder / "data").glob("*.parquet"))}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("kind", "split", "rows"), [("mnist3d", "holdout", 10), ("starstruck", "test", 3), ("wrench", "train", 1)]
 )

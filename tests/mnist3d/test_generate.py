@@ -123,6 +123,7 @@ def unbroken(tmp_path_factory):
     return folder_bytes(folder)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("blow", "workers"),
     [
@@ -168,10 +169,8 @@ def test_writer_splits_share_no_writer(tmp_path):
     assert sum(map(len, homes)) == len(set().union(*homes)) > 0
 
 
-@pytest.mark.parametrize(
-    ("per_class", "splits", "rows"),
-    [(1, ("train", "test"), 20), pytest.param(None, SPLITS, 100, marks=pytest.mark.thorough)],
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize(("per_class", "splits", "rows"), [(1, ("train", "test"), 20), (None, SPLITS, 100)])
 def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, rows):
     from mnist3d.sources.hwdplus import HwdPlusSource
 

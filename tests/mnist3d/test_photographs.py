@@ -117,6 +117,7 @@ PHOTOGRAPHS = {
 }
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", PHOTOGRAPHS)
 def test_ink_is_what_was_written_at_the_scale_of_the_picture(name: str) -> None:
     """By the API of arrays, and by that of pictures; the table of cases gives the size of the digit in mm."""
@@ -137,6 +138,7 @@ def cut_off() -> NDArray[np.uint8]:
     return lit(page(np.roll(seven(), -70, axis=1)), light)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("pixels", "reason"),
     [
@@ -165,6 +167,7 @@ def test_clean_images_are_not_touched() -> None:
     assert likeness(binarise(noisy, SolidSpec()), seven(), 24) > 0.95
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("shape", [(64, 64), (64, 900), (700, 64)])
 @pytest.mark.parametrize("ink", ["auto", "dark", "light"])
 def test_noise_of_any_shape_is_refused(shape: tuple[int, int], ink: str) -> None:

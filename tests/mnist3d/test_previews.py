@@ -216,6 +216,7 @@ def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices
     np.testing.assert_array_equal(seen[-1].faces, record.faces)
 
 
+@pytest.mark.thorough
 def test_steps_of_a_data_set_take_the_image_that_the_digit_was_made_from(folder):
     record = mnist3d.load(str(folder), "train")[4]
     ((name, pixels),) = drawn(folder, kinds=("steps",), ids=(record.id,)).items()

@@ -140,7 +140,8 @@ def test_one_digit_of_each_class_loads_whole_and_in_size(
         assert seen.volume_mm3 == pytest.approx(file.volume_mm3, rel=1e-4)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("stl", marks=pytest.mark.thorough), "3mf"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["stl", "3mf"])
 def test_a_digit_slices_up_to_its_height_without_a_repair(
     kind: str, digits: mnist3d.DigitDataset, tmp_path: Path
 ) -> None:

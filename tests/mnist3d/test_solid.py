@@ -46,12 +46,12 @@ BOTH_WAYS = pytest.mark.parametrize("method", ["fast", pytest.param("literal", m
 # --- the whole way --------------------------------------------------------------------------------
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("method", "profile"),
     [
         *(("fast", profile) for profile in PROFILES),
-        ("literal", "round"),
-        *(pytest.param("literal", profile, marks=pytest.mark.thorough) for profile in PROFILES[1:]),
+        *(("literal", profile) for profile in PROFILES),
     ],
 )
 def test_every_way_gives_a_solid_on_the_plate(method: Any, profile: str) -> None:
@@ -90,9 +90,7 @@ def test_the_vertex_budget_is_met(target: int) -> None:
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize(
-    "width_px", [16, *(pytest.param(width, marks=pytest.mark.thorough) for width in (20, 26, 32, 38)), 45]
-)
+@pytest.mark.parametrize("width_px", [16, 26, 38, 45])
 def test_heights_for_all_widths_of_ink(width_px: int) -> None:
     spec = SolidSpec()
     pixels = drawn(stroke([(200, 200), (260, 250)], width_px))
@@ -109,14 +107,9 @@ def test_an_upright_seven_stays_upright_and_unmirrored() -> None:
     assert bottom[:, 0].mean() == pytest.approx((220 - 249.5) * 0.0002, abs=0.002)
 
 
-@pytest.mark.parametrize(
-    ("name", "erosion"),
-    [
-        ("six", "outline"),
-        pytest.param("six", "disc", marks=pytest.mark.thorough),
-        *(pytest.param("thin seven", erosion, marks=pytest.mark.thorough) for erosion in EROSIONS),
-    ],
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("erosion", EROSIONS)
+@pytest.mark.parametrize("name", ["six", "thin seven"])
 def test_the_fast_solid_is_the_literal_one(name: str, erosion: str) -> None:
     spec = SolidSpec(erosion=erosion)
     pixels = six() if name == "six" else seven(18)
@@ -256,9 +249,7 @@ def test_a_whisker_is_as_long_as_it_was_drawn() -> None:
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize(
-    ("gap_px", "turns"), [(2, 3), pytest.param(6, 3, marks=pytest.mark.thorough), (12, 3), (3, 4)]
-)
+@pytest.mark.parametrize(("gap_px", "turns"), [(2, 3), (12, 3), (3, 4)])
 def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: float) -> None:
     spec = SolidSpec()
     pixels = spiral(30, gap_px, turns)
@@ -302,6 +293,7 @@ def test_a_digit_that_needs_more_vertices_is_refused_with_their_number(method: A
     assert len(mesh.vertices_m) <= 1.5 * enough
 
 
+@pytest.mark.thorough
 @BOTH_WAYS
 def test_both_ways_keep_the_holes_of_a_sieve_or_refuse(method: Any) -> None:
     mask = np.zeros((300, 360), bool)

@@ -28,6 +28,7 @@ def rows(tmp_path_factory) -> pa.Table:
     return pq.ParquetFile(folder / SHARD).read().select(["id", "label", "mesh.vertices", "mesh.faces"])
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("column", ["id", "label", "mesh.vertices", "mesh.faces"])
 def test_a_row_without_a_value_is_named_and_the_others_are_checked(rows, tmp_path, column):
     values = rows[column].to_pylist()

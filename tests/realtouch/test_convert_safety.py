@@ -169,6 +169,7 @@ def test_names_of_files_are_those_of_one_id() -> None:
     assert list(map(id_of_stem, stems[: len(names)])) == names
 
 
+@pytest.mark.thorough
 def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", single_rows, "single", with_ids("same", "other", "same"))
     manifest = realtouch.frames(source, tmp_path / "out", "jpeg", workers=2)

@@ -110,6 +110,7 @@ def test_row_groups_hold_as_many_touches_as_their_bytes_allow(
     assert 3 <= max(rows) <= 8
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # tars that it leaves open
 @pytest.mark.usefixtures("small_shards")
 def test_webdataset_reads_the_tars(source: Path, tmp_path: Path) -> None:

@@ -74,6 +74,7 @@ def undisturbed(
     return {name: folder_bytes(folder / name) for name in CONVERSIONS}
 
 
+@pytest.mark.thorough
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", CONVERSIONS)
 def test_killed_again_and_again_it_ends_with_the_same_bytes(

@@ -46,6 +46,7 @@ def repeated(frame: bytes, count: int) -> bytes:
     return changed[:4] + struct.pack("<I", len(changed) - 8) + changed[8:]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("data", "frames", "words"),
     [

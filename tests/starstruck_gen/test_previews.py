@@ -45,6 +45,7 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # nothing is as yellow as a star
 
 
+@pytest.mark.thorough
 def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     out = tmp_path / "mixed"
     generate(SceneSetSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))

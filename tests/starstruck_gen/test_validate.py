@@ -51,6 +51,7 @@ def test_all_stand_on_the_plate_in_the_published_columns(table, tmp_path):
     assert (checked.failed, checked.declared, checked.stars) == (0, False, 0)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("change", "field"),
     [

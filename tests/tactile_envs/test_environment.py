@@ -124,6 +124,7 @@ def test_one_seed_gives_one_course_however_many_threads(assets):
         assert all((one[name] == other[name]).all() for name in one)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("threads", [1, 2])
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
 def test_a_copy_continues_where_the_first_is(assets, copied, threads):
@@ -145,6 +146,7 @@ def test_a_copy_continues_where_the_first_is(assets, copied, threads):
     other.close()
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("task", TASKS)
 def test_predictions_without_a_loss_are_refused(assets, task):
     """The published class gives a reward of NaN; here nothing has happened, and the episode goes on."""

@@ -271,6 +271,7 @@ def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
         tactile_sim.GenerateSpec(optics="lens")
 
 
+@pytest.mark.thorough
 def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
     from cli.tactile_sim import app
 

@@ -35,6 +35,7 @@ def _is_printed(x_m: np.ndarray, z_m: np.ndarray, slope: float) -> np.ndarray:
     return inside
 
 
+@pytest.mark.thorough
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("slope", [0.15, 0.5, 1.5])
 def test_layers_are_where_a_walk_along_the_line_of_sight_meets_them(slope):

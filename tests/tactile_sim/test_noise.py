@@ -85,6 +85,7 @@ def test_noise_is_as_large_and_as_correlated_as_asked_for():
     assert slope == pytest.approx(1.4, abs=0.1)
 
 
+@pytest.mark.thorough
 def test_rounds_differ_in_gain_and_offset_as_asked_for():
     ramp = np.tile(np.linspace(40, 200, 64).astype(np.uint8)[None, None, :, None], (1, 64, 1, 3))
     values = {**VALUES, "frame_noise_std": 0.0, "episode_pattern_std": 0.0}

@@ -49,14 +49,8 @@ def section_of(mesh, z_mm: float):
     return mesh.to_manifold().slice(z_mm)
 
 
-# Small, middling and large ones at a desk; all of them in CI.
-SIZES = [
-    size if size in ("M3", "M10", "M24") else pytest.param(size, marks=pytest.mark.thorough)
-    for size in WIDTHS_ACROSS_FLATS_MM
-]
-
-
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("size", WIDTHS_ACROSS_FLATS_MM)
 @pytest.mark.parametrize("single", [False, True])
 def test_every_size_of_the_table_is_a_printable_solid(size, single):
     spec = WrenchSpec.for_size(size, single=single)

@@ -264,6 +264,7 @@ def test_types_for_people(entry, text):
     assert column_type_text(entry) == text
 
 
+@pytest.mark.thorough
 def test_the_same_rows_give_the_same_picture_and_card(made, tmp_path):
     again = tmp_path / "again"
     spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)

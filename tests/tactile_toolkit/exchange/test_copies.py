@@ -55,6 +55,7 @@ def flat_touches(source: str, out: str, **run: Any) -> None:
     realtouch.export(source, out, "flat", **run)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("make", "copy"),
     [(scenes, merged), (scenes, divided), (scenes, flat), (touches, resized), (touches, flat_touches)],
@@ -74,6 +75,7 @@ def test_a_source_that_is_replaced_between_planning_and_copying_is_refused(
     assert not out.exists()
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("copy", [merged, divided, flat])
 def test_so_is_one_in_a_store(copy: Callable[..., None], tmp_path: Path) -> None:
     made, store = scenes(tmp_path / "made", 1), fsspec.filesystem("memory")

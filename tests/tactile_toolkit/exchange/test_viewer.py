@@ -131,6 +131,7 @@ print(len([file for path in plan.record.files if path.startswith("viewer/")]), a
 """
 
 
+@pytest.mark.thorough
 def test_a_download_leaves_it_out(server, sent, made, tmp_path):
     server.create(NAME, sent)
     out = tmp_path / "whole"

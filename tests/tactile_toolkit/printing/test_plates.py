@@ -86,14 +86,15 @@ def test_objects_keep_the_gap_the_pose_and_to_the_plate(
         assert moved - moved[0] == pytest.approx(shape.vertices_m - shape.vertices_m[0], abs=1e-12)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("plate", "shape"),
     [
         ("256x256", (1320, 1320)),
         ("1000x70", (400, 4120)),
         ("70x1000", (4120, 400)),
-        pytest.param("10000x10000", (4120, 4120), marks=pytest.mark.thorough),
         ("5x5", (1320, 1320)),
+        ("10000x10000", (4120, 4120)),
     ],
 )
 def test_pixels_of_maps_grow_with_the_plate(plate: str, shape: tuple[int, int]) -> None:
@@ -304,6 +305,7 @@ def test_the_map_shows_every_object_where_it_lies(tmp_path: Path) -> None:
         assert (np.abs(picture - empty).sum(axis=2) < 12).mean() > 0.1
 
 
+@pytest.mark.thorough
 def test_going_on_keeps_plates_and_overwriting_leaves_no_stale_ones(tmp_path: Path) -> None:
     many, few = lay_out(named([*FEW, *FEW]), SMALL), lay_out(named(FEW[:2]), SMALL)
     out = str(tmp_path)
@@ -364,6 +366,7 @@ def test_bodies_that_lie_apart_stay_together() -> None:
     assert len(placed.outline.rings) == 2
 
 
+@pytest.mark.thorough
 def test_the_corner_that_a_printer_cannot_use_is_left_free(tmp_path: Path) -> None:
     """`bed_exclude_area` of Bambu's X1 and P1 is 0x0, 18x0, 18x28, 0x28; the margin is kept to it, too."""
     spec, corner = PlateSpec.parse("bambu-x1"), manifold3d.Manifold.cube((18, 28, 50))

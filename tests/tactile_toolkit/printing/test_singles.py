@@ -90,7 +90,8 @@ def test_a_disk_that_changes_bytes_keeps_what_stood_there(
     assert kept in before.items()
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("workers", [1, 2])
 def test_going_on_keeps_what_is_there_and_ends_with_the_same_bytes(tmp_path: Path, workers: int) -> None:
     export_files(named(SHAPES), str(tmp_path / "whole"))
     export_files(named(SHAPES)[:2], str(tmp_path / "parts"))
@@ -123,7 +124,8 @@ def test_what_stood_under_the_name_of_a_failed_object_is_removed(tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("workers", [1, 2])
 def test_a_dry_run_returns_what_the_run_does_and_writes_nothing(tmp_path: Path, workers: int) -> None:
     objects, out = named(SHAPES), tmp_path / "out"
     view = export_files(objects, str(out), dry_run=True, workers=workers)

@@ -21,6 +21,7 @@ def _held() -> tuple[int, int]:
     return len(list(Path("/proc/self/fd").iterdir())), sum(line.endswith(".arrow") for line in maps)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="maps are looked up in /proc")
 def test_open_files_and_maps_are_bounded_however_many_shards_are_read(tmp_path, monkeypatch):
     monkeypatch.setattr(BLOCKS, "limit", MAPS << 20)  # each counts at least 1 MiB

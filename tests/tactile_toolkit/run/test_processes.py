@@ -42,6 +42,7 @@ print(sorted(ProcessRunner(2).run(math.sqrt, [1.0, 4.0, 9.0])))
 """
 
 
+@pytest.mark.thorough
 def test_a_script_without_a_guard_runs_once(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(UNGUARDED)
@@ -82,6 +83,7 @@ def test_an_exception_of_a_task_is_raised_as_it_is_and_not_retried(tmp_path: Pat
     assert tries.read_text() == "tried\n"
 
 
+@pytest.mark.thorough
 def test_workers_need_no_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some containers have no /dev/shm, where semaphores and shared memory live."""
 
@@ -169,6 +171,7 @@ def waits(path: str) -> None:
         time.sleep(PATIENCE_S)
 
 
+@pytest.mark.thorough
 def test_an_iterator_that_is_closed_stops_the_work(tmp_path: Path) -> None:
     results = ProcessRunner(2).run(waits, ["", *[str(tmp_path)] * 3])
     assert next(results) is None
@@ -215,14 +218,7 @@ def test_errors_cross_the_border_of_a_process(error: Exception) -> None:
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize(
-    ("finished", "doomed"),
-    [
-        (2, 1),
-        (1, 2),
-        *(pytest.param(*each, marks=pytest.mark.thorough) for each in ((1, 1), (5, 1), (2, 2), (5, 2))),
-    ],
-)
+@pytest.mark.parametrize(("finished", "doomed"), [(2, 1), (1, 2), (5, 1), (5, 2)])
 def test_no_task_is_lost_when_workers_die_while_their_parent_is_busy(finished: int, doomed: int) -> None:
     results = []
     for result in ProcessRunner(2).run(operator.neg, range(8)):

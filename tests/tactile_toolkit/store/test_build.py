@@ -22,9 +22,6 @@ from tactile_toolkit.store import build, inspect_job, open_folder, read_manifest
 from tests.processes import children, wait_until_gone
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
-NUMBERS = [2, *(pytest.param(number, marks=pytest.mark.thorough) for number in (1, 4))]
-"""Of worker processes, which take a second each to start, or of shards."""
-
 
 def make(path: Path, plan=None, **options):
     return build(open_folder(str(path)), plan or toy_plan(), **options)
@@ -50,7 +47,8 @@ def test_folder_holds_shards_report_and_manifest_and_nothing_else(tmp_path):
     assert report["id"].to_pylist() == ids
 
 
-@pytest.mark.parametrize("workers", NUMBERS)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("workers", [2, 4])
 def test_bytes_do_not_depend_on_workers(tmp_path, workers):
     make(tmp_path / "one")
     make(tmp_path / "many", workers=ProcessRunner(workers))

@@ -180,6 +180,7 @@ def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: s
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
 
 
+@pytest.mark.thorough
 @needs_list
 def test_a_stopped_reader_keeps_no_other_from_reading(tmp_path: Path, clock: Clock) -> None:
     build(open_folder(str(tmp_path)), toy_plan())

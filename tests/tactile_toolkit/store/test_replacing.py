@@ -35,6 +35,7 @@ def finished(tmp_path):
     return tmp_path / "set"
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
 def test_a_run_that_finishes_nothing_gives_the_former_set_back(finished, runner):
     before = folder_bytes(finished)

@@ -18,6 +18,7 @@ def make(path, plan, **options):
     return build(open_folder(str(path)), plan, **options)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
 def test_run_that_finished_nothing_leaves_no_folder(tmp_path, runner):
     with pytest.raises(InputError, match="third object"):
