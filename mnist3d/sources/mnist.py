@@ -179,17 +179,21 @@ def read_idx(path: Path, magic: int) -> UInt8:
     """
     start = 4 + 4 * (magic & 0xFF)
     try:
-        with path.open("rb") as file:
+        with store.open_regular(path) as file:
             is_packed = file.read(len(_GZIP)) == _GZIP
             file.seek(0)
             stream = gzip.GzipFile(fileobj=file) if is_packed else file
-            found, *shape = struct.unpack(f">{start // 4}I", stream.read(start))
+            header = stream.read(start)
+            if len(header) < start:
+                raise EOFError
+            found, *shape = struct.unpack(f">{start // 4}I", header)
             if found != magic:
                 raise _unusable(path, f"magic number {found}", magic)
             require_unpackable(prod(shape), str(path))
             data = stream.read(prod(shape) + 1)
-    except (EOFError, OSError, zlib.error, struct.error) as error:
-        raise _unusable(path, f"a file that cannot be read ({error})", "an intact IDX file") from error
+    except (EOFError, OSError, zlib.error) as error:
+        problem = getattr(error, "strerror", None) or "damaged or cut off"
+        raise _unusable(path, f"a file that cannot be read ({problem})", "an intact IDX file") from error
     if len(data) != prod(shape):
         raise _unusable(
             path, f"{len(data)} bytes or more of numbers", f"{prod(shape)} for an array of shape {shape}"

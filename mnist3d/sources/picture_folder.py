@@ -17,7 +17,7 @@ from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, re
 from mnist3d.sources.picture_files import is_picture_name, pages_of
 from mnist3d.sources.picture_levels import read_picture
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.shown_text import printable
 
@@ -95,7 +95,7 @@ class FolderSource:
         for name in dict.fromkeys(picture.name for picture in listing.pictures):
             path = Path(self.root, name)
             try:
-                with path.open("rb") as stream:
+                with store.open_regular(path) as stream:
                     content = hashlib.file_digest(stream, "sha256").digest()
                     size = stream.tell()
             except OSError as error:
@@ -105,7 +105,7 @@ class FolderSource:
             total.update(b"%s\0%d\0%s" % (os.fsencode(name), size, content))
         found: dict[str, object] = {"name": self.name, "ink": self.ink, "images": len(listing.pictures)}
         # What most folders have not is not said of them.
-        further = {"threshold": self.threshold, "left_out": dict.fromkeys(listing.left_out, "not a picture")}
+        further = {"threshold": self.threshold, "left_out": dict(listing.left_out)}
         if self.threshold == "auto":
             del further["threshold"]
         if not listing.left_out:
@@ -132,13 +132,13 @@ class _Picture(NamedTuple):
 
 class _Listing(NamedTuple):
     pictures: tuple[_Picture, ...]
-    left_out: tuple[str, ...]
-    """Names of files of other types."""
+    left_out: tuple[tuple[str, str], ...]
+    """Names of other files, and why they are left out."""
 
 
 @lru_cache(maxsize=4)
 def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
-    base, found, left_out = Path(root), list[_Picture](), list[str]()
+    base, found, left_out = Path(root), list[_Picture](), list[tuple[str, str]]()
     try:
         inner = [path for digit in base.glob("[0-9]") for path in digit.iterdir()]
         visible = sorted(path for path in (*base.iterdir(), *inner) if not store.is_hidden(path.name))
@@ -150,6 +150,9 @@ def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
     for path in visible:
         name, is_sorted = path.relative_to(base).as_posix(), path.parent != base
         label, writer = _LABEL.search(path.name), _WRITER.search(path.name)
+        if problem := _problem_of(path, base):
+            left_out.append((printable(name), problem))
+            continue
         pages = () if path.is_dir() else _pages(path)
         is_unsorted = pages and not is_sorted and label is None
         if is_unsorted or (path.is_dir() and (is_sorted or path.name not in _DIGITS)):
@@ -159,7 +162,7 @@ def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
                 next="rename it, sort it into such a folder or move it away",
             )
         if not pages and not path.is_dir():
-            left_out.append(printable(name))
+            left_out.append((printable(name), "not a picture"))
         digit = path.parent.name if is_sorted or label is None else label[1]
         found += [_Picture(int(digit), name, page, int(writer[1]) if writer else NO_WRITER) for page in pages]
     if not found:
@@ -171,6 +174,19 @@ def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
         found, key=lambda each: (each.label, natural_key(each.name.casefold()), each.name, each.page)
     )
     return _Listing(tuple(order), tuple(left_out))
+
+
+def _problem_of(path: Path, base: Path) -> str:
+    """Return why a file must not be opened; one that cannot be is named when it is read."""
+    if path.is_dir():
+        return ""
+    try:
+        store.open_regular(path, below=base).close()
+    except IntegrityError:
+        return "a link out of the folder" if path.is_file() else "no regular file"
+    except OSError:
+        return ""
+    return ""
 
 
 def _pages(path: Path) -> tuple[int, ...]:

@@ -349,3 +349,20 @@ def test_real_pictures_come_back_as_they_are() -> None:
         assert catalog.writers[digit_id] == digit.writer
         with Image.open(paths[digit_id]) as picture:
             np.testing.assert_array_equal(digit.pixels, np.asarray(picture))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes have names here")
+def test_what_is_no_file_of_the_folder_is_left_out_and_named(tmp_path: Path) -> None:
+    """A link may lead to what its reader alone can read; a pipe would be waited for."""
+    home = tmp_path / "home"
+    outside = save(tmp_path / "7" / "a.png")
+    inside = save(home / "7" / "a.png")
+    (home / "7" / "b.png").symlink_to(outside)
+    (home / "7" / "c.png").symlink_to(inside)
+    os.mkfifo(home / "7" / "d.png")
+    (tmp_path / "linked").symlink_to(home)  # what the user names may be a link
+    for root in (home, tmp_path / "linked"):
+        made = FolderSource(str(root))
+        assert made.catalog().labels.tolist() == [7, 7]
+        left_out = {"7/b.png": "a link out of the folder", "7/d.png": "no regular file"}
+        assert made.fingerprint()["left_out"] == left_out
