@@ -1,4 +1,4 @@
-"""From an image to the ink of a digit: the first step of Algorithm 1."""
+"""From the image of a digit to its ink: the first step of Algorithm 1."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from mnist3d.ink.grey_levels import (
     PAPER_SHARE,
     SMALL_PX,
     as_levels,
-    levels_and_threshold,
+    dark_on_light,
     margin,
     otsu_threshold,
     require_paper_around,
@@ -30,39 +30,46 @@ def binarise(
     ink: Literal["auto", "dark", "light"] = "auto",
     resample: bool = False,
 ) -> Bool:
-    """Find the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
+    """Return the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
 
-    Parameters and errors as of :func:`solidify`.
+    Parameters and errors as of :func:`mnist3d.solidify`.
     """
     if ink not in ("auto", "dark", "light"):
         raise InputError(f"ink is {ink!r}; expected 'auto', 'dark' or 'light'")
-    # A threshold says which side of it is ink.
-    said = "dark" if ink == "auto" and spec.threshold is not None else ink
     levels = as_levels(pixels)
-    if said == "auto" and not is_clean(levels):
-        levels, said = even_out(levels), "dark"
-    levels, threshold = levels_and_threshold(levels, said)
+    if ink == "auto" and spec.threshold is not None:
+        ink = "dark"  # levels up to the threshold are ink
+    elif ink == "auto" and not is_clean(levels):
+        levels, ink = even_out(levels), "dark"
+    levels, otsu = dark_on_light(levels, ink)
     if resample:
         # Other levels have another threshold.
-        levels, threshold = fit(levels), None
+        levels, otsu = fit(levels), None
     elif max(levels.shape) < SMALL_PX:
         height_px, width_px = levels.shape
         size_mm = max(height_px, width_px) * spec.pixel_pitch_mm
         refuse("too-small", width_px, height_px, size_mm, SMALL_PX)
-    mask = clean(ink_of_levels(levels, threshold if spec.threshold is None else spec.threshold), spec)
-    return join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm) if spec.join_bodies else mask
+    threshold = spec.threshold
+    if threshold is None:
+        threshold = otsu
+    mask = clean(ink_of_levels(levels, threshold), spec)
+    if spec.join_bodies:
+        mask = join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm)
+    return mask
 
 
 def ink_of_levels(levels: UInt8, threshold: float | None = None) -> Bool:
-    """Return ink (True) from paper, in grey levels from 0 (ink) to 255 (paper).
+    """Separate ink (True) from paper in grey levels from 0 (ink) to 255 (paper).
 
-    Pixels up to the threshold are ink; by default that is Otsu's of the image. Raises ItemError ``no-ink`` or
-    ``all-ink``, the latter also when the margin is ink for the most part.
+    Pixels up to the threshold, by default Otsu's of the image, are ink. Raises ItemError ``no-ink``,
+    ``all-ink`` (the image or most of its margin is ink) or ``cut-off``.
     """
-    darkest, lightest = int(levels.min()), int(levels.max())
-    if threshold is None and lightest == darkest:
-        refuse("no-ink" if darkest > 127 else "all-ink", darkest, sentence="one-level")
-    mask = levels <= (otsu_threshold(levels) if threshold is None else threshold)
+    darkest = int(levels.min())
+    if threshold is None:
+        if darkest == levels.max():
+            refuse("no-ink" if darkest > 127 else "all-ink", darkest, sentence="one-level")
+        threshold = otsu_threshold(levels)
+    mask = levels <= threshold
     if not mask.any():
         refuse("no-ink")
     paper = float(1 - margin(mask).mean())

@@ -1,8 +1,8 @@
-"""The ink of a digit as a mask with one meaning only.
+"""The ink of a digit as an unambiguous mask.
 
-The mask that leaves :func:`clean` holds no speck and no pinhole, and no two of its pixels touch at a corner
-alone. The numbers of bodies and holes are then the same whether corners connect or not, and the solid that is
-built from the mask can be held to them.
+The mask that :func:`clean` returns has no specks, no pinholes and no two pixels that touch at a corner only.
+Its numbers of bodies and holes are the same whether corners connect or not, so the solid can be compared with
+them.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Bool, Int64
 
 CONTACT_PX = 3
-"""A speck that touches wider ink by at most so many pixels is a speck still."""
+"""Most pixels by which a speck may touch wider ink."""
 
 _CORNERS_CONNECT = np.ones((3, 3), dtype=bool)
 
 
 def clean(mask: Bool, spec: SolidSpec) -> Bool:
-    """Take away specks and pinholes and settle contacts at corners, so that 4- and 8-connectivity agree.
+    """Remove specks and pinholes, and repair corner contacts, so that 4- and 8-connectivity agree.
 
-    Specks go also where they touch a stroke by a few pixels: they would become fins that no printer makes.
+    Specks that touch a stroke by a few pixels go, too: they would become fins that no printer makes.
 
-    Raises ItemError ``no-ink`` when nothing but specks was there.
+    Raises ItemError ``no-ink`` if there were only specks.
     """
     speck_px, pinhole_px = (
         area / spec.pixel_pitch_mm**2 for area in (spec.min_speck_mm2, spec.min_pinhole_mm2)
@@ -37,11 +37,11 @@ def clean(mask: Bool, spec: SolidSpec) -> Bool:
     cleaned = np.zeros_like(mask)
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     if len(rows):
-        # Only the window that holds ink is worked on: most of a page is paper.
+        # Only the window with ink is processed: most of a page is paper.
         window = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
-        # Corners first: whole pieces that go later cannot leave a new contact at a corner behind.
+        # Corners first: removing whole pieces later makes no new corner contact.
         inked = repair_corners(np.pad(mask[window], 1))
-        # The first piece is the padding and the paper around the digit, which is not a pinhole.
+        # The first piece is the paper around the digit, which is not a pinhole.
         inked = ~_without_small(~inked, pinhole_px, first_stays=True)
         inked = _without_small(inked, speck_px)
         cleaned[window] = _without_attached_specks(inked, speck_px)[1:-1, 1:-1]
@@ -51,7 +51,7 @@ def clean(mask: Bool, spec: SolidSpec) -> Bool:
 
 
 def repair_corners(mask: Bool) -> Bool:
-    """Fill one pixel wherever two pixels of ink touch at a corner alone; ink is only ever added."""
+    """Fill one pixel wherever two pixels of ink touch at a corner only; no ink is removed."""
     mask = mask.copy()
     while True:
         upper_left, upper_right = mask[:-1, :-1], mask[:-1, 1:]
@@ -65,7 +65,7 @@ def repair_corners(mask: Bool) -> Bool:
 
 
 def _without_small(mask: Bool, min_px: float, *, first_stays: bool = False) -> Bool:
-    """Drop the pieces smaller than a limit; the first one may stay whatever its size."""
+    """Remove pieces smaller than a limit; the first may stay whatever its size."""
     runs, piece = _pieces(mask)
     small = np.bincount(piece, runs[:, 2] - runs[:, 1])[piece] < min_px
     if first_stays:
@@ -84,12 +84,12 @@ def _pieces(mask: Bool) -> tuple[Int64, Int64]:
 
 
 def _without_attached_specks(mask: Bool, min_px: float) -> Bool:
-    """Drop what would be a speck but for a few pixels by which it touches the side of wider ink.
+    """Remove specks that touch the side of wider ink by a few pixels.
 
-    A thin stroke of the pen reaches further than a round speck of the limit is wide, and stays; so does a
-    tip, which sits on ink that grows narrower. The paper around the mask must be one pixel wide.
+    A thin stroke stays, as it is longer than a round speck of the limit is wide. A tip stays, as it sits on
+    ink that grows narrower. The mask must have a border of paper, one pixel wide.
     """
-    # What reaches two pixels beyond ink of five pixels is not the roughness of an outline.
+    # The roughness of an outline does not reach two pixels beyond ink that is five pixels wide.
     wide = _opened(mask, 2)
     beyond = mask & ~grown(wide)
     if not beyond.any():
@@ -102,7 +102,7 @@ def _without_attached_specks(mask: Bool, min_px: float) -> Bool:
         contact = wide & grown(piece, corners=False)
         is_small = math.pi / 4 * max(np.ptp(rows) + 1, np.ptp(columns) + 1) ** 2 < min_px
         touches = contact.sum() <= CONTACT_PX and not (contact & ~sides).any()
-        # Two contacts make a bridge.
+        # Ink with two contacts is a bridge.
         if is_small and touches and ndimage.label(contact, _CORNERS_CONNECT)[1] == 1:
             cleaned &= ~piece
     return repair_corners(cleaned)
@@ -110,8 +110,8 @@ def _without_attached_specks(mask: Bool, min_px: float) -> Bool:
 
 def _opened(mask: Bool, radius_px: int) -> Bool:
     """Keep what octagons within the mask cover; they are ``2 * radius_px + 1`` pixels wide."""
-    # Shifts of the whole mask take a twelfth of the time of scipy's opening (0.5 and 5.6 ms at radius 6).
-    # With and without corners in turn, squares and diamonds add up to octagons.
+    # Shifts of the whole mask take 1/12 of the time of scipy's opening (0.5 and 5.6 ms at radius 6).
+    # Steps with and without corners in turn add up to octagons.
     paper = ~mask
     for step in range(radius_px):
         paper = grown(paper, corners=step % 2 == 0)
@@ -122,7 +122,7 @@ def _opened(mask: Bool, radius_px: int) -> Bool:
 
 
 def grown(mask: Bool, *, corners: bool = True) -> Bool:
-    """Widen what is marked by a pixel to all sides, and where corners connect also to those."""
+    """Dilate a mask by a pixel to its sides and, if corners connect, to its corners."""
     wider = mask.copy()
     wider[1:] |= mask[:-1]
     wider[:-1] |= mask[1:]
@@ -133,10 +133,10 @@ def grown(mask: Bool, *, corners: bool = True) -> Bool:
 
 
 def count_bodies_and_holes(mask: Bool) -> tuple[int, int]:
-    """Count the pieces of clean ink and the spots of paper that ink encloses; outside the mask is paper."""
+    """Count the pieces of clean ink and the paper spots that ink encloses; outside the mask is paper."""
     runs, piece = _pieces(mask)
     bodies = int(np.count_nonzero(piece == np.arange(len(runs))))
-    # Bodies less holes are corners less sides and squares of what the centres of neighbouring pixels span.
+    # Euler's formula over pixel centres: bodies - holes = centres - sides + squares.
     beside, below = mask[:, 1:] & mask[:, :-1], mask[1:] & mask[:-1]
     sides = np.count_nonzero(beside) + np.count_nonzero(below)
     euler = np.count_nonzero(mask) - sides + np.count_nonzero(beside[1:] & beside[:-1])

@@ -2,69 +2,87 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
-from tactile_toolkit.array_types import AnyArray, Bool, UInt8
-from tactile_toolkit.errors import ItemError
-
-if TYPE_CHECKING:
-    pass
 from mnist3d.ink.refusals import refuse
+from tactile_toolkit.array_types import AnyArray, Bool, UInt8
+from tactile_toolkit.wording import counted
 
 MIN_SIDE_PX = 8
 """Smaller images cannot show a digit."""
 
 SMALL_PX = 64
-"""Images whose longer side is shorter would make a block of a few millimetres: they are to be resampled."""
+"""Images whose longer side is shorter would make a block of a few millimetres, and have to be resampled."""
 
 PAPER_SHARE = 0.75
-"""At least so much of the margin of an image is paper; the margin is a fiftieth of the shorter side wide."""
+"""Least share of the margin of an image that is paper; the margin is 1/50 of the shorter side wide."""
 
 MOST_INK = 0.5
-"""More ink than such a share of an image is not a digit, but what surrounds its page."""
+"""Ink that covers more of an image than this share surrounds its page, and is no digit."""
 
 MOST_BORDER = 0.05
-"""Ink that touches more of the border of an image is cut off, or not ink at all."""
+"""Ink that touches more of the border of an image than this share is cut off, or not ink at all."""
+
+_WHITE = 255
+_SLACK = 0.5 / _WHITE
+"""White may lie half a level above the scale, by rounding of whoever wrote the file."""
 
 
 def as_levels(pixels: AnyArray) -> UInt8:
-    """Turn an image of any number type into grey levels from 0 to 255; ItemError where it has none."""
+    """Convert an image of any number type to grey levels from 0 to 255.
+
+    Integers are levels from 0 to 255, floats run from 0 to 1 or to 255, bool has two levels. Raises ItemError
+    ``bad-shape``, ``bad-dtype``, ``not-finite`` or ``bad-pixels``.
+    """
     image = np.asarray(pixels)
     if image.ndim != 2 or min(image.shape) < MIN_SIDE_PX:
         refuse("bad-shape", image.shape, MIN_SIDE_PX)
     if image.dtype == np.uint8:
         return image
-    if image.dtype == np.bool_:
-        return np.where(image, np.uint8(255), np.uint8(0))
-    if image.dtype.kind not in "iuf":
+    if image.dtype.kind not in "biuf":
         refuse("bad-dtype", image.dtype)
-    if not np.isfinite(image).all():
-        refuse("not-finite", int((~np.isfinite(image)).sum()))
-    if image.min() < 0 or image.max() > 255:
-        refuse("bad-range", image.min(), image.max())
-    if image.dtype.kind == "f" and image.max() <= 1:
-        image = image.astype(np.float64) * 255
-    return np.round(image).astype(np.uint8)
+    full_scale = _WHITE
+    if image.dtype.kind in "bf" and image.max() <= 1:
+        full_scale = 1
+    return as_grey(image, full_scale, "the image")
 
 
-def levels_and_threshold(pixels: AnyArray, ink: str) -> tuple[UInt8, int | None]:
-    """Turn an image of any number type into grey levels from 0 (ink) to 255 (paper).
+def as_grey(values: AnyArray, full_scale: float, where: str) -> UInt8:
+    """Convert brightness, 0 for black and `full_scale` for white, to the nearest grey levels.
 
-    Integers are levels from 0 to 255, floats run from 0 to 1 or to 255, bool has two levels. With ``"auto"``
-    the margin of the image is paper. Otsu's threshold comes with them where it is known by then. Raises
-    ItemError ``bad-shape``, ``bad-dtype``, ``not-finite``, ``bad-range`` or ``unclear-ink``.
+    `where` names file and row. Raises ItemError ``"not-finite"`` for NaN or infinite values, ``"bad-pixels"``
+    for values more than half a grey level outside the scale.
     """
-    levels = as_levels(pixels)
-    threshold = otsu_threshold(levels) if ink == "auto" and levels.min() < levels.max() else None
+    if values.dtype == np.uint8 and full_scale == _WHITE:
+        return np.array(values, order="C")
+    if values.dtype.kind == "f" and not np.isfinite(values).all():
+        refuse("not-finite", where, counted(int(np.count_nonzero(~np.isfinite(values))), "pixels"))
+    low, high = float(values.min()), float(values.max())
+    slack = full_scale * _SLACK
+    if low < -slack or high > full_scale + slack:
+        refuse("bad-pixels", where, low, high, full_scale)
+    if values.dtype.kind in "iu" and full_scale == _WHITE:
+        return values.astype(np.uint8, order="C")
+    levels = np.rint(values.astype(np.float64) * (_WHITE / full_scale))
+    return np.clip(levels, 0, _WHITE).astype(np.uint8, order="C")
+
+
+def dark_on_light(pixels: AnyArray, ink: str) -> tuple[UInt8, int | None]:
+    """Return grey levels in which ink is dark, and their Otsu threshold where it is known by then.
+
+    With ``"auto"`` the margin of the image is paper. Raises ItemError ``unclear-ink``, and the reasons of
+    :func:`as_levels`.
+    """
+    levels, threshold = as_levels(pixels), None
+    if ink == "auto" and levels.min() < levels.max():
+        threshold = otsu_threshold(levels)
     if ink == "light" or (threshold is not None and paper_is_dark(levels, threshold, "the image")):
-        return 255 - levels, None
+        return _WHITE - levels, None
     return levels, threshold
 
 
 def margin(values: AnyArray) -> AnyArray:
-    """Return the pixels along the edge of an image, a fiftieth of the shorter side wide."""
+    """Return the pixels along the edge of an image, 1/50 of the shorter side wide."""
     wide = max(1, min(values.shape) // 50)
     middle = values[wide:-wide]
     parts = (values[:wide], values[-wide:], middle[:, :wide], middle[:, -wide:])
@@ -84,8 +102,7 @@ def paper_is_dark(levels: UInt8, threshold: int, where: str) -> bool:
 
 def otsu_threshold(levels: UInt8) -> int:
     """Return the highest level of the darker of the two groups that differ most (Otsu 1979)."""
-    # scikit-image finds the same, but importing it costs every process up to a second.
-    # Most of a page is white: the rest is counted.
+    # Most of a page is white, so only the rest is counted.
     counts = np.bincount(levels[levels < 255], minlength=256).astype(np.float64)
     counts[255] = levels.size - counts.sum()
     below = np.cumsum(counts)
@@ -95,37 +112,8 @@ def otsu_threshold(levels: UInt8) -> int:
     return int(np.nanargmax(np.where(np.isfinite(spread), spread, -1.0)))
 
 
-_PAPER = 255
-# Rounding by whoever wrote the file may have left white that much above the scale.
-_HALF_LEVEL = 0.5 / 255
-
-
-def as_grey(values: AnyArray, full_scale: float, where: str) -> UInt8:
-    """Turn brightness (0 for black, `full_scale`, 1 or 255, for white) into the nearest grey levels.
-
-    `where` names file and row. Raises ItemError ``"not-finite"`` for NaN or infinite values, ``"bad-pixels"``
-    for values more than half a grey level outside the scale.
-    """
-    if values.dtype == np.uint8 and full_scale == _PAPER:
-        return np.array(values, order="C")
-    next_step = "repair or rescale this image in the file, or leave it out"
-    if values.dtype.kind == "f" and not np.isfinite(values).all():
-        count = int(np.count_nonzero(~np.isfinite(values)))
-        found = f"{where}: found {count} pixels that are NaN or infinite, expected finite levels"
-        raise ItemError("not-finite", found, next=next_step)
-    low, high = float(values.min()), float(values.max())
-    slack = full_scale * _HALF_LEVEL
-    if low < -slack or high > full_scale + slack:
-        found = f"{where}: found pixels from {low:g} to {high:g}, expected 0 to {full_scale:g}"
-        raise ItemError("bad-pixels", found, next=next_step)
-    if values.dtype.kind in "iu" and full_scale == _PAPER:
-        return values.astype(np.uint8, order="C")
-    levels = np.rint(values.astype(np.float64) * (_PAPER / full_scale))
-    return np.clip(levels, 0, _PAPER).astype(np.uint8, order="C")
-
-
 def require_paper_around(mask: Bool) -> None:
-    """Refuse ink that covers more than half of an image, or touches a twentieth of its border.
+    """Refuse ink that covers more than half of an image, or touches more than 1/20 of its border.
 
     Raises ItemError ``all-ink`` or ``cut-off``.
     """

@@ -2,47 +2,45 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from scipy import ndimage
 
+from mnist3d.ink.reflectance import Ink
 from mnist3d.ink.refusals import refuse
 from tactile_toolkit.array_types import Bool
 
-if TYPE_CHECKING:
-    pass
-from mnist3d.ink.reflectance import Ink
-
 _RIM, _SPECK = 0.05, 0.02
-"""Of the longer side: how far the border of a scan reaches, and how long ink is."""
+"""Shares of the longer side: reach of the border of a scan, and least length of ink."""
 
 _PART, _THIN_PART, _GAP, _OTHER = 0.1, 0.4, 0.14, 0.2
-"""Of the longest piece: length and thickness of further pieces, gaps in a digit, length of another digit."""
+"""Shares of the longest piece: length and thickness of further pieces, gaps, length of another digit."""
 
 _SMALLEST, _BLOB, _WIDEST = 0.08, 0.45, 1.5
-"""Ink by the page's width, its thickness by its length, its width by its height."""
+"""Least size of ink on the page, largest thickness by length, largest width by height."""
 
 _SOFT = 0.1
-"""Share of its contrast by which ink changes within a pixel, at nine tenths of its edges."""
+"""Least change within a pixel, as a share of the contrast, at nine tenths of the edges of ink."""
 
 NEAR_PX = 2
-"""How far the greys of edges reach."""
+"""Reach of the greys of edges, pixels."""
 
 
 def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
-    """Return the ink of the one digit; refuses none, several, and what is cut off or looks like no digit."""
+    """Return the ink of the one digit.
+
+    Raises ItemError ``no-ink``, ``several-digits``, ``cut-off`` or ``not-a-digit``.
+    """
     labels, count = ndimage.label(mask, np.ones((3, 3)))
     if not count:
         refuse("no-ink", sentence="empty-page")
     pieces, piece, side = np.arange(1, count + 1), labels[mask], max(mask.shape)
     depth, from_rim = ndimage.distance_transform_edt(mask), ndimage.distance_transform_cdt(np.pad(inside, 1))
-    # A blur of a pixel takes the noise away.
+    # A blur of a pixel removes noise.
     slopes = ndimage.gaussian_gradient_magnitude(found.reflectance, 1.0) / (1 - found.ink)
     slopes = ndimage.maximum_filter(slopes, 3)
     edges = (depth > 0) & (depth <= 1)
     spans = np.array([max(part.stop - part.start for part in box) for box in ndimage.find_objects(labels)])
-    # What lies along the rim alone is the border of a scan.
+    # Ink along the rim only is the border of a scan.
     possible = ndimage.maximum(from_rim[1:-1, 1:-1][mask], piece, pieces) > _RIM * side
     possible &= ndimage.median(slopes[edges], labels[edges], pieces) >= _SOFT
     possible &= spans > _SPECK * side
@@ -52,7 +50,7 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
     stroke = float(np.percentile(depth[labels == main + 1], 90))
     possible &= spans >= _PART * spans[main]
     possible &= ndimage.maximum(depth[mask], piece, pieces) >= _THIN_PART * stroke
-    # Pieces that are near each other are one digit.
+    # Pieces near each other form one digit.
     away = ndimage.distance_transform_cdt(~np.isin(labels, pieces[possible]))
     groups = ndimage.maximum(ndimage.label(away <= _GAP / 2 * spans[main])[0][mask], piece, pieces)
     digits = np.unique(groups[possible & (spans >= _OTHER * spans[main])])

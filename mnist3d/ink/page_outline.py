@@ -1,4 +1,4 @@
-"""The page in a photograph or scan."""
+"""The outline of the page in a photograph or scan."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ from mnist3d.ink.coarse_pictures import paper_around, reduction, to_coarse
 from tactile_toolkit.array_types import Bool, Float32, UInt8
 
 _SHARE, _CONVEX = 0.2, 0.95
-"""Of the picture, and of its convex hull, that a page fills at least."""
+"""Least shares of the picture, and of its own convex hull, that a page fills."""
 
 _STEP, _SHARP = 0.1, 0.7
-"""Step of the logarithm of brightness at the outline of a page, and the share of it within a few pixels."""
+"""Least step of log brightness at the outline of a page, and least share of it within a few pixels."""
 
 _LEVELS = 12
-"""Levels of brightness at which a page is looked for."""
+"""Number of brightness levels at which a page is sought."""
 
-# Brightness is a level and so much, that the logarithm of black is finite and its noise small.
+# Added to levels, so that the logarithm of black is finite and its noise small.
 _DARK = 4
 
 
 def find_page(darkest: UInt8) -> Bool:
-    """Return where the page is, in coarse pixels; everywhere where nothing else is seen.
+    """Return where the page is, in coarse pixels; the whole picture if no outline is found.
 
-    The page is the convex bright part whose outline is a sharp step almost everywhere: shadows are soft.
+    The page is the convex bright part whose outline is a sharp step almost everywhere. Shadows are soft.
 
     Parameters
     ----------
@@ -42,7 +42,9 @@ def find_page(darkest: UInt8) -> Bool:
     tone, tone_px = tones[paper_around(to_coarse(darkest))], tones[darkest]
     page, best = np.ones(tone.shape, bool), _STEP
     low, high = np.percentile(tone, [1, 99])
-    for level in np.linspace(low, high, _LEVELS + 2)[1:-1] if low < high else ():
+    if low == high:
+        return page
+    for level in np.linspace(low, high, _LEVELS + 2)[1:-1]:
         labels, _ = ndimage.label(tone > level)
         sizes = np.bincount(labels.ravel())
         largest = int(sizes[1:].argmax()) + 1
@@ -59,9 +61,9 @@ def find_page(darkest: UInt8) -> Bool:
 
 
 def _step_at_outline(tone_px: Float32, part: Bool) -> tuple[float, float]:
-    """Return the step that four fifths of an outline reach, and which share of it is within a few pixels.
+    """Return the step that four fifths of an outline reach, and the share of it within a few pixels.
 
-    Ink that crosses the outline, and what lies on the desk, are seen along a small part of it.
+    Ink that crosses the outline, and things on the desk, affect a small part of it only.
     """
     soft = ndimage.gaussian_filter(part.astype(np.float32), 1.5)
     lines = find_contours(part.astype(np.float32), 0.5)  # type: ignore[no-untyped-call]
@@ -77,7 +79,7 @@ def _step_at_outline(tone_px: Float32, part: Bool) -> tuple[float, float]:
     sharp_px = factor + 1
     at = points[..., None] * factor + (factor - 1) / 2 + inwards[..., None] * along
     tones = ndimage.map_coordinates(tone_px, at, order=1, mode="nearest")
-    # Neighbours see the same edge, but other noise.
+    # Neighbours see the same edge, but different noise.
     tones = ndimage.uniform_filter1d(tones, 9, axis=0)
     steps = tones[:, -factor:].mean(axis=1) - tones[:, :factor].mean(axis=1)
     near = (tones[:, sharp_px:] - tones[:, :-sharp_px]).max(axis=1)

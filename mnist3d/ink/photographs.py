@@ -1,8 +1,8 @@
-"""Handwriting in photographs and scans: the page is found, its light evened out, and what is ink is checked.
+"""Handwriting in photographs and scans: the page is found, its light evened out, and its ink checked.
 
-A closing that is wider than any stroke leaves the paper around a pixel, and follows the edges of shadows and
-of the page. A picture is divided by it. What is dark then is ink, unless a check finds that it is something
-else: then the picture is refused.
+A closing wider than any stroke estimates the paper around a pixel, and follows the edges of shadows and of
+the page. The picture is divided by it. The dark rest is ink, unless a check finds something else: then the
+picture is refused.
 """
 
 from __future__ import annotations
@@ -19,33 +19,34 @@ from mnist3d.ink.one_digit import NEAR_PX, find_one_digit
 from mnist3d.ink.page_outline import find_page
 from mnist3d.ink.printed_lines import without_lines
 from mnist3d.ink.reflectance import find_ink, ink_is_light, reflectance, without_shadows
+from mnist3d.ink.refusals import refuse
 from tactile_toolkit.array_types import Bool, UInt8
 from tactile_toolkit.errors import ItemError
 
 CLEAN_LEVELS = 2
-"""Paper of a clean image is within so many grey levels of the paper of its margin."""
+"""Largest difference, in grey levels, between the paper of a clean image and its margin."""
 
 _CLEAN_MARGIN, _CLEAN_IMAGE = 0.9, 0.5
-"""Shares of the margin, and of all of a clean image, that are its paper."""
+"""Least shares of the margin, and of the whole of a clean image, that are paper."""
 
 _SHEET = 0.4
-"""Of the shorter side: what is wider is a sheet on a desk, not ink. Blobs of MNIST fill squares of 0.36."""
+"""Share of the shorter side above which a blob is a sheet on a desk, not ink; blobs of MNIST reach 0.36."""
 
 _WORK_PX = 1000
-"""Longer side at which pictures are worked on; digits are drawn with 500 px in the end."""
+"""Longer side at which pictures are processed; digits end as 500 px."""
 
 _CROSSED, _NARROW, _CORE, _KEPT = 0.15, 0.5, 0.2, 0.9
-"""Limits of a second look: outline of a page that is ink; width of strokes; dark ink, and how much stays."""
+"""Limits of second attempts: ink on the outline, width of strokes, depth of the core, share of it kept."""
 
 _GAIN = 2
-"""How much steeper the greys of edges are made."""
+"""Factor by which the greys of edges are made steeper."""
 
 
 def is_clean(levels: UInt8) -> bool:
-    """Return whether an image needs no evening out: margin and most of the image have one level.
+    """Return whether an image is clean: its margin and most of the image have one level.
 
-    Images whose shorter side has less than 64 px are never photographs. A sheet on a desk of one level is not
-    clean, since no stroke is as wide as a sheet.
+    Images whose shorter side has less than 64 px are clean. A sheet on a desk of one level is not, since no
+    stroke is as wide as a sheet.
     """
     if min(levels.shape) < SMALL_PX:
         return True
@@ -61,15 +62,15 @@ def is_clean(levels: UInt8) -> bool:
 def even_out(picture: UInt8, ink: str = "auto") -> UInt8:
     """Return the ink of the one digit in a photograph or scan as grey levels from 0 (ink) to 255 (paper).
 
-    Everything else is 255: what surrounds the page, the borders of scans, specks, and printed lines that
-    are thinner than the strokes. Size and scale are those of the picture.
+    Everything else is 255: the surroundings of the page, borders of scans, specks, and printed lines that are
+    thinner than the strokes. Size and scale are those of the picture.
 
     Parameters
     ----------
     picture : ndarray of uint8, shape (H, W) or (H, W, 3)
         Grey levels or RGB; of coloured pictures, the channel that shows the ink best is used.
     ink : {"auto", "dark", "light"}
-        ``"auto"`` takes ink for light only where it is, on a page that is dark.
+        ``"auto"`` takes ink for light only if it is lighter than a dark page.
 
     Returns
     -------
@@ -108,31 +109,41 @@ def _even_out(views: UInt8, ink: str) -> UInt8:
     try:
         return _ink_on(views, page)
     except ItemError as error:
-        again = {"cut-off": _across_shadow, "not-a-digit": _under_fingers}.get(error.reason)
+        try_again = _SECOND_ATTEMPTS.get(error.reason)
+        if try_again is None:
+            raise
         with contextlib.suppress(ItemError):
-            levels = None if again is None else again(views, page)
-            if levels is not None:
-                return levels
+            return try_again(views, page)
         raise
 
 
-def _across_shadow(views: UInt8, page: Bool) -> UInt8 | None:
-    """Look again without the edge of the page that ink reaches over: it may be that of a shadow.
+def _across_shadow(views: UInt8, page: Bool) -> UInt8:
+    """Try again without the outline of the page, which may be the edge of a shadow that ink crosses.
 
-    None where the edge is now taken for ink.
+    Raises ItemError ``cut-off`` where the outline itself is now taken for ink.
     """
     levels = _ink_on(views, np.ones_like(page))
     outline = fine_mask(page & ~eroded(page, 2), levels.shape)
-    return levels if (levels[outline] < 128).mean() < _CROSSED else None
+    if (levels[outline] < 128).mean() >= _CROSSED:
+        refuse("cut-off")
+    return levels
 
 
-def _under_fingers(views: UInt8, page: Bool) -> UInt8 | None:
-    """Look again with a paper that also follows narrow shadows; None where it follows wide strokes, too."""
+def _under_fingers(views: UInt8, page: Bool) -> UInt8:
+    """Try again with a paper estimate that also follows narrow shadows.
+
+    Raises ItemError ``no-ink`` where it follows wide strokes, too.
+    """
     levels = _ink_on(views, page, _NARROW * WIDEST_STROKE)
     inside = fine_mask(eroded(page, 2), levels.shape)
     wide = find_ink(reflectance(views, page, WIDEST_STROKE), inside)
     core = wide.mask & (wide.reflectance < wide.ink + _CORE * (1 - wide.ink))
-    return levels if (levels[core] < 128).mean() > _KEPT else None
+    if (levels[core] < 128).mean() <= _KEPT:
+        refuse("no-ink", sentence="empty-page")
+    return levels
+
+
+_SECOND_ATTEMPTS = {"cut-off": _across_shadow, "not-a-digit": _under_fingers}
 
 
 def _ink_on(views: UInt8, page: Bool, widest: float = WIDEST_STROKE) -> UInt8:
@@ -140,7 +151,7 @@ def _ink_on(views: UInt8, page: Bool, widest: float = WIDEST_STROKE) -> UInt8:
     inside = fine_mask(eroded(page, 2), views[0].shape)
     found = find_ink(reflectance(views, page, widest), inside)
     digit = find_one_digit(without_lines(without_shadows(found), inside), inside, found)
-    # The greys of edges are kept, but steeper: any threshold divides them where this one did.
+    # The greys of edges are kept, but steeper, so that any threshold divides them in the same place.
     gain = _GAIN * 255 / (1 - found.ink)
     levels = np.rint(127.5 + gain * (found.reflectance - (1 + found.ink) / 2))
     near = ndimage.binary_dilation(digit, iterations=NEAR_PX) & ~found.mask

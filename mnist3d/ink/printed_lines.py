@@ -1,4 +1,4 @@
-"""Printed lines of ruled and squared paper: they cross the page, and are thinner than strokes of the pen."""
+"""Printed lines of ruled and squared paper, which cross the page and are thinner than strokes of the pen."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from skimage.transform import hough_line, hough_line_peaks
 from tactile_toolkit.array_types import Bool, Int32, Int64
 
 _THICKEST = 1 / 88
-"""Of the longer side of the picture."""
+"""Largest thickness of a line, as a share of the longer side of the picture."""
 
 _TURNS_RAD = np.deg2rad(np.arange(-20, 20.1, 0.25))
-"""Lines of a page that is photographed askew; a sheet that is turned further has its other lines level."""
+"""Directions of lines on a tilted page; on a page that is turned further, the other lines are level."""
 
-# A line covers half of each sixth of its way over the page, which is to be this share of the picture.
+# A line covers half of each sixth of its length on the page, which is at least this share of the picture.
 _COVERED, _PARTS, _SHORTEST = 0.5, 6, 0.15
-# Votes for a line, as a share of the page's width: lines are counted after that.
+# Least Hough votes for a line, as a share of the width of the page.
 _VOTES = 0.2
 _REACH_PX = 2
 
@@ -29,10 +29,10 @@ class _Lines(NamedTuple):
 
 
 def without_lines(mask: Bool, page: Bool) -> Bool:
-    """Take printed lines away from ink.
+    """Remove printed lines from ink.
 
-    Where a stroke crosses a line its ink stays; stumps of the line at the stroke go, if the strokes are
-    thicker than the lines.
+    Where a stroke crosses a line, its ink stays. If strokes are thicker than lines, stumps of lines at
+    strokes are removed, too.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ def without_lines(mask: Bool, page: Bool) -> Bool:
 
 
 def _level_lines(mask: Bool, page: Bool) -> _Lines:
-    """Find the lines that are level, or nearly."""
+    """Find the lines that are nearly level."""
     runs, width = _runs_down(mask), mask.shape[1]
     thin = mask & (runs <= max(3, _THICKEST * max(mask.shape)))
     lines, thickness_px = np.zeros_like(mask), 0.0
@@ -81,7 +81,7 @@ def _level_lines(mask: Bool, page: Bool) -> _Lines:
         if min(part.mean() for part in covered) < _COVERED or not found.any():
             continue
         thickness = float(np.median(found[found > 0]))
-        # Thicker by its noise, but no thicker: the rest is of strokes.
+        # Thicker ink belongs to strokes.
         limit = 1.25 * thickness + 1.5
         band = _band(rows, int(limit) + _REACH_PX, mask)
         lines[band, columns] |= mask[band, columns] & (runs[band, columns] <= limit)
@@ -90,13 +90,13 @@ def _level_lines(mask: Bool, page: Bool) -> _Lines:
 
 
 def _band(rows: Int64, reach_px: int, mask: Bool) -> Int64:
-    """Return the rows around a line, one line for each."""
+    """Return the rows around a line, shape (2 reach + 1, columns)."""
     beside = np.arange(-reach_px, reach_px + 1)[:, None]
     return np.asarray(np.clip(rows + beside, 0, mask.shape[0] - 1))
 
 
 def _runs_down(mask: Bool) -> Int32:
-    """Return the length of the run of ink, down its column, that each pixel is in."""
+    """Return for each pixel the length of its run of ink down the column; 0 on paper."""
     flat = np.pad(mask, ((1, 1), (0, 0))).T.ravel()
     ends = np.flatnonzero(np.diff(flat.view(np.int8))) + 1
     lengths = ends[1::2] - ends[::2]

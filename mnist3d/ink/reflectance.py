@@ -1,4 +1,4 @@
-"""Pictures divided by the paper around each pixel, and what is ink in them."""
+"""Pictures divided by the paper around each pixel, and the ink in them."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from mnist3d.ink.refusals import refuse
 from tactile_toolkit.array_types import Bool, Float32, UInt8
 
 _BOARD = 140
-"""Only paper whose grey level is below has lighter ink."""
+"""Highest grey level of paper that can have lighter ink."""
 
 _CONTRAST, _DEVIATIONS = 0.15, 6
-"""Ink is darker than paper by such a share at least, and by so many standard deviations of the paper."""
+"""Least difference of ink from paper: as a share, and in standard deviations of the paper."""
 
 _MIDDLE, _SHADOW_PX = 0.35, 3 / 700
-"""From ink to paper, where shadows begin; and how wide they are, of the longer side, other than edges."""
+"""Where shadows begin between ink (0) and paper (1), and their least width as a share of the longer side."""
 
 
 class Ink(NamedTuple):
@@ -26,7 +26,7 @@ class Ink(NamedTuple):
 
     mask: Bool
     ink: float
-    """Reflectance of ink, where that of paper is 1."""
+    """Reflectance of ink; that of paper is 1."""
     reflectance: Float32
 
 
@@ -34,7 +34,7 @@ def ink_is_light(coarse: UInt8, page: Bool) -> bool:
     """Return whether the few pixels that differ from the page around them are lighter than it."""
     if np.median(coarse[page]) > _BOARD:
         return False
-    # What surrounds the page is filled with its nearest pixels.
+    # The surroundings of the page are filled with its nearest pixels.
     places = ndimage.distance_transform_edt(~page, return_distances=False, return_indices=True)
     beyond = coarse[tuple(places)].astype(np.float32)
     tiny = beyond[::3, ::3]
@@ -48,12 +48,12 @@ def ink_is_light(coarse: UInt8, page: Bool) -> bool:
 
 
 def _deviation(values: Float32) -> float:
-    """Return the standard deviation of most values, by their median distance from the median."""
+    """Return a robust standard deviation, from the median distance from the median."""
     return float(1.4826 * np.median(np.abs(values - np.median(values))))
 
 
 def reflectance(views: UInt8, page: Bool, widest: float) -> Float32:
-    """Divide the view that shows ink best by the paper around each pixel; paper becomes 1."""
+    """Divide the view with the clearest ink by the paper around each pixel; paper becomes 1."""
     inside = eroded(page, 2)
     if not inside.any():
         refuse("no-ink", sentence="empty-page")
@@ -64,8 +64,8 @@ def reflectance(views: UInt8, page: Bool, widest: float) -> Float32:
         seen = np.divide(coarse, paper, dtype=np.float32)[inside]
         level = float(np.median(seen))
         clearness = (level - float(np.percentile(seen, 0.5))) / (_deviation(seen) + 0.01 * level)
-        # Grey has less noise than its parts.
-        clearness *= 1.3 if number == 0 else 1
+        if number == 0:
+            clearness *= 1.3  # grey has less noise than its parts
         if clearness > best:
             divided = np.divide(view, to_fine(paper, view.shape), dtype=np.float32) / np.float32(level)
             best = clearness
@@ -73,19 +73,21 @@ def reflectance(views: UInt8, page: Bool, widest: float) -> Float32:
 
 
 def find_ink(reflectance: Float32, inside: Bool) -> Ink:
-    """Return what is nearer to ink than to paper."""
+    """Return the pixels that are nearer to ink than to paper."""
     values = reflectance[inside]
     ink = float(np.percentile(values, 0.3))
     for _ in range(4):
         dark = values[values < (1 + ink) / 2]
-        ink = float(np.median(dark)) if dark.size else 1.0
+        ink = 1.0
+        if dark.size:
+            ink = float(np.median(dark))
     if 1 - ink < max(_CONTRAST, _DEVIATIONS * _deviation(values[::7])):
         refuse("no-ink", sentence="empty-page")
     return Ink((reflectance < (1 + ink) / 2) & inside, ink, reflectance)
 
 
 def without_shadows(found: Ink) -> Bool:
-    """Take away what is between ink and paper, such as shadows of fingers, but for the edges of ink."""
+    """Remove what is between ink and paper, such as shadows of fingers, but keep the edges of ink."""
     middle = found.mask & (found.reflectance > found.ink + _MIDDLE * (1 - found.ink))
     steps = max(1, round(_SHADOW_PX * max(middle.shape)))
     wide = ndimage.minimum_filter(middle, 2 * steps + 1)

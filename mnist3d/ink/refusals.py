@@ -1,16 +1,16 @@
-"""Why an image gives no solid, in words."""
+"""Messages for images that give no solid."""
 
 from __future__ import annotations
 
-from typing import Any, NoReturn
+from typing import NoReturn
 
 from tactile_toolkit.errors import ItemError
 
 _SENTENCES = {
     "bad-shape": "the image has shape {}; expected (H, W) with sides of {} px or more",
     "bad-dtype": "the image has dtype {}; expected grey levels (integers, floats or bool)",
-    "not-finite": "{} pixels of the image are NaN or infinite; expected grey levels from 0 to 255",
-    "bad-range": "grey levels run from {} to {}; expected 0 to 255, or floats from 0 to 1",
+    "not-finite": "{}: found {} that are NaN or infinite, expected finite levels",
+    "bad-pixels": "{}: found pixels from {:g} to {:g}, expected 0 to {:g}",
     "too-small": "the image has {} x {} px, which make {:g} mm; expected {} px or more",
     "unclear-ink": "{}: the ink cannot be distinguished from the paper, found {:.0%} of the margin light and "
     "the rest dark, expected nearly all of it to be paper",
@@ -28,10 +28,12 @@ _SENTENCES = {
     "topology": "no lattice keeps the {} bodies and {} holes of the ink; the finest has {} and {}",
     "layers": "the layers of the ink, stacked, have {} bodies and {} holes; the ink has {} and {}",
     "vertex-budget": "the digit needs {:,} vertices to keep its {} bodies and {} holes; {:,} were asked for, "
-    "and at most {:g} times as many are given",
+    "and at most {:g} times as many are allowed",
 }
 
 _NEXT = {
+    "not-finite": "repair or rescale this image in the file, or leave it out",
+    "bad-pixels": "repair or rescale this image in the file, or leave it out",
     "too-small": "solidify(..., resample=True) draws it again with 500",
     "unclear-ink": "give dark or light (--foreground, ink=), or crop the image",
     "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
@@ -46,7 +48,7 @@ _NEXT = {
 }
 
 
-def refuse(reason: str, *found: Any, sentence: str = "") -> NoReturn:
-    """Raise the ItemError of a reason, or of one of its sentences, with what was found."""
+def refuse(reason: str, *found: object, sentence: str = "") -> NoReturn:
+    """Raise the ItemError of a reason; ``sentence`` chooses another message of the same reason."""
     key = sentence or reason
     raise ItemError(reason, _SENTENCES[key].format(*found), next=_NEXT.get(key, "").format(*found))

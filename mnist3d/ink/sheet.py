@@ -1,4 +1,4 @@
-"""Images brought onto a square sheet of 500 pixels."""
+"""Images of any size, fitted into a square sheet of 500 pixels."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 from PIL import Image
 from scipy.sparse import csr_array
 
-from mnist3d.ink.grey_levels import _PAPER
 from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.array_types import AnyArray, Float32, Floating, UInt8
 
@@ -17,21 +16,22 @@ SIDE_PX = 500
 
 # Samples per original pixel at which the ink is smoothed before it is drawn.
 _MESH = 5
+# Standard deviation of that blur, original pixels.
 _BLUR_PX = 0.6
+_PAPER = 255
 
 
 def fit(pixels: UInt8) -> UInt8:
-    """Bring a dark-on-light image of any size onto the sheet: aspect kept, centred on white paper.
+    """Fit a dark-on-light image of any size into the sheet: aspect kept, centred on white paper.
 
-    Larger images are shrunk with antialiasing, smaller ones go through :func:`enlarge`; one of 500 x 500 px
-    comes back as it is.
+    Larger images are shrunk with antialiasing, smaller ones go through :func:`enlarge`. An image of
+    500 x 500 px is returned unchanged.
     """
     height, width = pixels.shape
-    scale = SIDE_PX / max(height, width)
     if height == width == SIDE_PX:
         return pixels
+    scale = SIDE_PX / max(height, width)
     height, width = max(1, round(height * scale)), max(1, round(width * scale))
-    # Plain interpolation winds around the pixel rows, see `enlarge`.
     if scale > 1:
         resized = enlarge(pixels, (height, width))
     else:
@@ -55,7 +55,7 @@ def enlarge(pixels: UInt8, size: tuple[int, int]) -> UInt8:
     solid = np.clip((_both_ways(rows, columns, ink) - 0.5) * 4 + 0.5, 0, 1)
     down, across = (_blur_matrix(count, out) for count, out in zip(ink.shape, size, strict=True))
     levels = _both_ways(down, across, solid)
-    # The blur has made the edge as wide as itself: it is made steeper again about half ink.
+    # The blur has widened the edge; it is made steeper again about half ink.
     gain = max(1.0, _BLUR_PX * size[0] / ink.shape[0])
     levels -= np.float32(0.5)
     levels *= np.float32(-_PAPER * gain)
@@ -65,12 +65,12 @@ def enlarge(pixels: UInt8, size: tuple[int, int]) -> UInt8:
 
 
 def _centres(count: int, out: int) -> Floating:
-    """Centres of `out` pixels in the pixel coordinates of an image of `count` over the same length."""
+    """Return the centres of `out` pixels in the coordinates of `count` pixels over the same length."""
     return (np.arange(out) + 0.5) * (count / out) - 0.5
 
 
 def _cubic_basis(count: int, at: Floating) -> Floating:
-    """Cubic B-splines of `count` knots at positions `at`, the outer knots repeated beyond the edge."""
+    """Return cubic B-splines of `count` knots at some positions; outer knots are repeated beyond the edge."""
     margin = 3
     t = np.abs(at[:, None] - np.arange(-margin, count + margin))
     beyond = np.clip(2 - t, 0, None)
@@ -85,8 +85,7 @@ def _both_ways(down: csr_array, across: csr_array, values: AnyArray) -> Float32:
     return np.ascontiguousarray((down @ (across @ values.T).T), dtype=np.float32)
 
 
-# Both matrices depend on sizes alone, and a source usually has one size: building them per image would cost
-# more than using them.
+# Both matrices depend on sizes only, and cost more to build than to use. Most sources have one size.
 @lru_cache(maxsize=8)
 def _spline_matrix(count: int) -> csr_array:
     knots = _cubic_basis(count, np.arange(count, dtype=np.float64))
@@ -95,8 +94,8 @@ def _spline_matrix(count: int) -> csr_array:
 
 
 def _solved(matrix: Floating, right: Floating) -> Floating:
-    """Solve equations of a matrix whose diagonal is heavy and has one neighbour on either side."""
-    # LAPACK would do, but rounds otherwise on another processor.
+    """Solve equations with a tridiagonal, diagonally dominant matrix."""
+    # LAPACK rounds differently on other processors.
     pivots, left = matrix.diagonal().copy(), right.copy()
     for row in range(1, len(matrix)):
         share = matrix[row, row - 1] / pivots[row - 1]
@@ -116,10 +115,10 @@ def _blur_matrix(count: int, out: int) -> csr_array:
 
 
 def _sparse(weights: Floating) -> csr_array:
-    """Keep the weights that matter, each row adding up to 1.
+    """Keep the weights that matter, and scale each row to a sum of 1.
 
-    Sparse products sum in one fixed order, where those of dense matrices depend on the number of threads: the
-    same image has to give the same bytes on a busy machine.
+    Sparse products sum in a fixed order. The order of dense products depends on the number of threads, so the
+    same image would give other bytes on a busy machine.
     """
     near = np.where(np.abs(weights) > 1e-5, weights, 0)
     return csr_array((near / near.sum(axis=1, keepdims=True)).astype(np.float32))

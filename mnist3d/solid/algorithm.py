@@ -65,7 +65,7 @@ def solidify(
     Raises
     ------
     ItemError
-        The image is not a usable digit; ``reason`` is one of ``bad-shape``, ``bad-dtype``, ``bad-range``,
+        The image is not a usable digit; ``reason`` is one of ``bad-shape``, ``bad-dtype``, ``bad-pixels``,
         ``not-finite``, ``too-small``, ``unclear-ink``, ``no-ink``, ``all-ink``, ``cut-off``,
         ``several-digits``, ``not-a-digit``, ``topology``, ``vertex-budget``.
     InputError

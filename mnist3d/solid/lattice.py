@@ -1,4 +1,8 @@
-"""Where the nodes lie at which a solid is evaluated."""
+"""The lattice of nodes at which a solid is evaluated.
+
+Nodes lie as far apart as the vertex budget asks for. Where a neck, a gap or a whisker is narrower than the
+lattice can show, rows and columns of nodes are added until it is shown.
+"""
 
 from __future__ import annotations
 
@@ -13,42 +17,42 @@ from mnist3d.solid.profile import half_height_px
 from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 
-# The default budget comes to 3.9 to 5.7 px, so that two rounds settle it.
+# The default budget needs 3.9 to 5.7 px, so two rounds are enough.
 FIRST_PITCH_PX = 4.0
-# Half the published thickness is 20 px: at a larger pitch two layers would have to show the shoulder.
+# Half the published thickness is 20 px: at a larger pitch, only two layers would show the shoulder.
 LARGEST_PITCH_PX = 8.0
 
 NARROW_PX = 2.0
-"""Ink or paper whose middle is nearer to the outline than this is narrow: a neck, a gap, a whisker."""
+"""Ink or paper is narrow (a neck, a gap, a whisker) if its middle is nearer to the outline than this."""
 
 NARROW_REACH_PX = 3
-"""Within so many pixels of something wider, ink and paper are not narrow: outlines are rough."""
+"""Ink and paper within so many pixels of something wider are not narrow: outlines are rough."""
 
 NARROW_ERROR_PX = 0.25
-"""How far the outline of what is narrow may be from where it was drawn: 0.05 mm on either side."""
+"""Largest error of the outline of narrow parts: 0.05 mm."""
 
 MIN_NODE_DEPTH = 0.03
-"""Least depth of a node in pitches: it keeps the vertices on the edges around a node apart."""
+"""Least depth of a node, in pitches: it keeps the vertices on the edges around a node apart."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Lattice:
-    """Where the solid of some ink is evaluated: nodes in the mid-plane, and how far each is from the outline.
+    """Nodes in the mid-plane of some ink, and how far each is from the outline.
 
     Attributes
     ----------
     ink : ndarray of bool, shape (H, W)
-        The part of the image with ink in it, and paper around; what follows is in pixels of this part.
+        The part of the image with ink in it, and paper around; the other fields are in pixels of this part.
     corner_px : tuple of int
-        Row and column of the image at which it begins.
+        Row and column of the image at which this part begins.
     distance_px : ndarray of float32, shape (H, W)
         Distance of each pixel from the outline, positive inside.
     narrow : ndarray of int, shape (2, N)
-        Rows and columns of pixels of ink and paper that nothing wide is near.
+        Rows and columns of the pixels of narrow ink and paper.
     rows_px, columns_px : ndarray of float64, shape (R,) and (C,)
-        Where the nodes lie.
+        Positions of the nodes.
     pitch_px : float
-        How far apart they are where nothing narrow is near.
+        Distance of the nodes where nothing narrow is near.
     s_px : ndarray of float32, shape (R, C)
         Distance from the outline at the nodes.
     """
@@ -64,22 +68,22 @@ class Lattice:
 
     @property
     def least_px(self) -> np.float32:
-        """Least depth of a node: it keeps the vertices on the edges around a node apart."""
+        """Least depth of a node, pixels."""
         return np.float32(MIN_NODE_DEPTH * self.pitch_px)
 
     def heights_px(self, spec: SolidSpec) -> Float32:
-        """Return the heights of the layers above the mid-plane, to beyond the top of the solid, shape (L, 1).
+        """Return the heights of the layers from the mid-plane to beyond the top of the solid, shape (L, 1).
 
-        Each an array of its own: numpy squares single numbers by another function, to another last bit.
+        Each is an array of its own: numpy squares scalars by another function, with another last bit.
         """
         top_px = spec.half_thickness_px + 2 * self.pitch_px
         return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None]
 
     def finer(self, inside: Bool) -> Lattice | None:
-        """Return a lattice with more nodes where bodies or holes are lost; None where each pixel has one.
+        """Return a lattice with more nodes where bodies or holes are lost; None if each pixel is a node.
 
-        That is where nodes ``inside`` the mid-plane touch at a corner alone, or else where the lattice shows
-        ink for paper, or paper for ink.
+        Nodes are added where nodes ``inside`` the mid-plane touch at a corner only, or else where the lattice
+        shows ink for paper, or paper for ink.
         """
         if self.s_px.shape == self.ink.shape:
             return None
@@ -90,7 +94,7 @@ class Lattice:
         return self._with_nodes_at(missed).fitted()
 
     def fitted(self) -> Lattice:
-        """Return a lattice with nodes added until it shows all that is narrow."""
+        """Return a lattice with nodes added until it shows all narrow parts."""
         lattice = self
         while True:
             shown_px = lattice._between_nodes(*lattice.narrow)
@@ -102,16 +106,16 @@ class Lattice:
 
     def _with_nodes_at(self, missed: Int64) -> Lattice:
         rows, columns = map(_refined, (self.rows_px, self.columns_px), missed, self.ink.shape)
-        # Where nothing more can be added line by line, every pixel becomes a node; that is the finest.
+        # If no line can be added, every pixel becomes a node.
         if (len(rows), len(columns)) == self.s_px.shape:
             rows, columns = (np.arange(side, dtype=np.float64) for side in self.ink.shape)
         s_px = sampled(self.distance_px, rows, columns, self.pitch_px)
         return replace(self, rows_px=rows, columns_px=columns, s_px=s_px)
 
     def _corner_contacts(self, inside: Bool) -> Int64:
-        """Return the pixels, shape (2, N), between nodes of which two touch at a corner alone.
+        """Return the pixels, shape (2, N), between nodes of which two touch at a corner only.
 
-        The surface may join them, or what lies across.
+        The surface may join these two, or the two across.
         """
         one, other = inside[:-1, :-1], inside[:-1, 1:]
         contacts = (one == inside[1:, 1:]) & (other == inside[1:, :-1]) & (one != other)
@@ -122,7 +126,7 @@ class Lattice:
         return np.stack(np.nonzero(contacts[np.ix_(*cells)]))
 
     def _between_nodes(self, rows: Int64, columns: Int64) -> Float64:
-        """Return what the lattice shows at pixels, linear between its nodes; exact as :func:`_blurred`."""
+        """Interpolate the lattice at pixels; exact, as :func:`~mnist3d.solid.node_sampling.sampled` is."""
         s = on_grid(self.s_px, FACTOR_GRAIN_PX).astype(np.float64)
         row, above, below = linear(self.rows_px, rows)
         column, left, right = linear(self.columns_px, columns)
@@ -134,12 +138,12 @@ class Lattice:
 
 
 def lattice_of(ink: Bool, spec: SolidSpec) -> Lattice:
-    """Lay a lattice over clean ink (:func:`mnist3d.ink.cleaning.clean`) that shows all that is narrow."""
+    """Lay a lattice over clean ink (:func:`mnist3d.ink.clean`) that shows all narrow parts."""
     # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
     margin_px = math.ceil(2 * LARGEST_PITCH_PX)
     (top, bottom), (left, right) = (np.flatnonzero(ink.any(axis=axis))[[0, -1]].tolist() for axis in (1, 0))
     crop = np.pad(ink[top : bottom + 1, left : right + 1], margin_px)
-    # Deeper than the half thickness the surface is flat; 4 px more keep the cut-off out of the blur there.
+    # Deeper than the half thickness, the surface is flat; 4 px more keep the cut-off out of the blur.
     distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
     distance = on_grid(distance, FACTOR_GRAIN_PX)
     narrow = narrow_pixels(distance, NARROW_PX, NARROW_REACH_PX)
@@ -151,10 +155,10 @@ def lattice_of(ink: Bool, spec: SolidSpec) -> Lattice:
 
 
 def _first_pitch_px(distance: Float32, spec: SolidSpec) -> float:
-    """Return the pitch asked for, or the one at which marching cubes will meet the vertex budget.
+    """Return the pitch that was asked for, or the one at which marching cubes meet the vertex budget.
 
-    A vertex lies on every edge of the lattice that passes through the surface, so their number is known
-    before the surface is made, and it falls with the square of the pitch.
+    A vertex lies on every edge of the lattice that crosses the surface, so their number is known before the
+    surface is made. It falls with the square of the pitch.
     """
     if spec.lattice_pitch_mm is not None:
         return min(max(spec.lattice_pitch_mm / spec.pixel_pitch_mm, 1.0), LARGEST_PITCH_PX)
@@ -167,7 +171,7 @@ def _first_pitch_px(distance: Float32, spec: SolidSpec) -> float:
 
 
 def _crossed_edges(s_px: Float32, pitch_px: float, spec: SolidSpec) -> int:
-    """Count the edges that pass through the whole surface: next to and above the nodes, the rim only once."""
+    """Count the edges that cross the whole surface, beside and above the nodes; those of the rim once."""
     layers = np.ceil(half_height_px(s_px, spec) / np.float32(pitch_px)).astype(np.int32)
     beside = np.abs(np.diff(layers, axis=0)).sum() + np.abs(np.diff(layers, axis=1)).sum()
     inked = layers > 0
@@ -176,7 +180,7 @@ def _crossed_edges(s_px: Float32, pitch_px: float, spec: SolidSpec) -> int:
 
 
 def _refined(nodes: Float64, lines: Int64, count: int) -> Float64:
-    """Put nodes on every pixel of the lines in which something is missed, and on those next to them."""
+    """Put nodes on every line in which something is missed, and on the lines next to it."""
     missed = np.zeros(count, dtype=bool)
     missed[lines] = True
     wanted = np.flatnonzero(missed | np.append(missed[1:], False) | np.append(False, missed[:-1])) * 1.0
@@ -186,6 +190,6 @@ def _refined(nodes: Float64, lines: Int64, count: int) -> Float64:
     below = nodes - wanted[np.maximum(place - 1, 0)]
     above = wanted[np.minimum(place, len(wanted) - 1)] - nodes
     away = np.minimum(np.abs(below), np.abs(above))
-    # Between pixels a node needs a blur of two pixels to mean what lies there.
+    # A node between pixels needs a blur of two pixels.
     others = np.where(away < 2, np.round(nodes), nodes)[away >= 1]
     return np.unique(np.concatenate([others, wanted]))

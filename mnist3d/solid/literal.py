@@ -1,7 +1,7 @@
-"""Algorithm 1 as it is printed: the oracle that the fast way of :mod:`mnist3d.solid` is held to.
+"""Algorithm 1 as it is printed: the reference for the fast method.
 
-Binary layers at full resolution, marching cubes on the binary stack, smoothing, and only then a decimation to
-the vertex budget. Slow and plain on purpose.
+Binary layers at full resolution, marching cubes on the binary stack, smoothing, then decimation to the vertex
+budget. Slow and plain on purpose.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ from tactile_toolkit.mesh import Mesh
 
 
 def literal_solid(ink: Bool, spec: SolidSpec, *, decimated: bool = True) -> Mesh:
-    """Build the solid of clean ink; left as fine as its pixels with ``decimated=False``.
+    """Build the solid of clean ink; ``decimated=False`` leaves it as fine as its pixels.
 
-    Raises ItemError ``topology`` where the surface has not the bodies and holes of the ink,
-    ``vertex-budget`` as :func:`mnist3d.solid.decimation.decimate`.
+    Raises ItemError ``topology`` where the surface lacks bodies or holes of the ink, and ``vertex-budget`` as
+    :func:`mnist3d.solid.decimation.decimate`.
     """
     upper_half = stack([eroded_by_disc(ink, radius_px) for radius_px in erosion_radii_px(spec)])
     volume = np.concatenate([upper_half[:, :, ::-1], upper_half], axis=2)
@@ -41,7 +41,9 @@ def literal_solid(ink: Bool, spec: SolidSpec, *, decimated: bool = True) -> Mesh
         refuse("topology", *found, *counts, sentence="layers")
     smoothed = smooth(surface, spec.literal_smoothing_iterations, spec.smoothing_factor)
     mesh = scale(smoothed, ink.shape, spec)
-    return decimate(mesh, spec.target_vertices) if decimated else mesh
+    if decimated:
+        mesh = decimate(mesh, spec.target_vertices)
+    return mesh
 
 
 def erosion_radii_px(spec: SolidSpec) -> Float64:
@@ -54,11 +56,11 @@ def erosion_radii_px(spec: SolidSpec) -> Float64:
 
 
 def eroded_by_disc(ink: Bool, radius_px: float) -> Bool:
-    """Let the ink draw in from its outline by a radius; beyond the image is paper.
+    """Erode ink by a radius, measured from its outline; outside the image is paper.
 
-    The outline lies half a pixel outside the outermost centres, so this is binary erosion with a disc of the
+    The outline lies half a pixel outside the outermost centres, so this is binary erosion with a disc of all
     offsets shorter than ``radius_px + 0.5``. The usual disc, of offsets up to the radius, leaves half a pixel
-    more: ``SolidSpec.erosion`` chooses between them by the radii of :func:`erosion_radii_px`.
+    more. ``SolidSpec.erosion`` chooses between them through the radii of :func:`erosion_radii_px`.
     """
     # One transform serves any radius; repeated small erosions would draw polygons.
     distance: Any = ndimage.distance_transform_edt(np.pad(ink, 1))

@@ -37,12 +37,11 @@ def isosurface(volume: AnyArray, level: float) -> tuple[Float32, Int32]:
 def _in_storage_order(faces: Int32) -> Int32:
     """Begin each triangle at its lowest vertex and sort the triangles; the winding stays.
 
-    Neighbouring rows then hold nearly equal numbers, which halves what zstd makes of them.
+    Neighbouring rows then hold similar numbers, which halves their size after zstd.
     """
     if not len(faces):
         return faces
-    # On a surface no two triangles leave the same vertex by the same edge, so two numbers settle the order;
-    # of the three edges of a triangle the one from its lowest vertex has the least.
+    # No two triangles leave a vertex by the same edge, so the edge from the lowest vertex decides the order.
     count = int(faces.max()) + 1
     a, b, c = faces.T.astype(np.int64)
     edge = np.minimum(np.minimum(a * count + b, b * count + c), c * count + a)
@@ -55,10 +54,10 @@ def _in_storage_order(faces: Int32) -> Int32:
 def _beside_thin_parts(vertices: Float32, plane: Bool) -> Int64:
     """Return the vertices at walls and gaps of one node, whose sides smoothing might push past each other.
 
-    ``plane`` says which nodes of the mid-plane are inside. Vertices count in pitches; each lies on an edge of
-    the lattice between two nodes.
+    ``plane`` states which nodes of the mid-plane are inside. Vertices are in pitches; each lies on an edge
+    between two nodes.
     """
-    # Higher up there is always a wider layer below, so a ridge of one node is safe and may be smoothed.
+    # Above the mid-plane there is a wider layer below, so a ridge of one node may be smoothed.
     thin = np.zeros_like(plane)
     for down, across in ((0, 1), (1, 0), (1, 1), (1, -1)):
         one = np.roll(plane, (down, across), axis=(0, 1))

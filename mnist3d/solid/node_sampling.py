@@ -1,4 +1,4 @@
-"""Distances at the nodes of a lattice, the same bits on every processor."""
+"""Distances from the outline at the nodes of a lattice, with the same bits on every processor."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ RIDGE_BLUR_PER_PITCH = 0.6
 RIDGE_DEPTH_PER_PITCH = 1.0
 """Blur near the outline, blur in the depth, and where the one passes into the other.
 
-Distances grow evenly with the depth, so a blur changes nothing there but the ridge of a narrow stroke, whose
-height would otherwise go up and down with where the nodes happen to lie.
+Distances grow evenly with the depth, so a blur changes only the ridge of a narrow stroke, whose height would
+otherwise depend on the positions of the nodes.
 """
 
 BELL_REACH = 11**0.5
 """(1 - (x / r)^2)^4 has the standard deviation r / sqrt(11)."""
 
 GRAIN_PX = 2.0**-12
-"""Sampled distances are rounded to this."""
+"""Grid to which sampled distances are rounded."""
 
 FACTOR_GRAIN_PX, _WEIGHT_GRAIN = 2.0**-16, 2.0**-24
-"""Grids of what is sampled, below 2^7 px, and of weights, below 2: their sums need no more than 50 bits."""
+"""Grids of distances, below 2^7 px, and of weights, below 2: their sums need at most 50 bits."""
 
 
 def sampled(distance: Float32, rows: Float64, columns: Float64, pitch_px: float) -> Float32:
@@ -39,10 +39,10 @@ def sampled(distance: Float32, rows: Float64, columns: Float64, pitch_px: float)
 
 
 def _blurred(values: Float32, rows: Float64, columns: Float64, sigma_per_pitch: float) -> Float32:
-    """Return what a blur as wide as the nodes lie apart leaves of values at the nodes.
+    """Return values at nodes after a blur as wide as the nodes are apart.
 
-    Values and weights lie on grids so coarse that every product and every sum of them is exact in double
-    precision: so they are the same bits on every processor.
+    Values and weights lie on such coarse grids that every product and sum is exact in double precision, with
+    the same bits on every processor.
     """
     blur = sigma_per_pitch, BELL_REACH, _WEIGHT_GRAIN
     halfway = on_grid(blurred(values, rows, *blur), FACTOR_GRAIN_PX)
@@ -57,7 +57,7 @@ def on_grid(values: NDArray[F], grain: float) -> NDArray[F]:
 
 
 def linear(nodes: Float64, pixels: Int64) -> tuple[AnyArray, ...]:
-    """Return the nodes before pixels and the weights of these and the next ones."""
+    """Return the nodes before pixels, and the weights of these and of the next nodes."""
     before = np.searchsorted(nodes[1:-1], pixels, side="right")
     share = np.clip((pixels - nodes[before]) / (nodes[before + 1] - nodes[before]), 0, 1)
     return before, on_grid(1 - share, _WEIGHT_GRAIN), on_grid(share, _WEIGHT_GRAIN)

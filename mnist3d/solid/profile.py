@@ -7,9 +7,11 @@ import numpy as np
 from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.array_types import Floating
 
+_DISC_OFFSETS_PX = {"outline": 0.0, "disc": 0.5}
+
 
 def erosion_radius_px(z_px: Floating, spec: SolidSpec) -> Floating:
-    """Return how far the outline draws in at heights from 0 to the half thickness; grows with the height."""
+    """Return how far the outline draws in at heights from 0 to the half thickness, pixels."""
     half_px = spec.half_thickness_px
     if spec.profile == "flat":
         return np.zeros_like(z_px)
@@ -20,25 +22,27 @@ def erosion_radius_px(z_px: Floating, spec: SolidSpec) -> Floating:
 
 
 def disc_offset_px(spec: SolidSpec) -> np.float32:
-    """Return by how much an erosion falls short of its radius: a disc of pixels leaves those it touches."""
-    return np.float32(0.5 if spec.erosion == "disc" else 0)
+    """Return by how much an erosion falls short of its radius: a disc of pixels keeps those it touches."""
+    return np.float32(_DISC_OFFSETS_PX[spec.erosion])
 
 
 def half_height_px(s_px: Floating, spec: SolidSpec) -> Floating:
-    """Return how high the solid stands above the mid-plane; 0 outside the ink."""
+    """Return the height of the solid above the mid-plane, pixels; 0 outside the ink."""
     half_px = spec.half_thickness_px
     depth = np.where(s_px > 0, np.clip(s_px + disc_offset_px(spec), 0, half_px), 0)
     if spec.profile == "round":
         # The same quarter circle as in `erosion_radius_px`, solved for the height.
         return np.asarray(np.sqrt(depth * (2 * half_px - depth)))
-    return depth if spec.profile == "linear" else np.where(s_px > 0, np.float32(half_px), np.float32(0))
+    if spec.profile == "linear":
+        return depth
+    return np.where(s_px > 0, np.float32(half_px), np.float32(0))
 
 
 def depth_px(s_px: Floating, z_px: Floating, spec: SolidSpec) -> Floating:
-    """Return how deep points lie in the solid, positive inside; the two shapes broadcast.
+    """Return the depth of points in the solid, pixels, positive inside; the two shapes broadcast.
 
-    The values are true distances wherever one side of the solid is nearest, so that their zero is found
-    exactly between two nodes of a lattice; a stack of binary layers would place it half way instead.
+    Values are true distances wherever one side of the solid is nearest, so their zero between two nodes is
+    exact. A stack of binary layers would place it half way.
     """
     half_px = spec.half_thickness_px
     if spec.profile == "flat":
@@ -49,4 +53,6 @@ def depth_px(s_px: Floating, z_px: Floating, spec: SolidSpec) -> Floating:
     else:
         # The side of a linear profile is a plane at 45 degrees.
         depth = np.asarray(np.minimum((kept_px - z_px) * np.float32(0.5**0.5), half_px - z_px))
-    return np.minimum(depth, s_px) if spec.erosion == "disc" else depth
+    if spec.erosion == "disc":
+        depth = np.minimum(depth, s_px)
+    return depth

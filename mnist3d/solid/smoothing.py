@@ -10,20 +10,20 @@ from mnist3d.compiled_loops import smoothed
 from mnist3d.solid.surface import Surface
 
 TAUBIN_RATIO = -1.06
-"""Step outward over step inward that lets smoothing keep the volume (Taubin 1995: slightly above one)."""
+"""Ratio of the outward to the inward step that keeps the volume (Taubin 1995: slightly above one)."""
 
 
 def smooth(surface: Surface, iterations: int, factor: float) -> Surface:
-    """Even out a surface without shrinking it (Taubin 1995).
+    """Smooth a surface without shrinking it (Taubin 1995).
 
-    Each round is a step of ``factor`` of the way to the middle of the neighbours and a slightly longer one
-    back. As its rim stays in the mid-plane, the upper half moves exactly as it would within the whole.
+    Each round moves vertices by ``factor`` of the way to the mean of their neighbours, and then back by a
+    slightly longer step. The rim stays in the mid-plane, so an upper half moves as it would in the whole.
     """
     rim = surface.rim
     flat = np.bincount(rim, minlength=len(surface.vertices_px))
     shares = np.array([factor, factor * TAUBIN_RATIO] * iterations, np.float32)
     vertices = smoothed(surface.vertices_px.copy(), surface.faces, flat, shares)
-    # Volume and topology come before smoothness there: a wall that folds is not a solid.
+    # A wall that folds is not a solid, so thin parts are not smoothed.
     vertices[surface.still] = surface.vertices_px[surface.still]
     vertices[:, 2] = np.maximum(vertices[:, 2], np.float32(surface.least_px))
     vertices[rim, 2] = 0

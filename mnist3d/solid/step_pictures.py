@@ -25,14 +25,14 @@ _PANEL_PX = 380
 _MARGIN_PX = 12
 _LIGHTEST, _DARKEST = (214, 230, 241), (8, 64, 112)
 _SAMPLING = 2
-# How many times their distance the layers of the stack are drawn apart.
+# Factor by which the distance of layers is enlarged in the picture of the stack.
 _SPREAD = 4.0
 
 
 def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
-    """Draw how an image, (H, W), 0 ink and 255 paper, becomes the solid that a data set stores.
+    """Draw how an image, shape (H, W), 0 for ink and 255 for paper, becomes the solid that a data set stores.
 
-    ItemError, which names the picture by its title, where the image is not a usable digit.
+    Raises ItemError, with the title of the picture, where the image is not a usable digit.
     """
     try:
         ink = binarise(pixels, spec, ink="dark")
@@ -72,7 +72,7 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
 
 
 def _layers_px(lattice: Lattice, inside: Bool, window: tuple[slice, slice]) -> list[Bool]:
-    """Return the layers that are not empty, each pixel of a window as the node that is nearest to it."""
+    """Return the layers that are not empty; each pixel of a window shows its nearest node."""
     nodes_px = (lattice.rows_px, lattice.columns_px)
     rows, columns = (
         np.abs(np.arange(span.start, span.stop)[:, None] - corner - nodes).argmin(axis=1)
@@ -83,7 +83,7 @@ def _layers_px(lattice: Lattice, inside: Bool, window: tuple[slice, slice]) -> l
 
 
 def layer_map(layers: Sequence[Bool]) -> UInt8:
-    """Draw layers one on top of the other, the higher the darker: shape (H, W, 3)."""
+    """Draw layers on top of one another, higher ones darker: shape (H, W, 3)."""
     picture = np.full((*layers[0].shape, 3), 255, np.uint8)
     for number, layer in enumerate(layers):
         picture[layer] = _tint(number / max(1, len(layers) - 1))
@@ -91,7 +91,7 @@ def layer_map(layers: Sequence[Bool]) -> UInt8:
 
 
 def _window(mask: Bool) -> tuple[slice, slice]:
-    """Return the square around the ink, with a margin; cut at the edges of the image."""
+    """Return the square around the ink, with a margin, cut at the edges of the image."""
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     half = (max(np.ptp(rows), np.ptp(columns)) + 1) // 2 + _MARGIN_PX
     spans = []
@@ -102,7 +102,7 @@ def _window(mask: Bool) -> tuple[slice, slice]:
 
 
 def _stack_view(layers: Sequence[Bool], pitch_px: float, spec: SolidSpec, px_per_mm: float) -> UInt8:
-    """Draw the stack obliquely, its layers apart."""
+    """Draw the stack in an oblique view, its layers apart."""
     side = _PANEL_PX * _SAMPLING
     picture = Image.new("RGB", (side, side), (255, 255, 255))
     px = px_per_mm * spec.pixel_pitch_mm * _SAMPLING
@@ -119,7 +119,7 @@ def _stack_view(layers: Sequence[Bool], pitch_px: float, spec: SolidSpec, px_per
 def _back_to_layer(
     shape: tuple[int, ...], side_px: int, px: float, height: float, drop_px: int
 ) -> tuple[float, ...]:
-    """Return the map from pixels of the view to those of a layer, as Pillow takes it."""
+    """Return the affine map from pixels of the view to those of a layer, for Pillow."""
     right, up, _ = pictures.OBLIQUE.axes
     # Rows of a layer grow along -y, those of the picture along -up.
     to_view = px * np.array([[right[0], -right[1]], [-up[0], up[1]]])
@@ -136,7 +136,7 @@ def _tint(share: float) -> tuple[int, int, int]:
 
 
 def _square(pixels: UInt8) -> UInt8:
-    """Return a picture in the size of a panel, its pixels kept square, on paper."""
+    """Return a picture fitted into a square panel, on white."""
     picture = Image.fromarray(pixels).convert("RGB")
     factor = _PANEL_PX / max(picture.size)
     size = (max(1, round(picture.width * factor)), max(1, round(picture.height * factor)))

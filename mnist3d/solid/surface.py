@@ -13,20 +13,20 @@ from tactile_toolkit.mesh import connected
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A surface before it is scaled: a whole one, or the upper half of one, whose rim lies in the mid-plane.
+    """A whole surface in pixels, or the upper half of one, whose rim lies in the mid-plane.
 
     Attributes
     ----------
     vertices_px : ndarray of float32, shape (V, 3)
-        Row, column and height above the mid-plane, from ``corner_px`` of the image.
+        Row, column and height, counted from ``corner_px``.
     faces : ndarray of int32, shape (F, 3)
         Rows of the vertices, counter-clockwise seen from outside.
     corner_px : tuple
         Row, column and height.
     rim, still : ndarray of int
-        Rows of vertices that stay in the mid-plane, and that stay where they are, when it is smoothed.
+        Rows of the vertices that smoothing keeps in the mid-plane, and of those that it does not move.
     least_px : float
-        Least height of the other vertices.
+        Least height of all other vertices after smoothing.
     """
 
     vertices_px: Float32
@@ -40,11 +40,13 @@ class Surface:
 def bodies_and_holes(vertices: int, faces: AnyArray, rim: int = 0) -> tuple[int, int]:
     """Count the bodies of a closed surface and the holes through them.
 
-    With a ``rim``, the number of vertices in the mid-plane, the surface is the upper half of one.
+    Of the upper half of a surface, ``rim`` is the number of vertices in the mid-plane.
     """
     corners = faces.astype(np.int64)
     least = connected(corners[:, :2].ravel(), corners[:, 1:].ravel(), vertices)
     bodies = int(np.count_nonzero(least == np.arange(vertices)))
     # Every edge of a closed surface borders two triangles, so V - E + F is V - F / 2.
-    euler = 2 * vertices - rim - len(faces) if rim else vertices - len(faces) // 2
+    euler = vertices - len(faces) // 2
+    if rim:
+        euler = 2 * vertices - rim - len(faces)
     return bodies, bodies - euler // 2

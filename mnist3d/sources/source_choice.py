@@ -1,4 +1,4 @@
-"""The source of images that options, or a manifest, ask for."""
+"""The source of images that options ask for, or that a manifest describes."""
 
 from __future__ import annotations
 
@@ -12,23 +12,34 @@ from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import HWD_PLUS_COUNT, SyntheticSource
 from tactile_toolkit.errors import InputError
 
-# The options that each source needs, and those that it takes.
-_OPTIONS: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "synthetic": ((), ("digits",)),
-    "hwdplus": (("images", "writer_info"), ("writer_column",)),
-    "mnist": (("images",), ("download",)),
-    "folder": (("images",), ("foreground", "threshold")),
+_NEEDED = {
+    "synthetic": (),
+    "hwdplus": ("images", "writer_info"),
+    "mnist": ("images",),
+    "folder": ("images",),
 }
+"""Options without which a source cannot be made."""
+
+_TAKEN = {
+    "synthetic": ("digits",),
+    "hwdplus": (*_NEEDED["hwdplus"], "writer_column"),
+    "mnist": (*_NEEDED["mnist"], "download"),
+    "folder": (*_NEEDED["folder"], "foreground", "threshold"),
+}
+"""All options of a source."""
+
+_UNCOMPARED = ("writers_sha256", "left_out")
+"""Parts of a fingerprint that decide no solid: the column of writers is not asked for again."""
 
 
 def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
-    """Return the source that options ask for; InputError for options that are missing or of another one."""
-    needed, taken = _OPTIONS[name]
-    for option in (*given, *needed):
+    """Return the source that options ask for; InputError for a missing option, or one of another source."""
+    for option in _NEEDED[name]:
         if option not in given:
             raise InputError(f"--source {name} needs --{option.replace('_', '-')}, which was not given")
-        if option not in needed + taken:
-            owners = " or ".join(each for each, (first, more) in _OPTIONS.items() if option in first + more)
+    for option in given:
+        if option not in _TAKEN[name]:
+            owners = " or ".join(each for each, taken in _TAKEN.items() if option in taken)
             raise InputError(
                 f"--{option.replace('_', '-')} does not belong to --source {name}",
                 next=f"leave it out, or name its source (--source {owners})",
@@ -45,27 +56,25 @@ def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource
 
 
 def source_again(described: Mapping[str, Any], **files: str | None) -> DigitSource:
-    """Return the source of a data set by its fingerprint; ``files`` are where its files are now.
+    """Return the source that a fingerprint describes; ``files`` are where its files are now.
 
-    InputError where they are needed and not given, or are others than those the data set was made from.
+    Raises InputError where files are missing, or differ from those that the data set was made from.
     """
     name = described["name"]
-    if name not in _OPTIONS:
+    if name not in _TAKEN:
         raise InputError(f"the data set was made from source {name!r}, which is not known")
-    needed, taken = _OPTIONS[name]
     known = {
         **files,
         "digits": described.get("count"),
         "foreground": described.get("ink"),
         "threshold": described.get("threshold"),
     }
-    given = {option: known[option] for option in (*needed, *taken) if known.get(option) is not None}
+    given = {option: known[option] for option in _TAKEN[name] if known.get(option) is not None}
     source = chosen_source(name, given, int(described.get("seed", 0)))
-    # Who wrote a digit decides no solid, and the column of writers is not asked for; nor do other files.
-    unasked = {key: described.get(key) for key in ("writers_sha256", "left_out")}
-    if {**source.fingerprint(), **unasked} != {**described, **unasked}:
+    found = {key: value for key, value in source.fingerprint().items() if key not in _UNCOMPARED}
+    if found != {key: value for key, value in described.items() if key not in _UNCOMPARED}:
         raise InputError(
-            f"--images {files['images']!r} holds other images than the data set was made from",
+            f"--images {files.get('images')!r} holds other images than the data set was made from",
             next="give the same files as when it was made",
         )
     return source

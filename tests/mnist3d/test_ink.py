@@ -11,7 +11,7 @@ from scipy import ndimage
 from mnist3d.ink.binarisation import ink_of_levels
 from mnist3d.ink.bridges import join_bodies
 from mnist3d.ink.cleaning import _pieces, clean, count_bodies_and_holes, repair_corners
-from mnist3d.ink.grey_levels import levels_and_threshold, otsu_threshold
+from mnist3d.ink.grey_levels import dark_on_light, otsu_threshold
 from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.errors import ItemError
 
@@ -24,7 +24,7 @@ def paper(side: int = 60) -> np.ndarray:
 
 def reason_of(pixels: np.ndarray, threshold: float | None = None) -> str:
     with pytest.raises(ItemError) as caught:
-        ink_of_levels(levels_and_threshold(pixels, "dark")[0], threshold)
+        ink_of_levels(dark_on_light(pixels, "dark")[0], threshold)
     return caught.value.reason
 
 
@@ -39,10 +39,10 @@ def test_the_mask_is_the_same_for_any_number_type(dtype: str, ink: str) -> None:
     pixels = paper()
     pixels[20:40, 10:50] = 30
     pixels[20:40, 40:50] = 60
-    assert np.array_equal(ink_of_levels(levels_and_threshold(pixels.astype(dtype), ink)[0]), pixels < 255)
+    assert np.array_equal(ink_of_levels(dark_on_light(pixels.astype(dtype), ink)[0]), pixels < 255)
     if dtype.startswith("float"):
         assert np.array_equal(
-            ink_of_levels(levels_and_threshold((pixels / 255).astype(dtype), ink)[0]), pixels < 255
+            ink_of_levels(dark_on_light((pixels / 255).astype(dtype), ink)[0]), pixels < 255
         )
 
 
@@ -51,17 +51,17 @@ def test_light_ink_is_found_by_the_margin_and_by_word() -> None:
     pixels[20:40, 10:50] = 30
     expected = pixels == 30
     for image in (255 - pixels, 1 - pixels / 255, ~(pixels > 99)):
-        assert np.array_equal(ink_of_levels(levels_and_threshold(image, "auto")[0]), expected)
-        assert np.array_equal(ink_of_levels(levels_and_threshold(image, "light")[0]), expected)
+        assert np.array_equal(ink_of_levels(dark_on_light(image, "auto")[0]), expected)
+        assert np.array_equal(ink_of_levels(dark_on_light(image, "light")[0]), expected)
         assert reason_of(image) == "all-ink"
-    assert np.array_equal(ink_of_levels(levels_and_threshold(pixels > 99, "auto")[0]), expected)
+    assert np.array_equal(ink_of_levels(dark_on_light(pixels > 99, "auto")[0]), expected)
 
 
 def test_a_margin_of_both_is_unclear() -> None:
     pixels = paper()
     pixels[:, :30] = 0
     with pytest.raises(ItemError, match=r"found 50% of the margin light.*ink=") as caught:
-        levels_and_threshold(pixels, "auto")[0]
+        dark_on_light(pixels, "auto")[0]
     assert caught.value.reason == "unclear-ink"
 
 
@@ -79,8 +79,8 @@ def test_binarise_obeys_a_given_threshold() -> None:
         (np.zeros((5, 60), np.uint8), "bad-shape"),
         (np.zeros((60, 60), complex), "bad-dtype"),
         (np.full((60, 60), np.nan), "not-finite"),
-        (np.full((60, 60), 256), "bad-range"),
-        (np.full((60, 60), -1), "bad-range"),
+        (np.full((60, 60), 256), "bad-pixels"),
+        (np.full((60, 60), -1), "bad-pixels"),
     ],
 )
 def test_unusable_images_are_refused_by_name(pixels: np.ndarray, reason: str) -> None:

@@ -14,10 +14,10 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import ndimage
 
-from mnist3d.handwriting.allographs import ALLOGRAPHS, CLEAR
-from mnist3d.handwriting.curves import through
+from mnist3d.handwriting.allographs import ALLOGRAPHS
+from mnist3d.handwriting.curves import CLEAR, through
 from mnist3d.handwriting.five_to_nine import nine_g_shaped
-from mnist3d.handwriting.inking import draw
+from mnist3d.handwriting.inking import ink_paths
 from mnist3d.handwriting.keyed_random import KeyedRng, index_at
 from mnist3d.handwriting.page_layout import PAGE_PX
 from mnist3d.handwriting.writer_style import choose_allograph
@@ -216,7 +216,7 @@ def test_strokes_along_the_edge_of_the_page_are_inked_up_to_it() -> None:
     for edge in (0, PAGE_PX):
         across = np.full_like(along, edge)
         strokes = [np.stack([along, across], axis=1), np.stack([across, along], axis=1)]
-        page = draw(strokes, 20.0, style, KeyedRng(0))
+        page = ink_paths(strokes, 20.0, style, KeyedRng(0))
         last = 0 if edge == 0 else -1
         assert page[last].max() == page[:, last].max() == 0
         assert page[20:-20, 20:-20].min() == 255

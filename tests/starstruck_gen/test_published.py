@@ -9,7 +9,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from starstruck_gen.prisms import prism
-from starstruck_gen.scene_generation import GenerateSpec, generate
+from starstruck_gen.scene_generation import SceneSetSpec, generate
 from starstruck_gen.scenes_on_the_fly import SceneDataset
 
 # The package's own imports warn; what they warn about is not ours.
@@ -106,7 +106,7 @@ def test_solids_are_those_of_the_package():
 def test_published_reader_reads_our_data_set_unchanged(tmp_path):
     tactile_mnist = importorskip("tactile_mnist")
     datasets = importorskip("datasets")
-    generate(GenerateSpec(scenes=(("train", 9), ("test", 3))), str(tmp_path))
+    generate(SceneSetSpec(scenes=(("train", 9), ("test", 3))), str(tmp_path))
     rows = datasets.load_dataset(str(tmp_path), split="train")
     scenes = tactile_mnist.SimpleMeshDataset(rows)
     assert len(scenes) == 9

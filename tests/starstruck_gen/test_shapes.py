@@ -98,9 +98,9 @@ def test_unusable_radius_is_refused(radius_m):
     ],
 )
 def test_outline_that_bounds_no_area_is_refused(monkeypatch, ring, reason):
-    from starstruck_gen import placement
+    from starstruck_gen import prisms
 
-    monkeypatch.setattr(placement, "outline", lambda _: (np.array(ring, dtype=float),))
+    monkeypatch.setattr(prisms, "outline", lambda _: (np.array(ring, dtype=float),))
     with pytest.raises(InputError, match=reason):
         prism.__wrapped__("wrong")
 

@@ -28,6 +28,7 @@ import realtouch
 import realtouch.previews
 import starstruck_gen
 import starstruck_gen.scene_previews
+from mnist3d.digit_preview_spec import DigitPreviewSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.spec import TouchPreviewSpec
 from tactile_sim.pairs import make_pairs
@@ -158,8 +159,8 @@ def data_sets(folder: Path) -> dict[str, Any]:
 def styles() -> dict[str, str]:
     """Return how shards of digits and scenes are stored, which decides the bytes of sets of any size."""
     return {
-        package: repr(import_module(f"{package}.columns").PARQUET_STYLE)
-        for package in ("mnist3d", "starstruck_gen")
+        rows.partition(".")[0]: repr(import_module(rows).PARQUET_STYLE)
+        for rows in ("mnist3d.digit_rows", "starstruck_gen.scene_rows")
     }
 
 
@@ -167,7 +168,7 @@ def pictures(sets: Path) -> dict[str, str]:
     """Draw the sets of :func:`data_sets` and a plate, and return digests of the pixels."""
     plans = (
         mnist3d.digit_previews.plan_previews(
-            str(sets / "coarse"), PreviewSpec(kinds=("sheet", "steps"), per_class=2)
+            str(sets / "coarse"), DigitPreviewSpec(kinds=("sheet", "steps"), per_class=2)
         ),
         starstruck_gen.scene_previews.plan_previews(
             str(sets / "scenes"), PreviewSpec(split="test", per_class=2)
