@@ -50,7 +50,7 @@ SHARED = (
     "tactile_toolkit.mesh.records.SolidRecord",
     "tactile_toolkit.mesh.solid_check.PROBLEMS",
     "tactile_toolkit.mesh.torch.SolidTensors",
-    "tactile_toolkit.read.dataset.Record",
+    "tactile_toolkit.read.record.Record",
     "tactile_toolkit.read.dataset.RecordDataset",
     "tactile_toolkit.store.building.Progress",
     "tactile_toolkit.store.run_options.RunOptions",
