@@ -49,7 +49,7 @@ SHARED = (
     "tactile_toolkit.read.stream.Stream",
     "tactile_toolkit.mesh.records.SolidRecord",
     "tactile_toolkit.mesh.solid_check.PROBLEMS",
-    "tactile_toolkit.mesh.torch.SolidTensors",
+    "tactile_toolkit.mesh.solid_tensors.SolidTensors",
     "tactile_toolkit.read.record.Record",
     "tactile_toolkit.read.dataset.RecordDataset",
     "tactile_toolkit.store.building.Progress",

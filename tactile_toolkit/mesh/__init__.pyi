@@ -59,11 +59,13 @@ from .solid_check import (
     self_crossing as self_crossing,
 )
 from .threemf import (
-    BuildItem as BuildItem,
     read_build as read_build,
+)
+from .threemf_writing import (
+    BuildItem as BuildItem,
     write_build as write_build,
 )
-from .torch import (
+from .solid_tensors import (
     MeshBatch as MeshBatch,
     MeshItem as MeshItem,
     REPRESENTATIONS as REPRESENTATIONS,

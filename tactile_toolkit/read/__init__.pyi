@@ -60,7 +60,7 @@ from .stream import (
     Stream as Stream,
     loader_worker as loader_worker,
 )
-from .torch import (
+from .training_batches import (
     TrainingBatches as TrainingBatches,
     shared_zeros as shared_zeros,
 )

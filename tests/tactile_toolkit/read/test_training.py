@@ -363,7 +363,7 @@ JOB = """
     from torchdata.stateful_dataloader import StatefulDataLoader
     from tactile_toolkit.read import RecordDataset
     from tactile_toolkit.read import Shard, ShardedTable
-    from tactile_toolkit.read.torch import TrainingBatches
+    from tactile_toolkit.read import TrainingBatches
 
     def ids(items):
         return [int(item._row.value("id")) for item in items]
