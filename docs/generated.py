@@ -335,12 +335,13 @@ def _formats_page() -> str:
     from realtouch.schema import KNOWN_COLUMNS
     from starstruck_gen.scene_rows import SceneRow, scene_schema
     from tactile_sim.columns import TouchRow, touch_schema
-    from tactile_toolkit.cards import FolderFacts
-    from tactile_toolkit.cards.card import card_words, field_table, markdown_table
+    from tactile_toolkit.cards import FolderSummary
+    from tactile_toolkit.cards.card import card_words
+    from tactile_toolkit.cards.card_tables import field_table, markdown_table
     from tactile_toolkit.rows import meanings
 
     def table(schema: Any, row_type: type) -> str:
-        return field_table(FolderFacts((), schema), meanings(row_type)).replace(
+        return field_table(FolderSummary((), schema), meanings(row_type)).replace(
             "frame below", "frame of the mesh"
         )
 
