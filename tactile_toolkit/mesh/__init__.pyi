@@ -51,12 +51,14 @@ from .records import (
     open_solids as open_solids,
     require_mesh_columns as require_mesh_columns,
 )
+from .crossings import (
+    self_crossing as self_crossing,
+)
 from .solid_check import (
     ManifoldCheck as ManifoldCheck,
     array_problem as array_problem,
     check_manifold as check_manifold,
     require_solid as require_solid,
-    self_crossing as self_crossing,
 )
 from .threemf import (
     read_build as read_build,
