@@ -49,8 +49,8 @@ SHARED = (
     "tactile_toolkit.read.stream.Stream",
     "tactile_toolkit.mesh.records.SolidRecord",
     "tactile_toolkit.mesh.solid_check.PROBLEMS",
-    "tactile_toolkit.mesh.torch.SolidTensors",
-    "tactile_toolkit.read.dataset.Record",
+    "tactile_toolkit.mesh.solid_tensors.SolidTensors",
+    "tactile_toolkit.read.record.Record",
     "tactile_toolkit.read.dataset.RecordDataset",
     "tactile_toolkit.store.run_options.Progress",
     "tactile_toolkit.store.run_options.RunOptions",
@@ -335,12 +335,13 @@ def _formats_page() -> str:
     from realtouch.schema import KNOWN_COLUMNS
     from starstruck_gen.scene_rows import SceneRow, scene_schema
     from tactile_sim.columns import TouchRow, touch_schema
-    from tactile_toolkit.cards import FolderFacts
-    from tactile_toolkit.cards.card import card_words, field_table, markdown_table
+    from tactile_toolkit.cards import FolderSummary
+    from tactile_toolkit.cards.card import card_words
+    from tactile_toolkit.cards.card_tables import field_table, markdown_table
     from tactile_toolkit.rows import meanings
 
     def table(schema: Any, row_type: type) -> str:
-        return field_table(FolderFacts((), schema), meanings(row_type)).replace(
+        return field_table(FolderSummary((), schema), meanings(row_type)).replace(
             "frame below", "frame of the mesh"
         )
 

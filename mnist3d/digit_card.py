@@ -77,7 +77,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     ).write(folder, manifest, KIND)
 
 
-def _sheet(facts: cards.FolderFacts) -> bytes | None:
+def _sheet(facts: cards.FolderSummary) -> bytes | None:
     """Draw the first digit of each class in the first rows, as PNG at 0.4 mm per pixel; None without rows."""
     first: dict[int, read.Row] = {}
     for row in islice(cards.rows_to_draw(facts, ["label", mesh.VERTICES, mesh.FACES]), _ROWS_SEEN):

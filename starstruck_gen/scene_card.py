@@ -92,7 +92,7 @@ def _placement_values(spec: SceneSpec) -> dict[str, str]:
     }
 
 
-def _sheet(cell_m: tuple[float, float], facts: cards.FolderFacts) -> bytes | None:
+def _sheet(cell_m: tuple[float, float], facts: cards.FolderSummary) -> bytes | None:
     """Draw the first scenes as PNG, the longer side of each 140 pixels; None without rows."""
     px_per_mm = _TILE_PX / (1e3 * max(cell_m))
     tiles = []

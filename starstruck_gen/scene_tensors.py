@@ -1,4 +1,4 @@
-"""Scenes as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.torch.SolidTensors`."""
+"""Scenes as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.solid_tensors.SolidTensors`."""
 
 from __future__ import annotations
 

@@ -46,6 +46,7 @@ _CONTEXT.set_forkserver_preload(
         "tactile_toolkit.gallery.site",
         "tactile_toolkit.mesh.files",
         "tactile_toolkit.mesh.raster",
+        "tactile_toolkit.mesh.crossings",
         "tactile_toolkit.mesh.nearness",
         "tactile_toolkit.mesh.section_kernels",
         "tactile_toolkit.mesh.surface_kernels",

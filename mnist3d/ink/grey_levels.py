@@ -6,7 +6,7 @@ import numpy as np
 
 from mnist3d.ink.refusals import refuse
 from tactile_toolkit.array_types import AnyArray, Bool, UInt8
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 MIN_SIDE_PX = 8
 """Smaller images cannot show a digit."""
@@ -56,7 +56,7 @@ def as_grey(values: AnyArray, full_scale: float, where: str) -> UInt8:
     if values.dtype == np.uint8 and full_scale == _WHITE:
         return np.array(values, order="C")
     if values.dtype.kind == "f" and not np.isfinite(values).all():
-        refuse("not-finite", where, counted(int(np.count_nonzero(~np.isfinite(values))), "pixels"))
+        refuse("not-finite", where, with_count(int(np.count_nonzero(~np.isfinite(values))), "pixels"))
     low, high = float(values.min()), float(values.max())
     slack = full_scale * _SLACK
     if low < -slack or high > full_scale + slack:

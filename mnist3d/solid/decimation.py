@@ -47,7 +47,7 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
             break
         passes.append(simpler)
         tolerance_mm *= TOLERANCE_GROWTH
-    # A pass may fold a thin tip onto itself. The check takes as long as many passes, so it starts at the last.
+    # A pass may fold a thin tip onto itself. The check is slow, so it starts at the last pass.
     while len(passes) > 1 and _crosses_itself(_mesh_of(passes[-1]), counts[0]):
         passes.pop()
     solid = passes[-1]

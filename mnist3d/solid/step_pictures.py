@@ -44,7 +44,7 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
     upper = scale(steps.surface, ink.shape, spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
     views = [
-        pictures.draw_bodies((pictures.Body(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)
+        pictures.draw_bodies((pictures.DrawnBody(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)
         for mesh in (upper, solid)
     ]
     pitch_px, triangles = lattice.pitch_px, len(solid.faces)

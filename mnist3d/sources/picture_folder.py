@@ -96,8 +96,8 @@ class FolderSource:
             path = Path(self.root, name)
             try:
                 with store.open_regular(path) as stream:
-                    content = hashlib.file_digest(stream, "sha256").digest()
-                    size = stream.tell()
+                    data = stream.read()
+                    content, size = hashlib.sha256(data).digest(), len(data)
             except OSError as error:
                 raise InputError(
                     f"{path}: cannot be opened ({error.strerror}), expected a picture", next="check the file"

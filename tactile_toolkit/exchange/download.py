@@ -303,7 +303,7 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
     """
     # ``datasets.load_dataset(folder)`` fails over a split of the head that is not in the folder.
     held = {split: plan.held[split] for split in plan.splits}
-    here = cards.card_head(cards.folder_facts(folder, place=places.Place(folder.address(), folder, held)))
+    here = cards.card_head(cards.folder_summary(folder, place=places.Place(folder.address(), folder, held)))
     note = (
         f"\n> This folder holds {', '.join(f'`{split}`' for split in plan.splits)} of "
         f"`{plan.repository.repo_id}` (commit `{plan.record.commit[:12]}`); the text below describes "

@@ -275,7 +275,7 @@ def _files_to_send(
 
         made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**manifest.files, **made})
-    paths, facts = collect(root, manifest), cards.folder_facts(place, manifest)
+    paths, facts = collect(root, manifest), cards.folder_summary(place, manifest)
     # Where the pattern of a split would take one of the others for its own, its files are named one by one.
     others, _ = _other_files(paths, held, options.delete)
     stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)

@@ -17,8 +17,11 @@ from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.file_units import require_likely_size, require_unit
 from tactile_toolkit.mesh.gltf import pack_glb, read_glb
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, joined
-from tactile_toolkit.mesh.readers import read_obj, read_ply, read_stl
-from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
+from tactile_toolkit.mesh.obj import read_obj
+from tactile_toolkit.mesh.ply import read_ply
+from tactile_toolkit.mesh.stl import read_stl
+from tactile_toolkit.mesh.threemf import read_build
+from tactile_toolkit.mesh.threemf_writing import BuildItem, write_build
 from tactile_toolkit.units import MM_PER_UNIT
 from tactile_toolkit.wording import with_count
 

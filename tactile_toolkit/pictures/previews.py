@@ -11,15 +11,8 @@ import numpy as np
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.pictures.sheets import (
-    PlannedPicture,
-    Tile,
-    bar_length_mm,
-    file_stem,
-    in_rows,
-    sheet,
-    with_scale_bar,
-)
+from tactile_toolkit.pictures.picture_files import PlannedPicture, file_stem
+from tactile_toolkit.pictures.sheets import Tile, bar_length_mm, in_rows, sheet, with_scale_bar
 from tactile_toolkit.wording import with_count
 
 D = TypeVar("D", bound=read.RecordDataset[Any])

@@ -25,8 +25,8 @@ from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh, write_mesh
-from tactile_toolkit.pictures import OBLIQUE, Body, draw_bodies, relief, relief_of
-from tactile_toolkit.pictures.sheets import INK, bar_length_mm
+from tactile_toolkit.pictures import OBLIQUE, DrawnBody, bar_length_mm, draw_bodies, relief, relief_of
+from tactile_toolkit.pictures.lettering import INK
 from tests.sealed import edit
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
@@ -194,7 +194,7 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
     """The bodies that steps draw."""
     meshes: list[Mesh] = []
 
-    def look(bodies: Sequence[Body], *how: Any) -> np.ndarray:
+    def look(bodies: Sequence[DrawnBody], *how: Any) -> np.ndarray:
         meshes.extend(body.mesh for body in bodies)
         return draw_bodies(bodies, *how)
 

@@ -11,8 +11,8 @@ import pytest
 import realtouch
 from realtouch.dataset import TouchStream
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tactile_toolkit.read import all_blocks, parquet as rowgroups
-from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
+from tactile_toolkit.read import Shard, ShardedTable, all_blocks, shard as shard_module
+from tactile_toolkit.read.blocks import BLOCKS
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -29,7 +29,7 @@ def test_blocks_read_as_one(rows_per_block: int, one_group: Path, monkeypatch: p
     whole = [(record.id, record.sensor_image[:]) for record in realtouch.load(one_group)]
     shard = Shard(str(next((one_group / "data").glob("*.parquet"))))
     size = shard.metadata.row_group(0).total_byte_size
-    monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", size * rows_per_block // 6 + 1)
+    monkeypatch.setattr(shard_module, "_BLOCK_BYTES", size * rows_per_block // 6 + 1)
     monkeypatch.setenv(CACHE_VARIABLE, str(one_group / "cache"))
     BLOCKS.clear()
     dataset = realtouch.load(one_group)

@@ -50,7 +50,7 @@ from pathlib import Path
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.mesh.files import read_mesh
 import pyarrow.parquet
-from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read import Shard
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 try:
     {code}

@@ -16,12 +16,10 @@ from hypothesis import given, strategies as st
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.cards.card import (
-    check_card,
-    column_type_text,
-    with_repo_name,
-)
-from tactile_toolkit.cards.facts import folder_facts, size_category, with_head, yaml_features
+from tactile_toolkit.cards import check_card, folder_summary, with_head, with_repo_name
+from tactile_toolkit.cards.card_features import yaml_features
+from tactile_toolkit.cards.card_head import size_category
+from tactile_toolkit.cards.card_tables import column_type_text
 from tactile_toolkit.store import open_folder, verify
 
 
@@ -57,7 +55,7 @@ def test_unpacked_bytes_are_those_that_datasets_counts(made, tmp_path):
     bare = tmp_path / "bare"  # without a card, `datasets` counts for itself
     shutil.copytree(made / "data", bare / "data")
     loaded = datasets.load_dataset(str(bare))
-    facts = folder_facts(open_folder(str(made)))
+    facts = folder_summary(open_folder(str(made)))
     assert {split.split for split in facts.splits} == set(loaded)
     for split in facts.splits:
         counted = loaded[split.split].info.splits[split.split].num_bytes

@@ -16,7 +16,7 @@ from hypothesis import assume, given, settings, strategies as st
 from mnist3d.solid.algorithm import solidify
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.mesh import Mesh, inspect, self_crossing, solid_check
+from tactile_toolkit.mesh import Mesh, crossings, inspect, self_crossing
 
 Surface = tuple[np.ndarray, np.ndarray]
 
@@ -154,9 +154,9 @@ def test_digits_cross_nowhere_by_proof_and_by_trial(spec: SolidSpec) -> None:
         mesh = solidify(source.image(number * 101).pixels, spec)
         vertices, faces = mesh.vertices_m.astype(float) * 1000, mesh.faces.astype(np.int64)
         if spec.profile == "round":  # the others may be decimated, which leaves no halves to compare
-            assert len(solid_check.faces_not_proven_free(vertices, faces)) < 500
+            assert len(crossings.faces_not_proven_free(vertices, faces)) < 500
         assert self_crossing(vertices, faces) is None
-        assert solid_check._crossing_among(vertices, faces, np.arange(len(faces))) is None
+        assert crossings._crossing_among(vertices, faces, np.arange(len(faces))) is None
 
 
 @settings(max_examples=settings.default.max_examples // 5)
@@ -172,7 +172,7 @@ def test_digits_that_are_tampered_with_are_found_through_the_proof(seed: int) ->
     if rng.random() < 0.5:  # else there are still two halves, and the proof is tried
         vertices[chosen, 2] += rng.normal(size=3)
     found = self_crossing(vertices, faces) is not None
-    assert found == (solid_check._crossing_among(vertices, faces, np.arange(len(faces))) is not None)
+    assert found == (crossings._crossing_among(vertices, faces, np.arange(len(faces))) is not None)
 
 
 @pytest.mark.parametrize(
@@ -246,7 +246,7 @@ def test_the_proof_keeps_what_lies_over_or_under_an_overhang() -> None:
     odd = up * np.repeat([1, -1], 24) <= 0
     low, high = corners.min(axis=1)[:, None, :2], corners.max(axis=1)[:, None, :2]
     meets = ((low <= high.swapaxes(0, 1)) & (high >= low.swapaxes(0, 1))).all(axis=2)
-    kept = solid_check.faces_not_proven_free(vertices, faces)
+    kept = crossings.faces_not_proven_free(vertices, faces)
     assert kept.tolist() == np.flatnonzero(meets[:, odd].any(axis=1)).tolist()
     assert 0 < odd.sum() < len(kept) < len(faces)
 

@@ -23,7 +23,7 @@ import trimesh
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, inspect, pack_mesh, read_mesh, unpack_mesh
 from tactile_toolkit.mesh.gltf import read_glb
-from tactile_toolkit.mesh.readers import cut_polygons
+from tactile_toolkit.mesh.polygons import cut_polygons
 from tests.real_input import SHARED
 
 CASES = SHARED / "cases" / "solid"

@@ -12,8 +12,7 @@ from PIL import Image
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures.sheets import (
-    INK,
+from tactile_toolkit.pictures import (
     PlannedPicture,
     Tile,
     bar_length_mm,
@@ -25,6 +24,7 @@ from tactile_toolkit.pictures.sheets import (
     with_scale_bar,
     write_pictures,
 )
+from tactile_toolkit.pictures.lettering import INK
 from tactile_toolkit.store import open_folder
 
 

@@ -15,7 +15,8 @@ import pytest
 from realtouch.verification import has_page_checksums
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError, ToolkitError
-from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable, map_block, write_block
+from tactile_toolkit.read import Shard, ShardedTable
+from tactile_toolkit.read.blocks import BLOCKS, map_block, write_block
 from tactile_toolkit.store import ParquetStyle, encode_parquet, open_folder
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
@@ -149,7 +150,7 @@ def test_a_shard_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
     code = """
         import os, sys
         from tactile_toolkit.errors import IntegrityError
-        from tactile_toolkit.read.parquet import Shard
+        from tactile_toolkit.read import Shard
         blocks = Shard(sys.argv[1]).blocks(0)
         assert len(next(blocks).table) < 1200
         os.truncate(sys.argv[1], 100_000)

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
-from tactile_toolkit.read.columns import class_names, nested_column, ragged_column
+from tactile_toolkit.read import RecordDataset, Shard, ShardedTable, class_names
+from tactile_toolkit.read.arrow_views import nested_column, ragged_column
 from tests.mesh_columns import list_array
 
 LARGEST = 2**63 - 1

@@ -16,7 +16,7 @@ CODE = """
     import os, resource, sys, warnings
     from pathlib import Path
     from tactile_toolkit.errors import InputError
-    from tactile_toolkit.read.parquet import Shard, ShardedTable
+    from tactile_toolkit.read import Shard, ShardedTable
     warnings.simplefilter("error")
     shards = [ShardedTable((Shard(path),)) for path in sys.argv[1:]]
     blocks = Path(os.environ["TACTILE_TOOLKIT_CACHE"]) / "blocks"

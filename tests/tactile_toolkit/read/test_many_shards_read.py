@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.read import RecordDataset
-from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
+from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
+from tactile_toolkit.read.blocks import BLOCKS
 
 SHARDS, MAPS = 100, 16
 

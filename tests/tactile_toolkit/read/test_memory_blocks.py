@@ -13,8 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tactile_toolkit.read import parquet as rowgroups
-from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
+from tactile_toolkit.read import Shard, ShardedTable, shard as shard_module
+from tactile_toolkit.read.blocks import BLOCKS
 
 ROWS_PER_BLOCK, BLOCKS_PER_GROUP = 100, 6
 
@@ -27,7 +27,7 @@ def shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shard:
     table = pa.table({"id": np.arange(1_200), "values": pa.array(list(values), pa.list_(pa.float64()))})
     pq.write_table(table, path, row_group_size=600, use_dictionary=False)
     size_bytes = Shard(str(path)).metadata.row_group(0).total_byte_size
-    monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", size_bytes // BLOCKS_PER_GROUP + 1)
+    monkeypatch.setattr(shard_module, "_BLOCK_BYTES", size_bytes // BLOCKS_PER_GROUP + 1)
     made = Shard(str(path))
     assert list(made.block_rows) == [ROWS_PER_BLOCK] * 2
     return made

@@ -361,9 +361,9 @@ JOB = """
     from pathlib import Path
     import torch, torch.distributed as dist
     from torchdata.stateful_dataloader import StatefulDataLoader
-    from tactile_toolkit.read.dataset import RecordDataset
-    from tactile_toolkit.read.parquet import Shard, ShardedTable
-    from tactile_toolkit.read.torch import TrainingBatches
+    from tactile_toolkit.read import RecordDataset
+    from tactile_toolkit.read import Shard, ShardedTable
+    from tactile_toolkit.read import TrainingBatches
 
     def ids(items):
         return [int(item._row.value("id")) for item in items]

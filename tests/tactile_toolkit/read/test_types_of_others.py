@@ -16,7 +16,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import plain_table, plain_type
+from tactile_toolkit.read.supported_types import supported_table, supported_type
 from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.mesh_columns import list_array
@@ -166,7 +166,7 @@ def test_types_of_others_are_read_as_polars_reads_them(
         assert [len(touch.clip) for touch in rows.touches()] == lengths
     # What lies behind sees types of ours alone.
     stored = rows.to_hf()
-    assert all(plain_type(each.type) == each.type for each in stored.data.schema)
+    assert all(supported_type(each.type) == each.type for each in stored.data.schema)
     assert stored["id"][:] == expected["id"].to_list()
 
 
@@ -271,7 +271,7 @@ TYPES = [
 
 @pytest.mark.parametrize(("theirs", "ours"), TYPES, ids=lambda each: str(each))
 def test_each_type_has_one_of_ours(theirs: pa.DataType, ours: pa.DataType) -> None:
-    assert plain_type(theirs) == ours == plain_type(ours)
+    assert supported_type(theirs) == ours == supported_type(ours)
 
 
 def test_values_with_nulls_and_slices_stay_the_same() -> None:
@@ -279,12 +279,12 @@ def test_values_with_nulls_and_slices_stay_the_same() -> None:
     for outer in (pa.list_view, pa.large_list_view, pa.large_list):
         table = pa.table({"x": pa.array(values, outer(pa.list_(pa.float16(), 2)))})
         for part in (table, table.slice(1), table.slice(2, 1), table.slice(4)):
-            found = plain_table(part)
+            found = supported_table(part)
             assert found["x"].type == pa.list_(pa.list_(pa.float32(), 2))
             assert found["x"].to_pylist() == part["x"].to_pylist()
             found.validate(full=True)
     ours = pa.table({"x": [1], "y": ["a"]})
-    assert plain_table(ours) is ours
+    assert supported_table(ours) is ours
 
 
 @needs_shared

@@ -27,7 +27,7 @@ assert after == before, f"{{after - before}} threads were started"
 
 READS = {
     "rows": (
-        "tactile_toolkit.read.parquet",
+        "tactile_toolkit.read.shard",
         """
 from tactile_toolkit.places import open_place
 for shard in open_place(sys.argv[1]).shards("train"):

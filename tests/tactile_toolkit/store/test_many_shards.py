@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from tactile_toolkit.cards import check_card
-from tactile_toolkit.cards.facts import card_head, configs, folder_facts, head_text
+from tactile_toolkit.cards import card_head, check_card, configs, folder_summary
+from tactile_toolkit.cards.card_head import head_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places.split_files import parquet_paths
 from tactile_toolkit.store import ShardName, build, open_folder
@@ -61,7 +61,7 @@ def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
     tasks = tuple(ToyTask(ShardName("train", number, COUNT), (10 * number,)) for number in numbers)
     folder = open_folder(str(tmp_path))
     build(folder, replace(toy_plan(), tasks=tasks, report_file=None))
-    facts = folder_facts(folder)
+    facts = folder_summary(folder)
     (entry,) = configs(facts)[0]["data_files"]
     assert entry["path"] == ["data/train-?????-of-*", "data/train-??????-of-*"]
     head = card_head(facts, license="mit", pretty_name="x", task_categories=["other"], tags=["x"])

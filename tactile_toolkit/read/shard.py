@@ -1,4 +1,4 @@
-"""Random access to Parquet: row groups unpacked once into memory-mapped Arrow files.
+"""One Parquet file of a data set: random access to its rows, and whether it is still the same file.
 
 Parquet must decode an entire row group to give one row. Each row group is therefore decoded on its first use
 into Arrow files in the cache folder and mapped into memory; from then on a row costs microseconds, in this
@@ -13,45 +13,38 @@ import hashlib
 import io
 import os
 import re
-import struct
 import warnings
 from array import array
 from bisect import bisect_right
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from itertools import accumulate, chain, pairwise
-from pathlib import Path
-from typing import IO, Any, TypeVar
+from itertools import accumulate
+from typing import IO, Any
 
-import numpy as np
+import pyarrow as pa
 
-from tactile_toolkit import run
-from tactile_toolkit.array_types import AnyArray, Int64
+from tactile_toolkit import store
 from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
-from tactile_toolkit.cache import LOCKS, DiskCache, MemoryCache, cache_folder
+from tactile_toolkit.cache import LOCKS, MemoryCache, cache_folder
 from tactile_toolkit.errors import BusyError, IntegrityError, ToolkitError
-from tactile_toolkit.read.columns import (
-    RowGroup,
-    Rows,
-    class_names,
-    column_types,
-    numpy_values,
-    plain_schema,
-    plain_table,
-    table_bytes,
+from tactile_toolkit.read.blocks import (
+    BLOCKS,
+    HELD_UP,
+    IN_MEMORY,
+    LAYOUT,
+    UNPACKED,
+    Key,
+    are_kept,
+    block_file,
+    map_block,
+    stat_key,
+    write_block,
 )
-from tactile_toolkit.read.source import RowSource
-from tactile_toolkit.store import (
-    DATA_FOLDER,
-    VERSION_KEYS,
-    ShardName,
-    locked,
-    named_damage,
-    open_checked,
-    resource_shortage,
-    split_uri,
-)
+from tactile_toolkit.read.features import class_names
+from tactile_toolkit.read.row_group import RowGroup
+from tactile_toolkit.read.schemas import column_types
+from tactile_toolkit.read.supported_types import supported_schema, supported_table
 
 _BLOCK_BYTES = 64 << 20
 # Unpacked sizes of Parquet's physical types; all others take four bytes at least, a number or an offset.
@@ -59,104 +52,6 @@ _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
 # takes about 20 times.
 _MOST_EXPANSION = 500
-
-_FEW_SHARDS = 8
-_READERS = 16  # most of them wait, for a disk or a network
-
-T = TypeVar("T")
-
-
-Key = tuple[str, int, int]
-"""Digest of what identifies the file, row group, and number of the block in it."""
-
-_HELD_BYTES = 4 << 30
-_LEAST_BYTES = 1 << 20
-_IN_MEMORY = 8
-
-
-BLOCKS: MemoryCache[Key, RowGroup] = MemoryCache(
-    _HELD_BYTES, lambda group: max(_LEAST_BYTES, group.mapped_bytes or _IN_MEMORY * int(group.table.nbytes))
-)
-"""The blocks that this process has open: 4 GiB of maps, which the system drops from memory where it needs
-room, or 4,096 of them, as a process may have 65,530 maps; or 512 MiB where the cache cannot be written."""
-
-_UNPACKED = DiskCache(
-    "blocks",
-    32 << 30,
-    durable=False,  # its blocks have checksums: what a power cut leaves is noticed, and unpacked again
-    warning="row groups cannot be kept unpacked, {problem}; what was used last stays in the memory of this "
-    "process, all else is decoded again",
-)
-_HELD_UP: set[Path] = set()  # locks that others did not release: this process does not wait for them again
-
-# Part of the names of blocks: counted up when other types are unpacked from the same files.
-_LAYOUT = 2
-
-# A file of a block holds an Arrow stream and the checksum of that. A disk may change what it holds, and a
-# file of another program may bear the name of one of ours: neither is served.
-_CHECKSUM = struct.Struct("<Q")
-
-# Blocks that this process has checked, with what the file was then.
-_checked: MemoryCache[str, tuple[int, ...]] = MemoryCache(1 << 16)
-
-
-def _file(key: Key) -> Path:
-    return _UNPACKED.path("{}-{:05d}-{:05d}.arrow".format(*key))
-
-
-def _are_kept(files: Sequence[Path]) -> bool:
-    """Return whether blocks lie in the cache, and note that they are used."""
-    for file in files:
-        _UNPACKED.mark_used(file)
-    return all(file.exists() for file in files)
-
-
-def write_block(file_name: str, table: Any, stream: IO[bytes]) -> None:
-    """Write a table, of one chunk per column, into a stream as the content of a file of that name."""
-    content = table_bytes(table)
-    stream.write(content)
-    stream.write(_CHECKSUM.pack(_checksum(content, file_name)))
-
-
-def _checksum(content: Any, file_name: str) -> int:
-    import xxhash
-
-    # Against accidents, not against forgers: 10.9 GB/s here, where CRC-32 makes 3.1 and SHA-256 1.4. The
-    # checksum of a file that was renamed is another.
-    seed = xxhash.xxh3_64_intdigest(file_name.encode())
-    return int(xxhash.xxh3_64_intdigest(content, seed=seed))
-
-
-def map_block(path: Path) -> tuple[Any, int]:
-    """Map a block into memory, without a copy; its checksum is compared once in each process.
-
-    Returns the table and how many bytes are mapped. The toolkit makes such files under another name and
-    removes them, which leaves maps valid, and never changes one. A file that another program cuts while it is
-    mapped is not noticed.
-
-    Raises OSError; ValueError when the file is not intact, or is of another program or another name.
-    """
-    import pyarrow as pa
-
-    # Asked first: what takes the place of the file from here on is not what was checked.
-    found = _stat_key(path.stat())
-    # The map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
-    stored = pa.memory_map(str(path)).read_buffer()
-    size = len(stored) - _CHECKSUM.size
-    if size < 0:
-        raise ValueError(f"{len(stored)} bytes that are not a block")
-    content = stored.slice(0, size)
-    if _checked.get(str(path)) != found:
-        if _CHECKSUM.pack(_checksum(content, path.name)) != stored.slice(size):
-            raise ValueError("the block does not match its checksum")
-        _checked.put(str(path), found)
-    return pa.Table.from_batches([pa.ipc.open_stream(content).read_next_batch()]), size
-
-
-def _stat_key(facts: os.stat_result) -> tuple[int, int, int, int]:
-    """Return what distinguishes a file from one that took its place, or from itself with other content."""
-    return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
-
 
 # Metadata and Arrow schema by content and stated rows; of a large shard they take some hundred kB. The schema
 # of the metadata would hold these, and they it: megabytes that wait for the garbage collector.
@@ -240,7 +135,7 @@ class Shard:
             self._require_bounded(index)
         with self._named_damage():
             # Arrow's threads would be as many again: shards are read side by side already.
-            return plain_table(parquet.read_row_groups(list(wanted), columns=columns, use_threads=False))
+            return supported_table(parquet.read_row_groups(list(wanted), columns=columns, use_threads=False))
 
     def column(self, name: str) -> Any:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
@@ -268,16 +163,16 @@ class Shard:
 
     def _mapped(self, key: Key) -> RowGroup | None:
         """Map a block of the cache; None when it is not there, or damaged: then it goes."""
-        file = _file(key)
+        file = block_file(key)
         try:
             table, size_bytes = map_block(file)
         except FileNotFoundError:
             return None
         except (ValueError, OSError) as error:
-            if resource_shortage(error) is None:
-                _UNPACKED.drop(file)
+            if store.resource_shortage(error) is None:
+                UNPACKED.drop(file)
             return None
-        _UNPACKED.mark_used(file)
+        UNPACKED.mark_used(file)
         _, index, number = key
         first_row = self.group_starts[index] + number * self.block_rows[index]
         return RowGroup(table, self.path, first_row, size_bytes)
@@ -292,30 +187,31 @@ class Shard:
 
     def _unpacked(self, index: int) -> bool:
         rows = self.group_starts[index + 1] - self.group_starts[index]
-        files = [_file((self.digest, index, number)) for number in range(-(-rows // self.block_rows[index]))]
-        if _UNPACKED.is_given_up or _are_kept(files):
-            return not _UNPACKED.is_given_up
+        blocks = range(-(-rows // self.block_rows[index]))
+        files = [block_file((self.digest, index, number)) for number in blocks]
+        if UNPACKED.is_given_up or are_kept(files):
+            return not UNPACKED.is_given_up
         with contextlib.ExitStack() as stack:
             # 256 files for all: one each would stay in the cache for good.
             lock = cache_folder() / LOCKS / self.digest[:2]
             try:
                 lock.parent.mkdir(parents=True, exist_ok=True)
-                patience_s = 0.0 if lock in _HELD_UP else None
-                stack.enter_context(locked(lock, patience_s=patience_s, is_patient=True))
+                patience_s = 0.0 if lock in HELD_UP else None
+                stack.enter_context(store.locked(lock, patience_s=patience_s, is_patient=True))
             except OSError:
                 pass  # without locks no process waits
             except BusyError as error:
-                if lock not in _HELD_UP:
+                if lock not in HELD_UP:
                     warnings.warn(
                         f"{error.what}; it is not waited for any more", RuntimeWarning, stacklevel=2
                     )
-                _HELD_UP.add(lock)
+                HELD_UP.add(lock)
             # Each time: a notebook may set the variable at any time.
-            _UNPACKED.limit_bytes = cache_limit_bytes()
+            UNPACKED.limit_bytes = cache_limit_bytes()
             # Whoever held the lock may have unpacked it meanwhile, or a part of it.
-            return _are_kept(files) or all(
+            return are_kept(files) or all(
                 file.exists()
-                or _UNPACKED.write(
+                or UNPACKED.write(
                     file.name, int(group.table.nbytes), partial(write_block, file.name, group.table)
                 )
                 for file, group in zip(files, self.blocks(index), strict=True)
@@ -328,14 +224,14 @@ class Shard:
             BLOCKS.put((self.digest, index, reached), group)
             if reached == number:
                 found = group
-            if reached + 1 == number + _IN_MEMORY:
+            if reached + 1 == number + IN_MEMORY:
                 break
         return found
 
     @cached_property
     def digest(self) -> str:
         """Name of the content that the file had when it was met first."""
-        return hashlib.sha256(repr((_LAYOUT, self.identity)).encode()).hexdigest()[:32]
+        return hashlib.sha256(repr((LAYOUT, self.identity)).encode()).hexdigest()[:32]
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
@@ -365,14 +261,12 @@ class Shard:
         require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
 
     def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[Any]:
-        import pyarrow as pa
-
         rows = self.block_rows[index]
         waiting = None
         with self._named_damage():
             for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may give less than asked for; blocks have to be complete to be found again.
-                table = plain_table(pa.Table.from_batches([batch]))
+                table = supported_table(pa.Table.from_batches([batch]))
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
                     yield waiting.slice(0, rows).combine_chunks()
@@ -394,7 +288,7 @@ class Shard:
 
     def _found_now(self) -> tuple[Any, ...]:
         """Return what identifies the local file that is there now."""
-        device, *others = _stat_key(os.stat(self.path))  # noqa: PTH116
+        device, *others = stat_key(os.stat(self.path))  # noqa: PTH116
         # The name too: machines that share a cache may have other files of the same numbers.
         return device, self.path.rpartition("/")[2], *others
 
@@ -406,7 +300,7 @@ class Shard:
     @cached_property
     def split(self) -> str:
         """Split by the name of the file; empty where that states none."""
-        name = ShardName.parse(self.path.rpartition("/")[2])
+        name = store.ShardName.parse(self.path.rpartition("/")[2])
         return "" if name is None else name.split
 
     @property
@@ -423,7 +317,7 @@ class Shard:
         if on_hub is not None:
             return repr(f"{on_hub[1]}/{on_hub[2]}"), self.split
         folders = (self.path if self.is_remote else os.path.abspath(self.path)).split("/")[:-1]  # noqa: PTH100
-        named = [part for part in folders if part not in ("", ".", DATA_FOLDER)] or folders
+        named = [part for part in folders if part not in ("", ".", store.DATA_FOLDER)] or folders
         return repr(named[-1]), self.split
 
     @property
@@ -435,18 +329,18 @@ class Shard:
         """Open the file, whose footer may be known; return with it its identity and its size in bytes."""
         if not self.is_remote:
             # After opening: what takes its place from now on is not what was opened.
-            return open_checked(self.path, metadata), (found := self._found_now()), found[-2]
+            return store.open_checked(self.path, metadata), (found := self._found_now()), found[-2]
         stream, identity, size_bytes = self._stream()
-        return open_checked(stream, metadata), identity, size_bytes
+        return store.open_checked(stream, metadata), identity, size_bytes
 
     def _stream(self) -> tuple[IO[bytes], tuple[object, ...], int]:
         """Open the file as it is stored; return with it its identity and its size in bytes."""
-        store, name = split_uri(self.path)
-        stream = store.open(name)
+        files, name = store.split_uri(self.path)
+        stream = files.open(name)
         if not self.is_remote:
             return stream, (found := self._found_now()), found[-2]
-        facts = getattr(stream, "details", None) or store.info(name) or {}
-        versions = [(key, str(facts[key])) for key in VERSION_KEYS if key in facts]
+        facts = getattr(stream, "details", None) or files.info(name) or {}
+        versions = [(key, str(facts[key])) for key in store.VERSION_KEYS if key in facts]
         return stream, (self.path, *versions), facts["size"]
 
     @contextlib.contextmanager
@@ -487,7 +381,7 @@ class Shard:
             if stated not in (None, found[unit]):  # such as a shard of a set that is being replaced
                 problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
                 raise IntegrityError.in_file(self.path, problem)
-        return parquet, footer or _FOOTERS.put(key, (metadata, plain_schema(parquet.schema_arrow)))
+        return parquet, footer or _FOOTERS.put(key, (metadata, supported_schema(parquet.schema_arrow)))
 
     def _require_same(self, found: tuple[object, ...], known: tuple[object, ...]) -> None:
         # Not the first value: that of a device differs between machines that share a file system.
@@ -500,137 +394,5 @@ class Shard:
 
     @contextlib.contextmanager
     def _named_damage(self) -> Iterator[None]:
-        with named_damage(self.path), self.failures():
+        with store.named_damage(self.path), self.failures():
             yield
-
-
-class ChosenGroups:
-    """Some row groups of a file, such as those that can be read; the rows of the others are not there."""
-
-    def __init__(self, shard: Shard, groups: Sequence[int]) -> None:
-        self.shard = shard
-        self.groups = groups
-        self.path, self.set_name, self.origin = shard.path, shard.set_name, shard.origin
-        self.schema, self.class_names = shard.schema, shard.class_names
-        self.identity = (*shard.identity, *groups)
-        sizes = [stop - start for start, stop in pairwise(shard.group_starts)]
-        self.group_starts = [0, *accumulate(sizes[group] for group in groups)]
-        self.part_sizes = (len(self),)
-
-    def __len__(self) -> int:
-        return self.group_starts[-1]
-
-    def locate(self, row: int) -> tuple[Rows, int]:
-        """Return the rows of the file among which a row lies, and its index in them."""
-        index = bisect_right(self.group_starts, row) - 1
-        first = self.shard.group_starts[self.groups[index]]
-        return self.shard.locate(first + row - self.group_starts[index])
-
-    def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
-        """Decode the blocks of a row group one after another."""
-        return self.shard.blocks(self.groups[index], columns)
-
-    def column(self, name: str) -> Any:
-        """Read one column as an Arrow array."""
-        return RowGroup(self.shard.read([name], self.groups), self.path).arrow(name)
-
-    def unpack(self, index: int) -> int:
-        """Unpack a row group into the cache."""
-        return self.shard.unpack(self.groups[index])
-
-
-def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource]) -> Iterator[T]:
-    """Yield what a function gives for each shard, in order; many are read at once."""
-    return run.in_threads(function, shards, 1 if len(shards) < _FEW_SHARDS else _READERS)
-
-
-@dataclass(frozen=True)
-class ShardedTable:
-    """The rows of several sources, such as shards, in their order; reads nothing until asked."""
-
-    shards: tuple[RowSource, ...]
-
-    @property
-    def files(self) -> tuple[Shard, ...]:
-        """Those of the sources that are files as a whole."""
-        return tuple(shard for shard in self.shards if isinstance(shard, Shard))
-
-    @cached_property
-    def _starts(self) -> list[int]:
-        return [0, *accumulate(map(len, self.shards))]
-
-    @cached_property
-    def _columns(self) -> dict[str, AnyArray]:
-        return {}
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as paths; maps are opened again in the other process."""
-        return type(self), (self.shards,)
-
-    def __len__(self) -> int:
-        return self._starts[-1]
-
-    @property
-    def schema(self) -> Any:
-        """Arrow schema of the first shard, or None without shards."""
-        return self.shards[0].schema if self.shards else None
-
-    @property
-    def schemas(self) -> list[Any]:
-        """Arrow schemas of the first shards of all data sets of which shards are here, each of one split."""
-        # Of files that are not named as shards are, each may be of another.
-        first = {shard.set_name: shard for shard in reversed(self.shards)}
-        return [shard.schema for shard in reversed(first.values())]
-
-    @property
-    def part_starts(self) -> Int64:
-        """Where each part that training mixes begins, and the end: a shard, or some rows that are made."""
-        sizes = chain.from_iterable(shard.part_sizes for shard in self.shards)
-        return np.array([0, *accumulate(sizes)], np.int64)
-
-    @property
-    def identity(self) -> str:
-        """What distinguishes these rows from all others, also from later ones of the same files."""
-        return repr([shard.identity for shard in self.shards])
-
-    @property
-    def origins(self) -> list[tuple[str, str]]:
-        """Name of the data set, and split where that is known, of each shard, by where it lies."""
-        return [shard.origin for shard in self.shards]
-
-    def locate(self, row: int) -> tuple[Rows, int]:
-        """Return the row group (or block of one) that holds a row, and the row's index in it."""
-        index = bisect_right(self._starts, row) - 1
-        return self.shards[index].locate(row - self._starts[index])
-
-    def row_groups(self, rows: Int64) -> list[tuple[RowSource, int]]:
-        """Return the row groups that hold some rows, which rise; opens no other shard."""
-        found: list[tuple[RowSource, int]] = []
-        if not self.shards:
-            return found
-        owners = np.searchsorted(self._starts, rows, "right") - 1
-        for owner in np.unique(owners).tolist():
-            shard, inner = self.shards[owner], rows[owners == owner] - self._starts[owner]
-            groups = np.unique(np.searchsorted(shard.group_starts, inner, "right") - 1)
-            found += [(shard, group) for group in groups.tolist()]
-        return found
-
-    def column(self, name: str) -> AnyArray:
-        """Read one plain column of all rows by dotted name, and only that column; kept for the next call."""
-        return self._kept(f"column {name}", map(numpy_values, self._arrays(name)))
-
-    def per_shard(self, key: str, compute: Callable[[RowSource], Sequence[AnyArray]]) -> AnyArray:
-        """Join along the first axis what is computed of each shard; kept under ``key`` for the next call."""
-        return self._kept(key, chain.from_iterable(_in_threads(compute, self.shards)))
-
-    def _kept(self, key: str, parts: Iterable[AnyArray]) -> AnyArray:
-        if key not in self._columns:
-            values = np.concatenate(list(parts) or [np.zeros(0)])
-            # It is kept as it is handed out.
-            values.setflags(write=False)
-            self._columns.setdefault(key, values)
-        return self._columns[key]
-
-    def _arrays(self, name: str) -> Iterator[Any]:
-        """Yield the Arrow arrays of one column in order."""
-        return _in_threads(lambda shard: shard.column(name), self.shards)

@@ -28,7 +28,7 @@ _ASIDE_PX = (0.618e-5, 0.414e-5)
 
 
 @dataclass(frozen=True, slots=True)
-class Box:
+class VoxelGrid:
     """The part of space that a grid covers: centred on the origin along x and y, from z = 0 upwards.
 
     Attributes
@@ -86,26 +86,26 @@ def surface_points(
     return np.asarray(points, np.float32)
 
 
-def heights_in(box: Box, vertices_m: Floating, faces: Integers) -> Float32:
+def heights_in(grid: VoxelGrid, vertices_m: Floating, faces: Integers) -> Float32:
     """Return the height of the top surface over each pixel centre, 0 next to the solid.
 
     Shape (rows, columns), float32, metres; row 0 has the least y.
     """
-    points = box.grid_points(vertices_m)
+    points = grid.grid_points(vertices_m)
     points[2] = vertices_m[:, 2]
-    heights_m = highest_values(points, faces, box.shape[1:])
+    heights_m = highest_values(points, faces, grid.shape[1:])
     return np.where(np.isneginf(heights_m), np.float32(0), heights_m)
 
 
-def voxels_in(box: Box, vertices_m: Floating, faces: Integers) -> UInt8:
+def voxels_in(grid: VoxelGrid, vertices_m: Floating, faces: Integers) -> UInt8:
     """Return which voxel centres lie inside a solid: shape (layers, rows, columns) of z, y, x, uint8."""
-    layers, rows, columns = box.shape
-    points = box.grid_points(vertices_m)
+    layers, rows, columns = grid.shape
+    points = grid.grid_points(vertices_m)
     points[:2] += np.array(_ASIDE_PX)[:, None]
     (ab_x, ab_y), (ac_x, ac_y) = (points[:2, faces.T[corner]] - points[:2, faces.T[0]] for corner in (1, 2))
     upwards = ab_x * ac_y > ab_y * ac_x
     # How often the surface is entered less how often it is left, on the way up a column: 1 inside.
-    # One layer more, for what is entered or left above the box.
+    # One layer more, for what is entered or left above the grid.
     change = np.zeros((layers + 1) * rows * columns, np.int32)
     for face, line, pixel, height in covered_pixels(points, faces, (rows, columns), both_sides=True):
         layer = np.clip(np.ceil(height), 0, layers).astype(np.int64)
@@ -226,7 +226,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.representation = representation
         self.points = checked_integer(points, "points", 1)
         self.seed = checked_integer(seed, "seed")
-        self.box = Box(extent_m or type(self).extent_m, pitch_m)
+        self.grid = VoxelGrid(extent_m or type(self).extent_m, pitch_m)
         self.transform = transform
         self.target = target
         # Workers that live on from epoch to epoch (persistent_workers) see what is set here.
@@ -268,9 +268,9 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
             random = np.random.default_rng([self.seed, self.epoch, place])
             return torch.from_numpy(surface_points(vertices_m, faces, self.points, random))
         if self.representation == "voxels":
-            return torch.from_numpy(voxels_in(self.box, vertices_m, faces)[None])
+            return torch.from_numpy(voxels_in(self.grid, vertices_m, faces)[None])
         if self.representation == "height_map":
-            return torch.from_numpy(heights_in(self.box, vertices_m, faces)[None])
+            return torch.from_numpy(heights_in(self.grid, vertices_m, faces)[None])
         # Copies: torch takes no read-only view.
         return MeshItem(torch.from_numpy(vertices_m.copy()), torch.from_numpy(faces.astype(np.int64)))
 
