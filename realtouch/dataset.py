@@ -40,12 +40,12 @@ R = TypeVar("R", bound=TouchRound)
 
 
 class TouchDataset(read.RecordDataset[R]):
-    """A lazy sequence of rounds; see :class:`tactile_toolkit.read.dataset.RecordDataset`.
+    """A lazy sequence of rounds; see :class:`tactile_toolkit.read.RecordDataset`.
 
     Parameters
     ----------
     table, rows, label_names
-        As for :class:`tactile_toolkit.read.dataset.RecordDataset`.
+        As for :class:`tactile_toolkit.read.RecordDataset`.
     skipped : sequence of (int or None, Damage)
         Damage that was found and is left out, each with the number of its row in the table: rounds by
         the data set itself, single touches by :meth:`touches`. None stands for a file or row group left out.
@@ -599,7 +599,7 @@ def dataset_of(
 
 
 class TouchStream(read.Stream[read.Shard]):
-    """Rounds one after another; see :class:`tactile_toolkit.read.stream.Stream`.
+    """Rounds one after another; see :class:`tactile_toolkit.read.Stream`.
 
     Parameters
     ----------
