@@ -18,7 +18,7 @@ from typing import Any
 
 from tactile_toolkit import cards, hub, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
+from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places import folder_place
 
