@@ -15,6 +15,7 @@ import numpy as np
 from tactile_toolkit import catalog, mesh, read, store
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.places import Name, Place, open_place, unknown_split
 from tactile_toolkit.run import in_threads
@@ -66,7 +67,7 @@ class _Source:
     """A data set; ``spec`` is that of the data set that its rows were first made for, where it is known."""
 
     name: str
-    spec: Mapping[str, Any] | None
+    spec: JsonObject | None
     is_imported: bool
     shards: Mapping[str, tuple[read.Shard, ...]]
     unfinished: str = ""
@@ -118,7 +119,7 @@ def merge_sets(
 
 
 def divide(
-    kind: DatasetKind, name: Name | Place, fractions: Sequence[float], seed: int, chosen: Mapping[str, Any]
+    kind: DatasetKind, name: Name | Place, fractions: Sequence[float], seed: int, chosen: JsonObject
 ) -> list[dict[str, Int64]]:
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
@@ -150,7 +151,7 @@ def write_part(
     kind: DatasetKind,
     name: Name | Place,
     rows: Mapping[str, Int64],
-    options: Mapping[str, Any],
+    options: JsonObject,
     out: str,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
@@ -163,7 +164,7 @@ def _build(
     sources: Sequence[_Source],
     rows: Mapping[str, Int64] | None,
     operation: str,
-    options: Mapping[str, Any],
+    options: JsonObject,
     out: str,
     run: store.RunKeywords,
 ) -> store.Manifest:
@@ -204,10 +205,10 @@ def _unfinished(sources: Iterable[_Source | Place]) -> dict[str, str]:
 def _copy_plan(
     kind: DatasetKind,
     operation: str,
-    options: Mapping[str, Any],
+    options: JsonObject,
     shards: Mapping[str, Sequence[read.Shard]],
-    source_spec: Mapping[str, Any] | None,
-    tasks: Sequence[Any],
+    source_spec: JsonObject | None,
+    tasks: Sequence[store.AnyTask],
     style: store.ParquetStyle,
     *libraries: str,
 ) -> store.BuildPlan:
@@ -241,12 +242,12 @@ def _style(shards: Iterable[read.Shard]) -> store.ParquetStyle:
     return store.ParquetStyle(group.num_rows, encodings=tuple(encodings))
 
 
-def _flat_rows(_shard: store.ShardName, rows: Any) -> store.ShardContent:
+def _flat_rows(_shard: store.ShardName, rows: read.RecordDataset[Any]) -> store.ShardContent:
     return store.ShardContent(mesh.flat_table(rows))
 
 
 def plan_tables(
-    kind: DatasetKind, place: Place, choices: Choices, chosen: Mapping[str, Any], out: str
+    kind: DatasetKind, place: Place, choices: Choices, chosen: JsonObject, out: str
 ) -> store.BuildPlan:
     """Plan Parquet files of chosen rows of splits, which other libraries read.
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import islice
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
@@ -95,8 +95,8 @@ class ProcessRunner:
         waiting = deque((task, 1) for task in tasks)
         called = pickle.dumps(function)
         hide_main = b"__main__" not in called + pickle.dumps(list(islice(waiting, 1)))
-        workers: dict[Any, BaseProcess] = {}  # by our ends of their pipes
-        held: dict[Any, tuple[T, int]] = {}  # what each of them works on
+        workers: dict[Connection, BaseProcess] = {}  # by our ends of their pipes
+        held: dict[Connection, tuple[T, int]] = {}  # what each of them works on
         answers: list[bytes] = []
         try:
             while True:
@@ -137,7 +137,7 @@ def runner_for(workers: int | Runner) -> Runner:
     return InlineRunner() if workers == 1 else ProcessRunner(workers)
 
 
-def _start_worker(function: bytes, hide_main: bool) -> tuple[Any, BaseProcess]:
+def _start_worker(function: bytes, hide_main: bool) -> tuple[Connection, BaseProcess]:
     """Start a process, and return our end of the pipe that carries its tasks, its answers and its life."""
     # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
     if multiprocessing.current_process().daemon:
@@ -163,7 +163,7 @@ def _main_hidden() -> Iterator[None]:
     into an interpreter, would fail or start the work again in each of them. No task needs the script.
     """
     main = sys.modules["__main__"].__dict__
-    hidden: dict[str, Any] = {name: main[name] for name in ("__spec__", "__file__") if name in main}
+    hidden: dict[str, object] = {name: main[name] for name in ("__spec__", "__file__") if name in main}
     main.update(dict.fromkeys(hidden))
     try:
         yield
@@ -171,7 +171,7 @@ def _main_hidden() -> Iterator[None]:
         main.update(hidden)
 
 
-def _work(pipe: Any, function: bytes) -> None:
+def _work(pipe: Connection, function: bytes) -> None:
     """Carry out tasks until the parent ends this process."""
     # Ctrl-C goes to the whole process group: the parent alone decides what happens to the work.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -182,7 +182,7 @@ def _work(pipe: Any, function: bytes) -> None:
             pipe.send_bytes(run_pickled(function, inbox.get()))
 
 
-def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:
+def _listen(pipe: Connection, inbox: SimpleQueue[bytes]) -> None:
     # Also in the middle of a task: no worker may write into the folder of a parent that was killed.
     with contextlib.suppress(EOFError, OSError):
         while True:

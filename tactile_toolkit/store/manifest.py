@@ -13,9 +13,9 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.shown_text import printable_json
 from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.names import names_inside
@@ -43,7 +43,7 @@ class Manifest:
 
     kind: str
     toolkit_version: str
-    spec: Mapping[str, Any]
+    spec: JsonObject
     split_order: tuple[str, ...]
     shards: tuple[ShardRecord, ...] = ()
     files: Mapping[str, Sha256] = field(default_factory=dict)
@@ -98,9 +98,9 @@ class Manifest:
         reasons = Counter(item.reason for record in self.shards for item in record.skipped)
         return dict(sorted(reasons.items()))
 
-    def statistics(self) -> dict[str, dict[str, Any]]:
+    def statistics(self) -> dict[str, JsonObject]:
         """Add up the statistics of each split's shards; splits without any are left out."""
-        counted: dict[str, list[Mapping[str, Any]]] = {}
+        counted: dict[str, list[JsonObject]] = {}
         for record in self.shards:
             if record.statistics is not None:
                 counted.setdefault(record.split, []).append(record.statistics)
@@ -113,7 +113,7 @@ class Manifest:
         ordered = sorted(merged.values(), key=lambda record: (order[record.split], record.shard.index))
         return replace(self, shards=tuple(ordered))
 
-    def sums(self) -> dict[str, dict[str, Any]]:
+    def sums(self) -> dict[str, JsonObject]:
         """Return what the text of the manifest repeats of the shards, by its name in the text."""
         return {
             "splits": self.split_table(),

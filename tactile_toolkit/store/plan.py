@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from typing import Any
 
 from tactile_toolkit import __version__
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
@@ -50,7 +50,7 @@ class BuildPlan:
     """
 
     kind: str
-    spec: Mapping[str, Any]
+    spec: JsonObject
     split_order: tuple[str, ...]
     tasks: tuple[AnyTask, ...]
     style: ParquetStyle

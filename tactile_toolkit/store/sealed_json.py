@@ -62,7 +62,7 @@ def damaged_error(where: str, problem: object) -> IntegrityError:
     )
 
 
-def convert_json(values: Any, kind: type[T], where: str, field: str) -> T:
+def convert_json(values: object, kind: type[T], where: str, field: str) -> T:
     """Return a part of a decoded document as a value of a type; raises as :func:`decode`."""
     try:
         return msgspec.convert(values, kind)

@@ -11,6 +11,7 @@ from typing import Annotated, Any
 
 import msgspec
 
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.store.data_folder import PENDING_FOLDER
 from tactile_toolkit.store.sealed_json import LARGEST, Count, Sha256
@@ -167,7 +168,7 @@ class Finding:
     problem: str
 
 
-def add_up(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def add_up(parts: Sequence[JsonObject]) -> dict[str, Any]:
     """Add the counts of several shards, key by key; lists add by index, a missing entry counts 0.
 
     Values are numbers, lists of numbers, or mappings of them by name; keys stay in the order in which they

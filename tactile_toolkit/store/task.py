@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.shards import ShardName, Skipped
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 T = TypeVar("T")
 
@@ -21,10 +25,10 @@ class ShardContent:
     is what the task's ``digest`` gave for what was read.
     """
 
-    table: Any
+    table: pa.Table
     skipped: tuple[Skipped, ...] = ()
-    report: Any = None
-    statistics: Mapping[str, Any] | None = None
+    report: pa.Table | None = None
+    statistics: JsonObject | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
     encoded: bytes | None = None
     source_digest: str | None = None
