@@ -242,7 +242,7 @@ def _style(shards: Iterable[read.Shard]) -> store.ParquetStyle:
     return store.ParquetStyle(group.num_rows, encodings=tuple(encodings))
 
 
-def _flat_rows(_shard: store.ShardName, rows: read.RecordDataset[Any]) -> store.ShardContent:
+def _flat_rows(_shard: store.ShardName, rows: Any) -> store.ShardContent:
     return store.ShardContent(mesh.flat_table(rows))
 
 
