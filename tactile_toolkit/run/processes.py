@@ -74,8 +74,8 @@ def _thread_pools(_modules: int) -> Any:
 class ProcessRunner:
     """Runs tasks in local worker processes.
 
-    If the worker of a task dies (for example, because the system runs out of memory), the task is tried again,
-    ``attempts`` times in all. An exception raised by the task itself is not retried.
+    If the worker of a task dies (for example, because the system runs out of memory), the task is tried
+    again, ``attempts`` times in all. An exception raised by the task itself is not retried.
 
     Raises
     ------

@@ -60,8 +60,8 @@ def array_text(numbers: Sequence[int]) -> str:
 class BuildJob:
     """A run of a plan in a folder, or of the tasks of one part.
 
-    ``manifest`` is that of the folder, or the one to be created; ``finished`` are the records of intact shards,
-    ``remaining`` the tasks of all others.
+    ``manifest`` is that of the folder, or the one to be created; ``finished`` are the records of intact
+    shards, ``remaining`` the tasks of all others.
     """
 
     folder: DataFolder

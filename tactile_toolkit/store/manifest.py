@@ -180,7 +180,7 @@ def read_manifest(folder: DataFolder) -> Manifest | None:
 
 @contextlib.contextmanager
 def without_collecting() -> Iterator[None]:
-    """Pause garbage collection while many objects are made that all stay; it would take a third of the time."""
+    """Pause garbage collection, a third of the time, while many objects are made that all stay."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
