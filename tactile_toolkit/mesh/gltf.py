@@ -166,7 +166,7 @@ class _Document:
         """Return values from a part of the binary chunk, shape (count, width)."""
         view = self._item("bufferViews", at["bufferView"])
         if "uri" in self._item("buffers", view["buffer"]) or view["buffer"] != 0:
-            raise InputError("the file refers to data elsewhere; expected all data in its binary chunk")
+            raise InputError("the file keeps data elsewhere; expected all data in its binary chunk")
         row = component.itemsize * width
         step, start, size = view.get("byteStride", row), at.get("byteOffset", 0), view["byteLength"]
         first = view.get("byteOffset", 0) + start
