@@ -1,4 +1,4 @@
-"""Whether two objects stand far enough apart."""
+"""Tests whether objects are far enough apart."""
 
 from __future__ import annotations
 
@@ -9,54 +9,53 @@ from typing import Any
 import numpy as np
 
 from starstruck_gen.placement import Placement
-from starstruck_gen.prisms import _MOST_KEPT, prism
+from starstruck_gen.prisms import MOST_KEPT, prism
 from tactile_toolkit import mesh
 from tactile_toolkit.arithmetic import cosine_sine
 
 STORAGE_MARGIN_M = 1e-7
-"""Kept beyond the clearance asked for: storing coordinates as float32 moves them by up to a third of it."""
+"""Margin beyond the clearance: float32 storage moves coordinates by up to a third of it."""
 
 
 def circles_clear(one: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
     """Return whether circumscribed circles keep a clearance: the rule of package tactile-mnist 0.13.0."""
     _, x_m, y_m, _, radius_m, _ = one
-    # Loop and products, no call or root: this is asked up to 100 times for each pair of objects.
+    # A loop of products, without calls or roots: each pair of objects is tested up to 100 times.
     for _, other_x_m, other_y_m, _, other_radius_m, _ in others:
         along_m, across_m = x_m - other_x_m, y_m - other_y_m
         least_m = radius_m + other_radius_m + clearance_m + STORAGE_MARGIN_M
-        if not along_m * along_m + across_m * across_m > least_m * least_m:  # no place that is NaN is clear
+        if not along_m * along_m + across_m * across_m > least_m * least_m:  # NaN is not clear
             return False
     return True
 
 
 def outlines_clear(one: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
-    """Return whether the outlines themselves keep a clearance; measured by manifold3d.
+    """Return whether outlines keep a clearance, as measured by manifold3d.
 
-    An object inside another's hole is clear of it, one inside its solid is not.
+    An object inside of a hole of another one is clear of it, an object inside of its solid is not.
     """
     least_mm = (clearance_m + STORAGE_MARGIN_M) * mesh.MM_PER_M
     near = (other for other in others if not circles_clear(one, [other], clearance_m))
     pairs = ((_standing(one), _standing(other)) for other in near)
-    # The gap alone would not reveal an object inside another one, whose surfaces can be far apart; and of two
-    # that overlap it takes several times as long to find.
+    # The gap does not reveal an object inside of another one, and is slow to compute if objects overlap.
     return all((a ^ b).is_empty() and a.min_gap(b, 2 * least_mm) > least_mm for a, b in pairs)
 
 
 COLLISION_TESTS = {"circles": circles_clear, "exact": outlines_clear}
-"""Collision rules by name: does an object keep a clearance, in metres, to some others?"""
+"""Collision rules by name: whether an object keeps a clearance, in metres, to others."""
 
 
 def _standing(placement: Placement) -> Any:
-    """Return the solid of an object where it stands, millimetres, 1 mm high."""
+    """Return the solid of an object in its place, millimetres, 1 mm high."""
     c, s = cosine_sine(placement.angle_rad)
     x_mm, y_mm = placement.x_m * mesh.MM_PER_M, placement.y_m * mesh.MM_PER_M
     matrix = np.array([[c, -s, 0.0, x_mm], [s, c, 0.0, y_mm], [0.0, 0.0, 1.0, 0.0]])
     return prism_solid(placement.shape, placement.radius_m).transform(matrix)
 
 
-@lru_cache(_MOST_KEPT)
+@lru_cache(MOST_KEPT)
 def prism_solid(key: str, radius_m: float) -> Any:
-    """Return the solid of a shape for manifold3d: millimetres, 1 mm high, unturned, centre at the origin."""
+    """Return the solid of a shape for manifold3d: millimetres, 1 mm high, centred, not turned."""
     made = prism(key)
     vertices_m = made.vertices(0.0) * radius_m
     vertices_m[1::2, 2] = 1e-3

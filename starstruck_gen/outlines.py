@@ -1,4 +1,4 @@
-"""The toolkit's own kinds of shapes."""
+"""The outlines of the kinds of shapes that come with the toolkit."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def _segments() -> Any:
 def _arc(
     radius: float, start_rad: float, sweep_rad: float, corners: int, centre_x: float = 0.0
 ) -> list[tuple[float, float]]:
-    """Return corners at equal steps of an arc, its end left out."""
+    """Return corners at equal steps of an arc, without its end."""
     turns = [cosine_sine(start_rad + sweep_rad * step / corners) for step in range(corners)]
     return [(centre_x + radius * cosine, radius * sine) for cosine, sine in turns]
 
@@ -52,9 +52,9 @@ class Star(Proportions):
     inner_ratio: float = within(0.5, 0.05, 0.95)
 
     def __post_init__(self) -> None:
-        # super() without arguments knows the class before it got its slots.
+        # super() without arguments fails in a dataclass with slots.
         Proportions.__post_init__(self)
-        # At a share of 1 a notch lies on the line between its two tips, and the star is a polygon.
+        # At a share of 1, a notch lies on the line between its two tips.
         deepest = _DEEPEST_NOTCH_SHARE * math.cos(math.pi / self.points)
         if self.inner_ratio > deepest:
             raise InputError(
@@ -188,7 +188,7 @@ class Crescent(Proportions):
     def rings(self) -> Outline:
         """Return one ring: the rim from horn to horn, then the bite back."""
         horn_x, horn_y = cosine_sine(self.horn_rad)
-        # Rounded to where all processors agree.
+        # Rounded, as processors differ in the last digits.
         bite_rad = round(math.atan2(horn_y, horn_x - self.bite_ratio), 12)
         bite_radius = math.hypot(horn_x - self.bite_ratio, horn_y)
         back = _arc(1.0, self.horn_rad, math.tau - 2 * self.horn_rad, self.segments)

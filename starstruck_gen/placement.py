@@ -1,4 +1,4 @@
-"""An object of a scene."""
+"""The place of an object in a scene."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ class Placement(NamedTuple):
     Attributes
     ----------
     shape : str
-        Name of the shape, with the proportions that are not its kind's own in brackets: ``star``,
-        ``star(points=6)``; the ``key`` of a :class:`starstruck_gen.Shape`.
+        The ``key`` of a :class:`starstruck_gen.Shape`: its name, with proportions that differ from those of
+        its kind in brackets, such as ``star`` or ``star(points=6)``.
     x_m, y_m : float
         Centre of its circumscribed circle, metres.
     angle_rad : float

@@ -1,4 +1,4 @@
-"""Kinds of shapes: their proportions, and the outline that follows from them."""
+"""Kinds of shapes: proportions, the outline that follows from them, and the registry of kinds."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from tactile_toolkit.errors import InputError
 Outline = tuple[Float64, ...]
 """Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""
 
-_LARGEST = 1e6  # where a kind declares no range
+_LARGEST = 1e6  # for kinds without a declared range
 
 KINDS: dict[str, type[Proportions]] = {}
 """Kinds of shapes by name: those of the toolkit, and those that users register."""
 
 
 def within(published: float, least: float, most: float) -> Any:
-    """Declare a number with its default and the range it must keep to."""
+    """Declare a number with its default and its range."""
     return field(default=published, metadata={"least": least, "most": most})
 
 
@@ -46,7 +46,7 @@ class Proportions:
                     f"{entry.name} of shape {self.name!r} is {getattr(self, entry.name)!r}; expected "
                     f"{'an integer from ' if kind is int else ''}{least:g} to {most:g}"
                 )
-            # Whole and plain numbers have one spelling, so that equal proportions have equal JSON and keys.
+            # One type for each number, so that equal proportions have equal JSON and keys.
             object.__setattr__(self, entry.name, kind(value))
 
     def rings(self) -> Outline:
@@ -54,7 +54,7 @@ class Proportions:
         raise NotImplementedError
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle with the class, so that a worker that never heard of the kind knows it from then on."""
+        """Pickle with the class, so that unpickling registers the kind in a new process."""
         return (_unpickled, (type(self), self.to_dict()))
 
     def to_dict(self) -> dict[str, Any]:
@@ -63,7 +63,7 @@ class Proportions:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Proportions:
-        """Rebuild proportions from :meth:`to_dict`; what is missing takes its default.
+        """Rebuild proportions from :meth:`to_dict`; missing fields take their defaults.
 
         Raises
         ------
@@ -73,13 +73,15 @@ class Proportions:
         known = [entry.name for entry in fields(cls)]
         unknown = [name for name in values if name not in known]
         if unknown:
-            expected = f"one of {', '.join(known)}" if known else "none"
+            expected = f"one of {', '.join(known)}"
+            if not known:
+                expected = "none"
             raise InputError(f"unknown proportion {unknown[0]!r} of shape {cls.name!r}; expected {expected}")
         return cls(**values)
 
 
 def _unpickled(kind: type[Proportions], values: dict[str, Any]) -> Proportions:
-    # Unchecked: the process that pickled it has registered, and so checked, the kind.
+    # The process that pickled it has registered, and so checked, the kind.
     if kind.name:
         KINDS.setdefault(kind.name, kind)
     return kind(**values)

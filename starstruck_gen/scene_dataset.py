@@ -19,16 +19,16 @@ from tactile_toolkit.wording import with_count
 class SceneRecord(mesh.SolidRecord):
     """One scene; fields are loaded on first use.
 
-    Frame of the mesh: origin at the cell's centre, x right, y away from the robot, z up, objects standing on
-    z = 0; metres. Data sets without our columns (the published one) give ``id``, ``label``, ``star_count``
-    and the mesh; what is not stored raises :class:`~tactile_toolkit.errors.InputError`.
+    Frame of the mesh: origin at the centre of the cell, x right, y away from the robot, z up, objects on
+    z = 0; metres. Data sets without our columns (the published one) have ``id``, ``label``, ``star_count``
+    and the mesh; other fields raise :class:`~tactile_toolkit.errors.InputError`.
     """
 
     __slots__ = ()
 
     @property
     def star_count(self) -> int:
-        """Number of stars; in data sets that do not store it, that of the published class."""
+        """Number of stars; that of the published class if it is not stored."""
         return self._row.integer("star_count") if self._row.has("star_count") else self.label + 1
 
     @property
@@ -79,14 +79,13 @@ class SceneRecord(mesh.SolidRecord):
         return pictures.figure_html(self._drawn(2.0), caption)
 
     def _tile_html(self) -> str:
-
         caption = f"{with_count(self.star_count, 'stars')}, id {self.id}"
         if not self.has_placements:
             return pictures.relief_tile_html(self.vertices_m, self.faces, caption)
         return pictures.figure_html(self._drawn(0.8), caption, pictures.TILE_STYLE)
 
     def _drawn(self, px_per_mm: float) -> UInt8:
-        # A record does not know its specification; the published cell is what most were made for.
+        # A record does not know its specification; most scenes have the published cell.
         return np.asarray(draw_scene(self.placements, (0.12, 0.12), px_per_mm))
 
 
