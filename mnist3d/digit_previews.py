@@ -11,7 +11,7 @@ import numpy as np
 
 from mnist3d import ink, solid
 from mnist3d.digit_dataset import DigitDataset, DigitRecord
-from mnist3d.digit_preview_spec import DigitPreviewSpec
+from mnist3d.digit_options import DigitPreviewSpec
 from mnist3d.kind import KIND
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.picture_files import ENDINGS, pages_of

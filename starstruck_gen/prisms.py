@@ -11,7 +11,7 @@ from itertools import pairwise
 import manifold3d
 import numpy as np
 
-from starstruck_gen.proportions import Outline
+from starstruck_gen.shape_kinds import Outline
 from starstruck_gen.shapes import PUBLISHED_RADIUS_M, Shape, outline
 from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Float64, Int32, Int64

@@ -8,16 +8,16 @@ from __future__ import annotations
 import math
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import TypeVar
 
 import numpy as np
 
-from starstruck_gen.collisions import COLLISION_TESTS
-from starstruck_gen.placement import Placement
+from starstruck_gen.placement import COLLISION_TESTS, Placement
 from starstruck_gen.scene import Scene
 from starstruck_gen.scene_seeds import SceneStreams, scene_rng, scene_seed
 from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shapes import Shape
 from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError
 
@@ -30,6 +30,10 @@ LayoutFailed = Callable[[int, int], None]
 _LOCAL = threading.local()
 _RECENT_LAYOUTS = 10
 _INFEASIBLE_DEVIATIONS = 8.0
+
+
+class SamplingExhausted(InputError):  # noqa: N818
+    """No position was found for an object of a scene, in all restarts."""
 
 
 def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> Scene:
@@ -180,15 +184,7 @@ def rejection_sampling(
             return Scene(star_count, tuple(placed), tuple(attempts), len(reached))
         reached.append(len(placed))
         on_failure(len(reached), spec.restarts + 1)
-    raise SamplingExhausted(
-        shapes[reached[-1]].name,
-        reached[-1] + 1,
-        len(shapes),
-        spec.attempts,
-        len(reached) - 1,
-        (2 * mesh.MM_PER_M * half_x_m, 2 * mesh.MM_PER_M * half_y_m),
-        infeasible=is_infeasible(reached, len(shapes)),
-    )
+    raise _exhausted(spec, shapes, reached)
 
 
 def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
@@ -198,47 +194,17 @@ def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
     return options[int(uniform() * len(options))]
 
 
-@dataclass(eq=False)
-class SamplingExhausted(InputError):  # noqa: N818
-    """No position was found for an object of a scene in all restarts.
-
-    Attributes
-    ----------
-    shape : str
-        Shape of the object that found no position in the last layout.
-    number, objects : int
-        Number of this object, from 1, and number of objects in the scene.
-    attempts, restarts : int
-        Positions tried for it in one layout, and how often the scene was started over.
-    area_mm : tuple of float
-        Width and height of the area for centres.
-    infeasible : bool
-        Whether sampling ended before all restarts, because no layout came near.
-    """
-
-    shape: str
-    number: int
-    objects: int
-    attempts: int
-    restarts: int
-    area_mm: tuple[float, float]
-    infeasible: bool = False
-
-    def __post_init__(self) -> None:
-        # The fields are the arguments, so that the error crosses process borders.
-        Exception.__init__(self, *(getattr(self, entry.name) for entry in fields(self)))
-
-    def __str__(self) -> str:
-        near, patience = "", ", or in Python raise attempts or restarts of SceneSpec"
-        if self.infeasible:
-            near, patience = "; no layout came near", ""
-        what = (
-            f"no place for object {self.number} of {self.objects} (a {self.shape}): {self.attempts} attempts "
-            f"failed, and the scene was started over {self.restarts} times (restarts){near}; centres may lie "
-            f"in {self.area_mm[0]:g} x {self.area_mm[1]:g} mm"
-        )
-        change = (
-            "lower the most --stars or --distractors (stars, distractors), --clearance-mm (clearance_m) or "
-            f"--radius-mm (radius_m of a shape), or raise --cell-mm (cell_m){patience}"
-        )
-        return str(InputError(what, next=change))
+def _exhausted(spec: SceneSpec, shapes: list[Shape], reached: list[int]) -> SamplingExhausted:
+    """Return the error for a scene of which the layouts so far held these numbers of objects."""
+    number, restarts = reached[-1], len(reached) - 1
+    near, patience = "", ", or in Python raise attempts or restarts of SceneSpec"
+    if is_infeasible(reached, len(shapes)):
+        near, patience = "; no layout came near", ""
+    width_mm, height_mm = (2 * mesh.MM_PER_M * half_m for half_m in spec.half_area_m)
+    return SamplingExhausted(
+        f"no place for object {number + 1} of {len(shapes)} (a {shapes[number].name}): {spec.attempts} "
+        f"attempts failed, and the scene was started over {restarts} times (restarts){near}; centres may lie "
+        f"in {width_mm:g} x {height_mm:g} mm",
+        next="lower the most --stars or --distractors (stars, distractors), --clearance-mm (clearance_m) or "
+        f"--radius-mm (radius_m of a shape), or raise --cell-mm (cell_m){patience}",
+    )

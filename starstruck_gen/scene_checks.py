@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from starstruck_gen.kind import KIND
-from starstruck_gen.proportions import KINDS, Proportions
 from starstruck_gen.scene_dataset import SceneRecord
 from starstruck_gen.scene_meshes import build_meshes
+from starstruck_gen.shape_kinds import KINDS, Proportions
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold

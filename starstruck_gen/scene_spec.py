@@ -9,8 +9,8 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
-from starstruck_gen.outlines import STAR
 from starstruck_gen.prisms import require_fine_steps
+from starstruck_gen.shape_kinds import STAR
 from starstruck_gen.shapes import Shape
 from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real

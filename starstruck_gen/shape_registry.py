@@ -8,10 +8,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from starstruck_gen.collisions import prism_solid
-from starstruck_gen.outlines import TOOLKIT_KINDS
+from starstruck_gen.placement import prism_solid
 from starstruck_gen.prisms import checked_prism, prism, prisms
-from starstruck_gen.proportions import KINDS, Proportions
+from starstruck_gen.shape_kinds import KINDS, TOOLKIT_KINDS, Proportions
 from starstruck_gen.shapes import outline, read_only
 from tactile_toolkit.errors import InputError
 

@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from starstruck_gen.outlines import kind_named
-from starstruck_gen.proportions import Outline, Proportions
+from starstruck_gen.shape_kinds import Outline, Proportions, kind_named
 from tactile_toolkit.builtin_values import to_builtin_number
 from tactile_toolkit.errors import InputError
 
