@@ -32,8 +32,8 @@ class SourceOptions:
     threshold: str = choice(
         "auto",
         ("auto", "local", "global"),
-        help="Even out the light of pictures and look for the page (local), or take one grey level for all "
-        "of a picture (global); auto evens out what has no clean paper.",
+        help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
+        "local for pictures without clean paper.",
     )
     # As many as MNIST 3D has (Tactile MNIST paper).
     digits: int = integer(13_580, 1, MOST_DIGITS, help="Number of digits in the synthetic source.")
@@ -41,7 +41,7 @@ class SourceOptions:
 
 @dataclass(frozen=True, slots=True)
 class DigitPreviewSpec(catalog.PreviewSpec):
-    """Which pictures of digits to draw; the steps need the files that the images came from."""
+    """Which pictures of digits to draw; the steps of a data set need the files of its source."""
 
     kinds: tuple[str, ...] = choice(
         (),
@@ -52,7 +52,7 @@ class DigitPreviewSpec(catalog.PreviewSpec):
     images: Path | None = text(
         metavar="PATH",
         read=Path,
-        help="Images that the data set was made from, as for `generate`; for --kind steps.",
+        help="Images of the source of the data set, as for `generate`; for --kind steps.",
     )
     writer_info: Path | None = text(
         metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."

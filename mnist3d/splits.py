@@ -128,9 +128,7 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
 
     Sizes are as near to those of the specification as whole writers allow.
     """
-    sizes = PUBLISHED_SIZES
-    if spec.sizes is not None:
-        sizes = dict(spec.sizes)
+    sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
     shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
     writers, inverse, counts = np.unique(catalog.writers, return_inverse=True, return_counts=True)
     if NO_WRITER in writers:
@@ -145,9 +143,7 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
     # Every split first gets a writer; by shares only, small splits of few writers would stay empty.
     unserved = [int(split) for split in np.flatnonzero(shares)]
     for writer in np.argsort(_keys(writers, spec.seed, stream=2)):
-        split = int(np.argmax(wanted - given))
-        if unserved:
-            split = unserved.pop(0)
+        split = unserved.pop(0) if unserved else int(np.argmax(wanted - given))
         split_of[writer] = split
         given[split] += counts[writer]
     return split_of[inverse]

@@ -189,9 +189,7 @@ def rejection_sampling(
 
 def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
     """Draw one of several options with equal chance; a single option draws no number."""
-    if len(options) == 1:
-        return options[0]
-    return options[int(uniform() * len(options))]
+    return options[0] if len(options) == 1 else options[int(uniform() * len(options))]
 
 
 def _exhausted(spec: SceneSpec, shapes: list[Shape], reached: list[int]) -> SamplingExhausted:

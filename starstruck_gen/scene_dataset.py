@@ -33,17 +33,17 @@ class SceneRecord(mesh.SolidRecord):
 
     @property
     def distractor_count(self) -> int:
-        """Number of objects that are not stars; InputError where it is not stored."""
+        """Number of objects that are not stars; InputError if it is not stored."""
         return self._stated("distractor_count").integer("distractor_count")
 
     @property
     def has_placements(self) -> bool:
-        """Whether the data set stores the placements; the published one does not."""
+        """Whether the data set stores placements; the published one does not."""
         return self._row.has("placements")
 
     @property
     def placements(self) -> tuple[Placement, ...]:
-        """Objects in the order of placing, stars first; InputError where they are not stored."""
+        """Objects in the order of placing, stars first; InputError if they are not stored."""
         return self._once(
             "placements",
             lambda: tuple(Placement(**entry) for entry in self._stated("placements").required("placements")),
@@ -51,17 +51,17 @@ class SceneRecord(mesh.SolidRecord):
 
     @property
     def seed(self) -> int:
-        """Seed of the scene: with the specification and the star count it makes the scene again."""
+        """Seed of the scene: specification, star count and seed make the scene again."""
         return self._stated("seed").integer("seed")
 
     @property
     def scene(self) -> Scene:
-        """The scene: its placements, and statistics of how they were found."""
+        """The scene: its placements, and statistics of sampling."""
         attempts = tuple(int(count) for count in self._stated("attempts").required("attempts"))
         return Scene(self.star_count, self.placements, attempts, self._stated("restarts").integer("restarts"))
 
     def _stated(self, name: str) -> read.Row:
-        """Return the row; InputError where the data set has no such column."""
+        """Return the row; InputError if the data set has no such column."""
         if not self._row.has(name):
             raise InputError(
                 f"this data set stores no {name!r}", next="use one written by `starstruck generate`"
@@ -150,24 +150,24 @@ def load(
         A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub with the
         columns of Starstruck: ``USER/NAME``, or ``starstruck`` for the published one.
     split : str, optional
-        Split to open; only its shards are fetched. May be left out where there is only one.
+        Split to open; only its shards are downloaded. Optional if there is only one.
     streaming : bool
         Return an iterable that reads one shard after another and stores nothing, instead of a data set with
         random access.
     revision : str, optional
         Branch, tag or commit of a Hub repository.
     config : str, optional
-        Configuration, of a data set whose card has several.
+        Configuration, if the card of the data set has several.
 
     Returns
     -------
     SceneMeshDataset or RecordStream
-        No row is read until it is asked for.
+        Rows are read on demand.
 
     Raises
     ------
     InputError
-        No such folder or split, several splits and none named, another kind, or no columns of Starstruck.
+        No such folder or split, several splits and no name, another kind, or no columns of Starstruck.
     IntegrityError
         The data set is damaged or unfinished.
     HubError

@@ -54,9 +54,7 @@ def _paint_object(picture: Image.Image, placement: Placement, px_per_m: float) -
     for edge_px in rings:
         ImageDraw.Draw(mask).polygon((edge_px - low).ravel().tolist(), fill=fill)
         fill = 0  # rings after the first are holes
-    colour = DISTRACTOR_COLOUR
-    if placement.is_star:
-        colour = STAR_COLOUR
+    colour = STAR_COLOUR if placement.is_star else DISTRACTOR_COLOUR
     picture.paste(colour, (*low, *high), mask)
     for edge_px in rings:
         ImageDraw.Draw(picture).polygon(edge_px.ravel().tolist(), outline=_EDGE, width=_SUPERSAMPLING)

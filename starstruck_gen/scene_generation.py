@@ -141,8 +141,8 @@ def generate(
 ) -> store.Manifest:
     """Make a data set of scenes.
 
-    A folder that holds a run of the same specification is completed. The same specification gives
-    byte-identical Parquet whatever the number of workers and however often the run was interrupted.
+    A folder with an interrupted run of the same specification is completed. The same specification gives
+    byte-identical Parquet for any number of workers and interruptions.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def generate(
     SamplingExhausted
         The specification cannot be satisfied. Finished shards stay.
     SpecMismatchError, StorageError
-        The folder holds a data set of another specification, or cannot be written. What was finished stays.
+        The folder has a data set of another specification, or cannot be written. Finished shards stay.
     """
     require = partial(require_feasible, spec.scene, spec.seed, on_failure)
     return generation.generate(SceneMaking(spec), out, splits, require=require, **run)

@@ -24,9 +24,7 @@ def plan_previews(name: places.Name | places.Place, spec: catalog.PreviewSpec) -
     """
     opened: pictures.MeshPreviews[SceneMeshDataset] = pictures.MeshPreviews(KIND, name, spec)
     with catalog.specification_read(opened.name):
-        made_by = SceneSpec()
-        if opened.made_by:
-            made_by = SceneSpec.from_dict(opened.made_by["scene"])
+        made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else SceneSpec()
 
     def sheet_of(rows: SceneMeshDataset, title: str) -> UInt8:
         return draw_scene_sheet(list(rows), made_by, spec.per_class, title)
@@ -47,8 +45,7 @@ def draw_scene_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: i
         (with_count(record.star_count, "stars"), pictures.Tile(from_above(record), f"{record.id}"))
         for record in records
     ]
-    colours = "it is not stored which objects are stars"
-    if all(record.has_placements for record in records):
-        colours = "stars are yellow"
+    known = all(record.has_placements for record in records)
+    colours = "stars are yellow" if known else "it is not stored which objects are stars"
     words = f"{with_count(len(records), 'scenes')} from above, the id of each below it; {colours}"
     return pictures.draw_by_class(tiles, per_row, title, words, px_per_mm)

@@ -91,9 +91,7 @@ class SceneSpec:
             ("heights_m", float),
         ):
             value = to_builtin(getattr(self, name), kind)
-            if not isinstance(value, tuple):
-                value = (value,)
-            object.__setattr__(self, name, value)
+            object.__setattr__(self, name, value if isinstance(value, tuple) else (value,))
         stars, shapes, heights = self.stars, self.distractor_shapes, self.heights_m
         fits = bool(stars) and is_integer(*stars) and stars[0] >= 0 and all(a < b for a, b in pairwise(stars))
         self._require("stars", fits, "integers from 0, each larger than the one before")

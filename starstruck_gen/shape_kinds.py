@@ -80,9 +80,7 @@ class Proportions:
         known = [entry.name for entry in fields(cls)]
         unknown = [name for name in values if name not in known]
         if unknown:
-            expected = f"one of {', '.join(known)}"
-            if not known:
-                expected = "none"
+            expected = f"one of {', '.join(known)}" if known else "none"
             raise InputError(f"unknown proportion {unknown[0]!r} of shape {cls.name!r}; expected {expected}")
         return cls(**values)
 

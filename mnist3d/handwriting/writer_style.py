@@ -116,6 +116,4 @@ def choose_allograph(label: int, writer: int, class_noise: KeyedRng, digit: Keye
     weights = [weight for _, weight in ALLOGRAPHS[label]]
     mark = (class_noise.unit() + writer * _STRIDES[label]) % 1.0
     preferred, other = index_at(weights, mark), index_at(weights, digit.unit())
-    if digit.unit() < fidelity:
-        return preferred
-    return other
+    return preferred if digit.unit() < fidelity else other

@@ -166,9 +166,7 @@ def _int_column(table: AnyArray, column: int, path: str, most: float = np.inf) -
 
     ``most`` is 9 for a column of digits, which are not negative.
     """
-    expected = "an integer"
-    if most == 9:
-        expected = "a digit from 0 to 9"
+    expected = "a digit from 0 to 9" if most == 9 else "an integer"
     next_step = "check that this file belongs to the images and is not damaged"
     try:
         numbers = table[:, column].astype(np.float64)

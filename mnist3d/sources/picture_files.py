@@ -52,9 +52,7 @@ def pages_of(path: Path) -> tuple[int, ...]:
     Raises ItemError ``"unreadable"``.
     """
     with _opened(path) as picture:
-        count = 1
-        if picture.format in _PAGED:
-            count = getattr(picture, "n_frames", 1)
+        count = getattr(picture, "n_frames", 1) if picture.format in _PAGED else 1
         if count > _MOST_PAGES:
             raise InputError(f"it has {count:,} pages, expected {_MOST_PAGES:,} at most")
         if picture.format != "TIFF" or count == 1:
@@ -89,9 +87,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     """Open a picture by its content; all errors become ItemError ``"unreadable"``."""
     ending = path.suffix.lower()
     # TGA has no mark of its own, so nearly anything can pass for it.
-    formats = _formats()
-    if ending in _ENDINGS["TGA"]:
-        formats = (*formats, "TGA")
+    formats = (*_formats(), "TGA") if ending in _ENDINGS["TGA"] else _formats()
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -59,9 +59,8 @@ def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: i
 
 
 def _read(picture: Image.Image, ink: str, threshold: str, path: Path) -> UInt8:
-    colours = grey = _brightness(picture, ink, path)
-    if picture.mode == "RGB":
-        colours = np.asarray(picture)
+    grey = _brightness(picture, ink, path)
+    colours = np.asarray(picture) if picture.mode == "RGB" else grey
     is_flat = np.ptp(grey) < _CONTRAST
     # Ink and paper of different colours may have the same grey.
     is_coloured = is_flat and np.ptp(colours, axis=(0, 1)).max() >= _CONTRAST
@@ -87,9 +86,7 @@ def _brightness(picture: Image.Image, ink: str, path: Path) -> UInt8:
         return _over_paper(picture, ink)
     if picture.mode in ("L", "RGB"):
         return np.asarray(picture.convert("L"))
-    values, whites = np.asarray(picture), _WHITES
-    if picture.mode == "F":
-        whites = (1, 255)
+    values, whites = np.asarray(picture), (1, 255) if picture.mode == "F" else _WHITES
     largest = float(np.fmax.reduce(values, axis=None, initial=0))
     return as_grey(values, next((float(each) for each in whites if largest <= each), whites[-1]), str(path))
 
