@@ -173,7 +173,7 @@ def _require_intact(sink: Sink, result: TouchVerification, name: str) -> None:
     if not result.ok:
         raise IntegrityError(
             f"{counted(len(result.findings), 'problems')} in {name!r}",
-            next="download or convert it again, or open it with on_error='skip' to leave them out",
+            next="download or convert it again, or leave the rounds out with `realtouch select`",
         )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from functools import partial
 from itertools import groupby
@@ -12,9 +11,9 @@ from typing import Any, ClassVar, Generic, Self, TypeVar
 
 import numpy as np
 
-from realtouch.columns import Damage, TouchRow, rows_of, stored_rows
+from realtouch.columns import TouchRow, rows_of, stored_rows
 from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
-from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
+from realtouch.integrity import class_names_of, stored_touch_counts
 from realtouch.media import SensorImages, room_for
 from realtouch.rounds import (
     RowsWithoutMedia,
@@ -29,7 +28,7 @@ from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, PRESS_DEPTH_M, Kind
+from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 from tactile_toolkit.wording import counted, is_integer, plain_number
 
 _INDEX = "touch_index"
@@ -45,51 +44,17 @@ class TouchDataset(read.RecordDataset[R]):
     ----------
     table, rows, label_names
         As for :class:`tactile_toolkit.read.dataset.RecordDataset`.
-    skipped : sequence of (int or None, Damage)
-        Damage that was found and is left out, each with the number of its row in the table: rounds by
-        the data set itself, single touches by :meth:`touches`. None stands for a file or row group left out.
     """
 
     things = "rounds"
     kind: Kind
 
-    def __init__(
-        self,
-        table: read.ShardedTable,
-        rows: range | Int64 | None = None,
-        label_names: Sequence[str] = (),
-        skipped: Sequence[tuple[int | None, Damage]] = (),
-    ) -> None:
-        super().__init__(table, rows, label_names)
-        self._skipped = tuple(skipped)
-
-    @property
-    def skipped(self) -> tuple[Damage, ...]:
-        """What was left out as damaged, in a data set loaded with ``on_error="skip"``."""
-        return tuple(damage for _, damage in self._skipped)
-
     def touches(self) -> Touches[R]:
-        """Return the flat view: every touch of every round, in order, with random access.
-
-        Touches found to be damaged on loading with ``on_error="skip"`` are left out.
-        """
-        view = Touches(self)
-        return view.without(self._lost_touches) if self._lost_touches else view
-
-    @property
-    def _lost_touches(self) -> frozenset[tuple[int, int]]:
-        """Stored row and number in the round of each touch that was left out."""
-        places = ((row, damage.touch) for row, damage in self._skipped)
-        return frozenset((row, touch) for row, touch in places if row is not None and touch is not None)
+        """Return the flat view: every touch of every round, in order, with random access."""
+        return Touches(self)
 
     def _row(self, number: int) -> TouchRow:
         return TouchRow(*self._table.locate(number))
-
-    def _concat(self, other: Self) -> Self:
-        joined, offset = super()._concat(other), len(self._table)
-        moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
-        joined._skipped = (*self._skipped, *moved)
-        return joined
 
     @property
     def touch_counts(self) -> Int64:
@@ -447,14 +412,6 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         chosen = self._select(with_no_contact(self, mask, no_contact_fraction, seed))
         return chosen if n is None else super(Touches, chosen).sample(n, seed)
 
-    def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
-        """Return all touches except some, given as stored row and number in the round."""
-        # By stored row: places in a view change with each filter.
-        rows = self.dataset._row_numbers[self.round_positions].tolist()
-        gone = set(lost)
-        pairs = zip(rows, self.touch_indices.tolist(), strict=True)
-        return self[np.array([pair not in gone for pair in pairs], bool)]
-
     def images(self, index: Any = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
         """Decode the images of several touches of a ``single`` set into one array.
 
@@ -584,17 +541,16 @@ def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
     return pa.table({**columns, _INDEX: np.arange(count)})
 
 
-def dataset_of(
-    shards: Sequence[read.RowSource],
-    rows: Int64 | None = None,
-    skipped: Sequence[tuple[int | None, Damage]] = (),
-) -> TouchSeqDataset | TouchSingleDataset:
-    """Return the data set of some shards of one kind: of all rows, or those that are not skipped."""
-    stated = stated_class_names(shards)
-    names = CLASS_NAMES if stated is None else stated
-    is_seq = media_kind(shards[0].schema, shards[0].path) == "seq"
-    dataset = TouchSeqDataset if is_seq else TouchSingleDataset
-    return dataset(read.ShardedTable(tuple(shards)), rows, names, skipped)
+def dataset_of(shards: Sequence[read.RowSource]) -> TouchSeqDataset | TouchSingleDataset:
+    """Return the data set of some shards of one kind."""
+    dataset = _DATASETS[media_kind(shards[0].schema, shards[0].path)]
+    return dataset(read.ShardedTable(tuple(shards)), None, class_names_of(shards))
+
+
+_DATASETS: dict[Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
+    "seq": TouchSeqDataset,
+    "single": TouchSingleDataset,
+}
 
 
 class TouchStream(read.Stream[read.Shard]):
@@ -606,77 +562,28 @@ class TouchStream(read.Stream[read.Shard]):
         Shards to read in turn.
     kind : "seq" or "single"
         What they hold.
-    skip_damage : bool
-        Check each round before it is given: leave out damaged rounds, and damaged touches of the others, and
-        rows that cannot be read.
-    expected_touches : int, optional
-        T that each round must have to pass that check.
-    left_out : sequence of Damage
-        Files that were left out beforehand.
-
-    Attributes
-    ----------
-    skipped : list of Damage
-        What was left out so far, since the stream was last begun. A worker of a loader has a list of its
-        own, and warns of what it leaves out.
     """
 
-    def __init__(
-        self,
-        shards: tuple[read.Shard, ...],
-        kind: Kind,
-        *,
-        skip_damage: bool = False,
-        expected_touches: int | None = None,
-        left_out: Sequence[Damage] = (),
-    ) -> None:
+    def __init__(self, shards: tuple[read.Shard, ...], kind: Kind) -> None:
         super().__init__(shards)
         self.kind = kind
-        self.skip_damage = skip_damage
-        self.skipped = list(left_out)
-        self._expected_touches = expected_touches
-        self._left_out = tuple(left_out)
-        self._stated_names = stated_class_names(shards)
 
     @property
     def label_names(self) -> tuple[str, ...]:
         """Name of each class."""
-        return CLASS_NAMES if self._stated_names is None else self._stated_names
+        return class_names_of(self.shards)
 
     def touches(self) -> Touches[Any]:
         """Return the flat view: every touch of every round, in order, with random access.
 
         A row group is read from its address when one of its rows is first asked for, and kept in the cache.
-
-        Raises
-        ------
-        InputError
-            The stream leaves out what is damaged, which is known only when all of it was read.
         """
-        if self.skip_damage:
-            raise InputError(
-                "a stream that skips damage has no numbered touches", next="load it without streaming"
-            )
         return dataset_of(self.shards).touches()
 
     def __iter__(self) -> Iterator[TouchRound]:
         """Yield rounds; a bounded block of rows is in memory at a time."""
-        # In place: who holds the list sees what this pass leaves out.
-        self.skipped[:] = self._left_out
-        record = TouchSingleRound if self.kind == "single" else TouchSeqRound
-        if not self.skip_damage:
-            blocks = (block for shard, index in self._row_groups() for block in shard.blocks(index))
-            yield from map(record, rows_of(blocks))
-            return
-        for row, damage in checked_rows(self._row_groups(), self._expected_touches, self._stated_names):
-            self.skipped += damage
-            if damage and read.loader_worker() is not None:
-                warnings.warn(f"left out: {'; '.join(map(str, damage))}", stacklevel=2)
-            lost = {each.touch for each in damage}
-            if row is not None and None not in lost:
-                intact = record(row)
-                kept = [touch for touch in range(intact.touch_count) if touch not in lost]
-                yield intact.with_touches(kept) if lost else intact
+        blocks = (block for shard, index in self._row_groups() for block in shard.blocks(index))
+        return map(_DATASETS[self.kind].record_class, rows_of(blocks))
 
     def __repr__(self) -> str:
         return self._described(self.kind)

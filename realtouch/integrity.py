@@ -18,7 +18,7 @@ from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, media_kind, require
 from tactile_toolkit import catalog, read, run
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.touch import MEDIA_COLUMN, Kind, decode_image, image_size
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, Kind, decode_image, image_size
 
 _NAMES_SHOWN = 12
 
@@ -68,6 +68,12 @@ def _require_agreement(shard: read.Shard, kind: Kind, files: Sequence[read.Shard
 def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | None:
     """Return the names of the classes as the first file that states any does; None where none does."""
     return next((shard.class_names for shard in shards if shard.class_names is not None), None)
+
+
+def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
+    """Return the names of the classes as the first file states them, or else those of the digits."""
+    stated = stated_class_names(shards)
+    return CLASS_NAMES if stated is None else stated
 
 
 def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
@@ -228,40 +234,6 @@ def _odd_sizes(row: TouchRow, sizes: dict[int, tuple[int, ...]], media: str) -> 
 
 def _describe(size: tuple[int, ...]) -> str:
     return f"{size[1]} x {size[0]} pixels"
-
-
-def find_damage(
-    shards: Sequence[read.Shard], expected_touches: int | None
-) -> tuple[list[read.RowSource], Int64, list[tuple[int | None, Damage]]]:
-    """Check every round of some files, of which each must have ``expected_touches``, where that is said.
-
-    Returns the row groups of each file that can be read; which of their rows are not lost; and all damage,
-    each with the number of its row among them, None for row groups that cannot be read. A row is lost when
-    something is wrong with the round as a whole (a column, its number of touches); a round with damaged
-    touches stays.
-    """
-    found: list[tuple[int, Damage]] = []
-    sources: list[read.RowSource] = []
-    gone = np.zeros(sum(map(len, shards)), bool)  # rows of row groups that cannot be read
-    lost = gone.copy()
-    names = stated_class_names(shards)
-    start = 0
-    for shard in shards:
-        starts = shard.group_starts
-        groups = list(range(len(starts) - 1))
-        for row, damage in checked_rows(read.row_groups([shard]), expected_touches, names):
-            if row is None:
-                group = starts.index(int(damage[0].row or 0))
-                groups.remove(group)
-                gone[start + starts[group] : start + starts[group + 1]] = True
-            for one in damage:
-                found.append((start + int(one.row or 0), one))
-                lost[found[-1][0]] |= one.touch is None
-        sources.append(shard if len(groups) == len(starts) - 1 else read.ChosenGroups(shard, groups))
-        start += len(shard)
-    numbers = np.cumsum(~gone) - 1
-    numbered = [(None if gone[row] else int(numbers[row]), one) for row, one in found]
-    return sources, numbers[~(lost | gone)], numbered
 
 
 def unreadable_file(path: str, error: ToolkitError) -> Damage:
