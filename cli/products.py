@@ -26,7 +26,7 @@ from cli.options import (
     process_count,
 )
 from cli.output import Sink, bytes_text, duration_text
-from realtouch.spec import TouchPreviewSpec
+from realtouch.touch_options import TouchPreviewSpec
 from tactile_toolkit import catalog, exchange, places, printing, store
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError

@@ -16,7 +16,7 @@ from cli.output import Sink, flat_lines
 from cli.products import gallery_of_touches, preview_touches
 from cli.shared import add_shared
 from realtouch.kind import KIND
-from realtouch.spec import ImportColumns
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import catalog, places, store
 from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -65,9 +65,9 @@ def info(*, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: O
 
     Example: realtouch info touches-64x64
     """
-    from realtouch.convert.plan import Source
-    from realtouch.dataset import dataset_of
+    from realtouch.convert.conversion import Source
     from realtouch.summary import summarise
+    from realtouch.touch_dataset import dataset_of
 
     place = opening.open(sink, name, shows_all=True).require(KIND, "info")
     manifest = place.manifest
@@ -141,9 +141,9 @@ def reproduce(*, name: str = TOUCH_SET, opening: Opening, sink: Sink) -> None:
 
     Example: realtouch reproduce real-single-64x64
     """
-    from realtouch.convert.plan import Source
-    from realtouch.dataset import dataset_of
+    from realtouch.convert.conversion import Source
     from realtouch.summary import paper_numbers
+    from realtouch.touch_dataset import dataset_of
 
     place = opening.open(sink, name)
     announce_fetching(sink, place, None)
@@ -173,7 +173,7 @@ def _require_intact(sink: Sink, result: TouchVerification, name: str) -> None:
     if not result.ok:
         raise IntegrityError(
             f"{counted(len(result.findings), 'problems')} in {name!r}",
-            next="download or convert it again, or leave the rounds out with `realtouch select`",
+            next="download or convert it again",
         )
 
 
@@ -376,7 +376,7 @@ def import_touches(
 
     Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
     """
-    from realtouch.exchange.api import import_images
+    from realtouch.exchange.importing import import_images
 
     make = partial(
         import_images, source, out, file_format, columns, table=table, classes=classes or (), split=split_name
@@ -388,7 +388,8 @@ def import_touches(
 def _print_imported(
     sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, _elapsed_s: float | None
 ) -> None:
-    from realtouch.exchange.api import CONVERSION, NOT_IMPORTED
+    from realtouch.exchange.import_shards import NOT_IMPORTED
+    from realtouch.exchange.importing import CONVERSION
 
     options = manifest.spec["options"]
     if CONVERSION in options:
@@ -403,12 +404,12 @@ def _print_imported(
     print_set(sink, kind, manifest, out)
 
 
-_add("clips-to-images", ClipsToImages, lazy("realtouch.convert.api:clips_to_images"))
-_add("resize", Resize, lazy("realtouch.convert.api:resize"))
-_add("frames", Frames, lazy("realtouch.convert.api:frames"), nouns="touches")
-_add("select", Select, lazy("realtouch.convert.api:select"))
+_add("clips-to-images", ClipsToImages, lazy("realtouch.convert.media_conversions:clips_to_images"))
+_add("resize", Resize, lazy("realtouch.convert.media_conversions:resize"))
+_add("frames", Frames, lazy("realtouch.convert.picture_files:frames"), nouns="touches")
+_add("select", Select, lazy("realtouch.convert.selection:select"))
 # A row is a touch, or an episode of LeRobot.
-_add("export", Export, lazy("realtouch.exchange.api:export"), nouns="rows")
+_add("export", Export, lazy("realtouch.exchange.exporting:export"), nouns="rows")
 command(app, "import")(import_touches)
 _own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
 add_shared(app, KIND, {**_own, "info": None, "verify": None, "validate": None, "export": None})

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, overload
 
-from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
 from realtouch.integrity import agreeing_files
 from realtouch.kind import KIND
 from realtouch.schema import media_kind
+from realtouch.touch_dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
 from tactile_toolkit import places
 
 SHORT_NAMES = {

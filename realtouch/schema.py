@@ -21,11 +21,14 @@ Origin = Literal["real", "synthetic", "imported"]
 """Where touches are from; manifests of conversions state it as the option ``touches``."""
 
 _FLOAT = (pa.types.is_floating,)
-_WHOLE = (pa.types.is_integer, *_FLOAT)  # of floats, each value must be one
-_TEXT = (pa.types.is_string, *_WHOLE)
-_TIME = (pa.types.is_duration, *_FLOAT)
-_BYTES = (pa.types.is_binary,)
 
+_WHOLE = (pa.types.is_integer, *_FLOAT)  # of floats, each value must be one
+
+_TEXT = (pa.types.is_string, *_WHOLE)
+
+_TIME = (pa.types.is_duration, *_FLOAT)
+
+_BYTES = (pa.types.is_binary,)
 
 KNOWN_COLUMNS: dict[str, read.Expected] = {
     "id": (0, _TEXT, "a string"),
@@ -45,7 +48,6 @@ KNOWN_COLUMNS: dict[str, read.Expected] = {
     "sensor_video": (1, _BYTES, "a struct of bytes and path per touch"),
 }
 """What each column of a set of touches must be, where it is there."""
-
 
 PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth)
 """Columns that hold one entry per touch."""

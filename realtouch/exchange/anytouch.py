@@ -12,11 +12,12 @@ from itertools import groupby
 
 import pyarrow as pa
 
-from realtouch.convert.file_names import file_stem, id_of_stem
-from realtouch.convert.plan import Made, with_files, write_changed
+from realtouch.convert.conversion import Made
+from realtouch.convert.index_tables import file_stem, id_of_stem, with_files, write_changed
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
-from realtouch.exchange.items import Item, as_jpeg, background_of, open_source, path_of, source_of
-from realtouch.spec import ImportColumns
+from realtouch.exchange.found_touches import FoundTouch, open_source, path_of, source_of
+from realtouch.exchange.stored_images import as_jpeg, background_of
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ItemError
 
@@ -60,7 +61,7 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
 plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_lists)
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each line of the lists (or one, by its name); of a file that is not there, why."""
     found = [(home, name) for name in home.sizes() if name.endswith(_LIST_END) and not store.is_hidden(name)]
     lists = found if table is None else [source_of(table)]
@@ -84,4 +85,4 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
                 problem = error
             round_id = id_of_stem(folder.removeprefix(f"{split}-"))
             values = {"label": label, "round_id": round_id, "split": split}
-            yield Item(name, home.address(), name, 0, size, values, problem)
+            yield FoundTouch(name, home.address(), name, 0, size, values, problem)

@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch.columns import TouchRow, stored_rows
-from realtouch.convert.plan import Choices, Made, RowChoice, Source, schema_of, table_of
-from realtouch.exchange.items import image_column, require_intact
-from realtouch.media import SensorImages, TouchClip
+from realtouch.convert.conversion import Choices, Made, RowChoice, Source
+from realtouch.convert.index_tables import schema_of, table_of
+from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
+from realtouch.sensor_images import SensorImages
+from realtouch.stored_round import StoredRound, stored_rows
+from realtouch.touch_clips import TouchClip
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
@@ -50,7 +52,7 @@ class Episodes:
     def of(cls, source: Source, split: str) -> Episodes:
         """Look at the first image of a split: all are to be of its size."""
         names = read.class_names(source.schema, CLASS_NAMES)
-        row = next(filter(TouchRow.touch_total, stored_rows(source.shards[split])), None)
+        row = next(filter(StoredRound.touch_total, stored_rows(source.shards[split])), None)
         if row is None:
             raise InputError(
                 f"{source.name!r} has no touches in split {split!r}", next="choose another split"
@@ -77,7 +79,7 @@ class Episodes:
         }
         return schema_of(source, wanted)
 
-    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
         name, label = row.name(), row.label_value(self.names)
         object_id = row.integer("object_id") if row.has("object_id") else 0
@@ -104,7 +106,7 @@ class Episodes:
             tables.append(table_of(schema, columns))
         return pa.concat_tables(tables), {}
 
-    def _episodes(self, row: TouchRow) -> Iterator[tuple[int | None, list[Any], dict[str, Any]]]:
+    def _episodes(self, row: StoredRound) -> Iterator[tuple[int | None, list[Any], dict[str, Any]]]:
         """Yield each episode: its touch (None: all of the round), its images, and poses and times."""
         if row.has("sensor_image"):
             row.entries_of("sensor_image")
@@ -122,7 +124,7 @@ class Episodes:
                 columns[TIME] = times_s[0].astype(np.float32)
             yield touch, [clip.encoded(frame) for frame in range(len(clip))], columns
 
-    def _require_size(self, row: TouchRow, touch: int, image: bytes | memoryview) -> None:
+    def _require_size(self, row: StoredRound, touch: int, image: bytes | memoryview) -> None:
         with row.naming(MEDIA_COLUMN[row.kind], touch):
             height, width = require_intact(image)
         if (height, width) != self.size:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from realtouch.poses import bad_pose
-from realtouch.spec import ImportColumns
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit.errors import ItemError
 
 NUMBERED = "label"

@@ -11,31 +11,27 @@ from typing import Any
 
 import pyarrow as pa
 
-from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod
-from realtouch.convert.api import columns_of_touches, shown_touches
-from realtouch.convert.file_names import file_stem
-from realtouch.convert.plan import (
+from realtouch.convert.conversion import (
     Choices,
     Conversion,
     Made,
     Pack,
     RowChoice,
     Source,
-    checksums,
     marked_repetitions,
-    schema_of,
-    table_of,
 )
-from realtouch.exchange.items import image_column, require_intact
-from realtouch.rounds import touch_id
+from realtouch.convert.index_tables import checksums, file_stem, schema_of, table_of
+from realtouch.convert.picture_files import columns_of_touches, shown_touches
+from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.schema import POSE_COLUMN
-from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
+from realtouch.stored_round import StoredRound
+from realtouch.touch import touch_id
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import read, store
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE = "image"
-
 _GROUP_BYTES = 32 << 20
 _FRAMES_PER_CLIP = 64  # about; how much smaller the image of a clip is than the clip
 _MOST_ROWS_PER_GROUP = 1 << 14
@@ -97,7 +93,7 @@ class _Touches:
         }
         return schema_of(source, wanted)
 
-    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return the touches of a row; one damaged touch leaves the round out, so that none is half there."""
         row.label_value(self.names)
         shown = list(shown_touches(row, self.method))

@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cache
 
-from realtouch.exchange.items import Item, path_of, read_table, require_columns, source_of
-from realtouch.spec import ImportColumns
+from realtouch.exchange.found_touches import FoundTouch, path_of, read_table, require_columns, source_of
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.text_tables import TABLE_ENDINGS
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each line of the table; of a file that cannot be found, why."""
     if columns.image is None:
         raise InputError("no column names the images", next="add --image-column NAME")
@@ -32,7 +32,7 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
                 raise ItemError("columns", "the line has more values than the table has columns")
         except ItemError as error:
             problem = error
-        yield Item(name, home.address(), name, 0, size, values, problem)
+        yield FoundTouch(name, home.address(), name, 0, size, values, problem)
 
 
 def _table_name(home: store.DataFolder) -> str:

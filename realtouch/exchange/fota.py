@@ -14,11 +14,13 @@ from typing import Any
 
 import pyarrow as pa
 
-from realtouch.convert.plan import Made, checksums, with_files, write_changed
+from realtouch.convert.conversion import Made
+from realtouch.convert.index_tables import checksums, with_files, write_changed
 from realtouch.exchange import webdataset
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
-from realtouch.exchange.items import Item, as_jpeg
-from realtouch.spec import FOTA_POSE_COLUMNS, POSE_COLUMNS, ImportColumns
+from realtouch.exchange.found_touches import FoundTouch
+from realtouch.exchange.stored_images import as_jpeg
+from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
 
@@ -67,7 +69,7 @@ def _write_counts(folder: store.DataFolder, manifest: store.Manifest) -> dict[st
 plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_counts)
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each sample of the tars of one split; the folder's name is that of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
     for item in webdataset.items(home, columns, table):

@@ -18,32 +18,38 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import (
-    Choices,
-    Conversion,
-    Made,
-    Source,
-    checksums,
-    files_of,
-    with_files,
-    write_changed,
-)
-from realtouch.dataset import dataset_of
+from realtouch.convert.conversion import Choices, Conversion, Made, Source
+from realtouch.convert.index_tables import checksums, files_of, with_files, write_changed
 from realtouch.exchange.episodes import IMAGE, Episodes, only_split
-from realtouch.exchange.items import decoded
+from realtouch.exchange.stored_images import decoded
+from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import MEDIA_TYPE, with_features
 
 FOLDER = "lerobot"
+
 FILES_PER_CHUNK = 1000
+
 FILE_BYTES = 100 << 20
+
 META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
 
 _VERSION = "v3.0"
+
 _GROUP_BYTES = 16 << 20
+
 _OF_EPISODE = ("round_id", "touch", "label", "object_id")
+
+# Images of an episode that are decoded for its statistics.
+_IMAGES_SEEN = 8
+
+_LEVELS = 256
+
+_QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}
+
+_NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
 
 
 def plan(source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]) -> Conversion:
@@ -225,14 +231,6 @@ def _task_table(tasks: Sequence[str]) -> pa.Table:
     ]
     of_pandas = {"index_columns": ["task"], "column_indexes": [], "columns": columns}
     return table.replace_schema_metadata({"pandas": json.dumps({**of_pandas, "pandas_version": "2.0.0"})})
-
-
-# Images of an episode that are decoded for its statistics.
-_IMAGES_SEEN = 8
-
-_LEVELS = 256
-_QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}
-_NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
 
 
 def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int]) -> dict[str, pa.Array]:

@@ -2,8 +2,7 @@
 
 Facts of the format (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
 length along time, ``meta/episode_ends`` the number of the frame behind each episode; images are pixels. What
-the buffer is made of stays in ``data``: a row a frame, its image as it was stored. ``.zgroup`` and
-``.zarray`` are JSON; a chunk is a file named by its number along each axis. Ids of rounds and names of
+the buffer is made of stays in ``data``: a row a frame, its image as it was stored. Ids of rounds and names of
 classes, for which the format has no place, are attributes of ``meta``; they mark the buffer as ours, so that
 its ``state`` is known to be a pose.
 """
@@ -11,30 +10,28 @@ its ``state`` is known to be a pose.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import shutil
 import tempfile
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import IO, Any, Self
+from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import Choices, Conversion, Source
+from realtouch.convert.conversion import Choices, Conversion, Source
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
 from realtouch.exchange.fields import NUMBERED
-from realtouch.exchange.items import Item, decoded, source_of
+from realtouch.exchange.found_touches import FoundTouch, source_of
 from realtouch.exchange.picture_arrays import PictureArray
-from realtouch.exchange.zarr_arrays import ZarrArray, ZarrGroup
-from realtouch.rounds import touch_id
-from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
+from realtouch.exchange.stored_images import decoded
+from realtouch.exchange.zarr_arrays import ZarrArray, ZarrGroup, ZarrWriter
+from realtouch.stored_round import stored_rows
+from realtouch.touch import touch_id
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError, ItemError
@@ -117,12 +114,12 @@ def _episode_ids(firsts: pa.Table) -> list[str]:
     return [touch_id(*each) for each in zip(names, firsts["touch"].to_pylist(), strict=True)]
 
 
-def conversion(items: Sequence[Item]) -> str:
+def conversion(items: Sequence[FoundTouch]) -> str:
     """Return what is done to the pictures of a buffer; empty where they are taken as they are."""
     return _pictures(items[0]).described()
 
 
-def _pictures(item: Item) -> PictureArray:
+def _pictures(item: FoundTouch) -> PictureArray:
     """Open the pictures that an item is one of."""
     divisor, _, name = item.part.partition(" ")
     return PictureArray(ZarrGroup(store.DataFolder(item.home), item.path).array(name), float(divisor))
@@ -142,7 +139,7 @@ def _numbers(column: pa.ChunkedArray) -> AnyArray:
     return found.reshape(len(values), -1) if is_list else found
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each frame of the buffer; an episode is a round, other arrays are its fields.
 
     Only arrays that a column names are read. What an array of others means does not follow from its shape.
@@ -173,7 +170,7 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
                 _name_ours(values, class_names)
             values.setdefault("round_id", ids[episode] if is_ours else stem)
             frame = f"{stem}_{number - start:06d}.png"
-            yield Item(frame, home.address(), path, number, size, values, part=part)
+            yield FoundTouch(frame, home.address(), path, number, size, values, part=part)
         start = end
 
 
@@ -206,7 +203,7 @@ def _rows(array: ZarrArray, frames: int) -> AnyArray:
     return rows[:, 0] if rows.shape[1:] == (1,) else rows
 
 
-def contents(items: Iterable[Item]) -> Iterator[bytes | ItemError]:
+def contents(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
     """Yield the pixels of each frame as PNG, in order; a chunk of the array is unpacked once."""
     shown, last, chunk = ("", "", ""), -1, np.zeros(0, np.uint8)
     pictures: Any = None
@@ -230,42 +227,3 @@ def _group_in(home: store.DataFolder) -> tuple[store.DataFolder, str]:
     if len(names) != 1:
         raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}")
     return home, names[0]
-
-
-_LEVEL = 1
-
-
-class ZarrWriter(zipfile.ZipFile):
-    """A zip of arrays whose chunks follow each other along the first axis; equal arrays give equal bytes."""
-
-    def __init__(self, stream: IO[bytes], groups: Sequence[str]) -> None:
-        super().__init__(stream, "w")
-        for path in ("", *(f"{name}/" for name in groups)):
-            self.add_json(f"{path}.zgroup", {"zarr_format": 2})
-
-    def __enter__(self) -> Self:
-        return self
-
-    def describe(self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str) -> None:
-        """Write what Zarr states of an array."""
-        stated = {
-            "zarr_format": 2,
-            "shape": list(shape),
-            "chunks": list(chunks),
-            "dtype": dtype,
-            "order": "C",
-        }
-        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
-        self.add_json(f"{path}/.zarray", stated, indent=4)
-
-    def chunk(self, path: str, number: int, values: AnyArray) -> None:
-        """Write a chunk, which holds the other axes completely."""
-        name = ".".join([str(number), *"0" * (values.ndim - 1)])
-        self._add(f"{path}/{name}", zlib.compress(np.ascontiguousarray(values).tobytes(), _LEVEL))
-
-    def add_json(self, path: str, stated: Mapping[str, Any], indent: int | None = None) -> None:
-        """Write a file of JSON."""
-        self._add(path, json.dumps(stated, indent=indent).encode())
-
-    def _add(self, path: str, content: bytes) -> None:
-        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing

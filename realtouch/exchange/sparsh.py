@@ -17,10 +17,12 @@ from typing import Any
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from realtouch.convert.plan import Made, checksums, with_files, write_changed
+from realtouch.convert.conversion import Made
+from realtouch.convert.index_tables import checksums, with_files, write_changed
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
-from realtouch.exchange.items import Item, background_of, open_source, read_table, source_of
-from realtouch.spec import ImportColumns
+from realtouch.exchange.found_touches import FoundTouch, open_source, read_table, source_of
+from realtouch.exchange.stored_images import background_of
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 
@@ -89,7 +91,7 @@ def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
         raise InputError(f"{name!r} is not an intact pickle", next="fetch it again") from error
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
     split = home.address().rstrip("/").rpartition("/")[2]
     files = home.sizes()
@@ -110,4 +112,4 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
             )
         for count, ((start, size), line) in enumerate(zip(places, lines, strict=True)):
             values = {"split": split, **line}
-            yield Item(f"{stem}_{count:06d}", home.address(), name, start, size, values)
+            yield FoundTouch(f"{stem}_{count:06d}", home.address(), name, start, size, values)

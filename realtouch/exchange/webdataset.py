@@ -14,11 +14,19 @@ from typing import Any
 
 import pyarrow as pa
 
-from realtouch.convert.plan import Made, with_files
+from realtouch.convert.conversion import Made
+from realtouch.convert.index_tables import with_files
 from realtouch.exchange.flat import IMAGE, plan as plan_rows
-from realtouch.exchange.items import IMAGE_ENDINGS, Item, open_source, path_of, require_columns, source_of
-from realtouch.spec import ImportColumns
+from realtouch.exchange.found_touches import (
+    IMAGE_ENDINGS,
+    FoundTouch,
+    open_source,
+    path_of,
+    require_columns,
+    source_of,
+)
 from realtouch.tars import files_of_tar
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 
@@ -39,7 +47,7 @@ def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, Any]]]) -> bytes:
     return stream.getvalue()
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
     if table is not None:
         raise InputError("--table is about folders of images; a WebDataset has JSON files")
@@ -101,7 +109,7 @@ def _is_image(ending: str) -> bool:
 
 def _sample(
     folder: store.DataFolder, name: str, key: str, members: Sequence[_Member], columns: ImportColumns
-) -> Item:
+) -> FoundTouch:
     """Put the files of one key together."""
     wanted = None if columns.image in (None, "file") else str(columns.image).lower()
     named = store.problem_of_name(key)
@@ -120,7 +128,7 @@ def _sample(
         elif not _is_image(ending):
             values.setdefault(ending, content.decode(errors="replace").strip())
     _, _, start, size, _ = images[0] if images else ("", "", 0, 0, b"")
-    return Item(key, folder.address(), name, start, size, values, problem)
+    return FoundTouch(key, folder.address(), name, start, size, values, problem)
 
 
 def _fields(content: bytes) -> dict[str, Any]:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from importlib import import_module
 from itertools import product
-from typing import IO, Any
+from typing import IO, Any, Self
 
 import numpy as np
 
@@ -27,12 +27,19 @@ from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError, ItemError, needs_extra
 
 _METADATA = {2: ".zarray", 3: "zarr.json"}
+
 _MOST_METADATA_BYTES = 1 << 20
+
 _MOST_CHUNKS = 1 << 18
+
 _SPARE_BYTES = 1 << 16  # that a chunk which does not compress may take beyond its values
+
 _WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
+
 # What the standard library, Arrow and numcodecs raise; MemoryError is what a damaged header asks for.
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, zlib.error)
+
+_LEVEL = 1
 
 
 def _deflated(data: bytes, size: int) -> bytes:
@@ -270,3 +277,39 @@ class ZarrArray:
             expected = f"expected {self._chunk_bytes:,} bytes unpacked"
             raise self.group.refused(name, f"a damaged chunk; {expected}") from error
         return stored.transpose(np.argsort(self.axes))
+
+
+class ZarrWriter(zipfile.ZipFile):
+    """A zip of arrays whose chunks follow each other along the first axis; equal arrays give equal bytes."""
+
+    def __init__(self, stream: IO[bytes], groups: Sequence[str]) -> None:
+        super().__init__(stream, "w")
+        for path in ("", *(f"{name}/" for name in groups)):
+            self.add_json(f"{path}.zgroup", {"zarr_format": 2})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def describe(self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str) -> None:
+        """Write what Zarr states of an array."""
+        stated = {
+            "zarr_format": 2,
+            "shape": list(shape),
+            "chunks": list(chunks),
+            "dtype": dtype,
+            "order": "C",
+        }
+        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
+        self.add_json(f"{path}/.zarray", stated, indent=4)
+
+    def chunk(self, path: str, number: int, values: AnyArray) -> None:
+        """Write a chunk, which holds the other axes completely."""
+        name = ".".join([str(number), *"0" * (values.ndim - 1)])
+        self._add(f"{path}/{name}", zlib.compress(np.ascontiguousarray(values).tobytes(), _LEVEL))
+
+    def add_json(self, path: str, stated: Mapping[str, Any], indent: int | None = None) -> None:
+        """Write a file of JSON."""
+        self._add(path, json.dumps(stated, indent=indent).encode())
+
+    def _add(self, path: str, content: bytes) -> None:
+        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.dataset import TouchStream
+from realtouch.touch_dataset import TouchStream
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.read import all_blocks, parquet as rowgroups
 from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable

@@ -10,13 +10,9 @@ import pytest
 from hypothesis import given, strategies as st
 
 import realtouch
-from realtouch.contact import (
-    CLOCK_TOLERANCE_S,
-    contact_heights_m,
-    contact_window,
-)
-from realtouch.media import TouchClip
-from realtouch.video import MAX_CLIP_FRAMES, Avi, write_avi
+from realtouch.avi import MAX_CLIP_FRAMES, Avi, write_avi
+from realtouch.contact import CLOCK_TOLERANCE_S, contact_heights_m, contact_window
+from realtouch.touch_clips import TouchClip
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.touch import decode_image, encode_image
 from tests.realtouch import factories

@@ -16,8 +16,9 @@ from datasets import Features, Image, List, Video
 from PIL import Image as Pictures
 
 import realtouch
-from realtouch.convert.api import KeepTouches
-from realtouch.convert.plan import Conversion, RowChoice, Source, plan_conversion
+from realtouch.convert.conversion import Conversion, RowChoice, Source
+from realtouch.convert.selection import KeepTouches
+from realtouch.convert.shard_tasks import plan_conversion
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import sha256_hex
@@ -260,7 +261,7 @@ def conversions(source: str, out: str, runner: Any) -> None:
 def test_workers_and_interruptions_change_no_byte(
     seq_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("realtouch.convert.api._CONTACT_FRAME_ROWS", 1)
+    monkeypatch.setattr("realtouch.convert.media_conversions._CONTACT_FRAME_ROWS", 1)
     conversions(str(seq_folder), str(tmp_path / "a"), 1)
     conversions(str(seq_folder), str(tmp_path / "b"), ProcessRunner(2))
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
@@ -371,7 +372,7 @@ def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) 
 def test_shards_of_very_many_rounds_are_larger(single_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Twice as large in a set of four times as many rounds, as long as a worker can hold one."""
     monkeypatch.setattr("tactile_toolkit.store.shards._MANY_SHARDS", 2)
-    monkeypatch.setattr("realtouch.convert.plan._MOST_ROWS_PER_SHARD", 1)
+    monkeypatch.setattr("realtouch.convert.shard_tasks._MOST_ROWS_PER_SHARD", 1)
     source = Source.open(str(single_folder))
     source = replace(source, shards={"train": source.shards["train"] * 10})
     assert sum(map(len, source.shards["train"])) == 30
@@ -383,7 +384,7 @@ def test_shards_of_very_many_rounds_are_larger(single_folder: Path, monkeypatch:
         assert [len(task.items) for task in plan.tasks][:-1] == [size] * (len(plan.tasks) - 1)
         assert [choice.row for task in plan.tasks for choice in task.items] == list(range(chosen))
         assert plan.spec["rows_per_shard"] == 1
-    monkeypatch.setattr("realtouch.convert.plan._SHARD_BYTES", 2 * source.row_bytes())
+    monkeypatch.setattr("realtouch.convert.shard_tasks._SHARD_BYTES", 2 * source.row_bytes())
     assert max(len(task.items) for task in plan_conversion(conversion).tasks) == 2
 
 

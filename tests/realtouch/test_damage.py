@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.video import Avi
+from realtouch.avi import Avi
 from tactile_toolkit.errors import InputError, IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -284,7 +284,7 @@ def test_quick_verification_decodes_nothing(
     single_rows: list[dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = damaged_set(tmp_path, single_rows, "single", no_jpeg)
-    monkeypatch.setattr("realtouch.media.decode_image", lambda *_: pytest.fail("a picture was decoded"))
+    monkeypatch.setattr("realtouch.sensor_images.decode_image", lambda *_: pytest.fail("a picture was decoded"))
     assert [finding.touch for finding in realtouch.verify(str(folder), quick=True).findings] == [1]
 
 

@@ -15,7 +15,7 @@ from typer.testing import CliRunner
 
 import realtouch
 from cli.realtouch import app
-from realtouch.exchange.api import ImportLayout
+from realtouch.exchange.exporting import ImportLayout
 from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import DataFolder, Manifest
@@ -80,14 +80,14 @@ def test_what_an_export_wrote_is_imported_by_its_own_path(
 def test_a_shard_holds_no_more_touches_than_a_worker_can(
     single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("realtouch.exchange.api._TOUCHES_PER_SHARD", 10)
+    monkeypatch.setattr("realtouch.exchange.importing._TOUCHES_PER_SHARD", 10)
     realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
     manifest = realtouch.import_images(tmp_path / "there", tmp_path / "back", "folder", COLUMNS)
     assert [record.rows for record in manifest.shards_of("train")] == [2, 1], "rounds of five touches"
     assert _groups(tmp_path / "back", manifest) == [[2], [1]]
     # Readers decode a row group as a whole: of large images it has few rounds.
     sizes = [file.stat().st_size for file in (tmp_path / "there").rglob("*.jpg")]
-    monkeypatch.setattr("realtouch.exchange.api._GROUP_BYTES", 7 * max(sizes))
+    monkeypatch.setattr("realtouch.exchange.importing._GROUP_BYTES", 7 * max(sizes))
     manifest = realtouch.import_images(tmp_path / "there", tmp_path / "small", "folder", COLUMNS)
     assert _groups(tmp_path / "small", manifest) == [[1, 1], [1]]
 

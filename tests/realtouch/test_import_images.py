@@ -14,7 +14,7 @@ from PIL import Image, ImageOps
 
 import realtouch
 from realtouch.exchange import api
-from realtouch.exchange.items import Item
+from realtouch.exchange.found_touches import FoundTouch
 from tactile_toolkit.errors import SpecMismatchError
 from tactile_toolkit.run import Check
 from tests.realtouch.images_of_others import line, picture, write_table
@@ -25,7 +25,7 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A second import compares names, sizes and the table; to check is to compare what the images hold."""
-    monkeypatch.setattr("realtouch.exchange.api._TOUCHES_PER_SHARD", 2)
+    monkeypatch.setattr("realtouch.exchange.importing._TOUCHES_PER_SHARD", 2)
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
     out, read, contents = tmp_path / "out", list[str](), api.contents_of
     manifest = realtouch.import_images(home, out, "folder")
@@ -34,7 +34,7 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     assert len(set(digests)) == 2
     assert None not in digests
 
-    def noted(items: Iterator[Item]) -> Iterator[bytes | Exception]:
+    def noted(items: Iterator[FoundTouch]) -> Iterator[bytes | Exception]:
         every = list(items)
         for item, content in zip(every, contents(iter(every)), strict=True):
             read.append(item.name)

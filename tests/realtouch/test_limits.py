@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.media import MAX_BATCH_PIXELS
-from realtouch.video import Avi, write_avi
+from realtouch.avi import Avi, write_avi
+from realtouch.sensor_images import MAX_BATCH_PIXELS
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import decode_image
 from tests.jpegs import jpeg_of_scans

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.video import write_avi
+from realtouch.avi import write_avi
 from tactile_toolkit.errors import InputError, IntegrityError
 from tests.command_line import call
 from tests.realtouch import factories

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.rounds import Touch
+from realtouch.touch import Touch
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.order import GlobalOrder
 from tests.realtouch import factories

@@ -31,7 +31,7 @@ import realtouch.previews
 import starstruck_gen
 import starstruck_gen.previews
 from mnist3d.sources.synthetic import SyntheticSource
-from realtouch.spec import TouchPreviewSpec
+from realtouch.touch_options import TouchPreviewSpec
 from tactile_sim.pairs import make_pairs
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError

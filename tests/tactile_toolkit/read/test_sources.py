@@ -12,7 +12,7 @@ import pytest
 
 import realtouch
 import starstruck_gen
-from realtouch.dataset import TouchSingleDataset
+from realtouch.touch_dataset import TouchSingleDataset
 from starstruck_gen.loader import MadeScenes
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.mesh import RecordStream

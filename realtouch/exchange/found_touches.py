@@ -1,7 +1,4 @@
-"""What formats share: touches to import, where their images are and what is said of them; and stored images.
-
-Stored images are checked, named, and encoded again only where they must be.
-"""
+"""Touches to import: where their images are and what is said of them; files of the source."""
 
 from __future__ import annotations
 
@@ -14,30 +11,28 @@ from dataclasses import dataclass, field, replace
 from itertools import groupby
 from typing import IO, Any
 
-import numpy as np
-import pyarrow as pa
-
-from realtouch.contact import median_in_memory
 from realtouch.exchange.fields import NUMBERED
-from realtouch.spec import ImportColumns
+from realtouch.exchange.stored_images import require_intact
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import run, store
-from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.text_tables import table_lines
-from tactile_toolkit.touch import MAX_IMAGE_BYTES, MEDIA_TYPE, decode_image, encode_image, image_size
+from tactile_toolkit.touch import MAX_IMAGE_BYTES
 from tactile_toolkit.wording import did_you_mean
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
-_HERE = re.compile(r"^(?:\./+)+")
 
 # Images of a store that are asked for at a time: each answer takes long, and they are small.
 _FAR_READERS = 16
+
 # Images that are looked at for the size of all, where they agree.
 _SIZES_SEEN = 32
 
+_HERE = re.compile(r"^(?:\./+)+")
+
 
 @dataclass(frozen=True, slots=True)
-class Item:
+class FoundTouch:
     """A touch to import: where its image is, its fields, and why it cannot be used, if so.
 
     ``path`` is below ``home``, the address of the source; of a group of arrays, ``part`` names what is meant.
@@ -55,7 +50,7 @@ class Item:
     fields: tuple[str, ...] = field(default=(), repr=False)
     part: str = ""
 
-    def used(self, number: int, columns: ImportColumns) -> Item:
+    def used(self, number: int, columns: ImportColumns) -> FoundTouch:
         """Return the item with its number among all, the names of its fields, and the values in use."""
         fields = tuple(name for name, value in self.values.items() if name and value not in (None, ""))
         wanted = {*columns.found_in(fields).names(), *([] if columns.label else [NUMBERED])}
@@ -72,11 +67,11 @@ class Item:
         return replace(self, number=number, values=values, problem=problem, fields=fields)
 
 
-ReadContents = Callable[[Iterable[Item]], Iterator[bytes | ItemError]]
+ReadContents = Callable[[Iterable[FoundTouch]], Iterator[bytes | ItemError]]
 """Yields the bytes of the image of each item, in order, or why it cannot be read."""
 
 
-def common_size(items: Sequence[Item], read: ReadContents) -> tuple[int, int] | None:
+def common_size(items: Sequence[FoundTouch], read: ReadContents) -> tuple[int, int] | None:
     """Return height and width of most images, the first of equals; None where none can be read.
 
     All are looked at only where some, spread over all, differ: to read each twice takes long.
@@ -90,7 +85,7 @@ def common_size(items: Sequence[Item], read: ReadContents) -> tuple[int, int] | 
     return sizes.most_common(1)[0][0] if sizes else None
 
 
-def _sizes(items: Iterable[Item], read: ReadContents) -> Counter[tuple[int, int]]:
+def _sizes(items: Iterable[FoundTouch], read: ReadContents) -> Counter[tuple[int, int]]:
     """Count the sizes of images; those that are not intact do not count."""
     sizes = Counter[tuple[int, int]]()
     for content in read(items):
@@ -100,7 +95,7 @@ def _sizes(items: Iterable[Item], read: ReadContents) -> Counter[tuple[int, int]
     return sizes
 
 
-def contents_of(items: Iterable[Item]) -> Iterator[bytes | ItemError]:
+def contents_of(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
     """Yield the bytes of each image, in order, or why it cannot be read.
 
     A tar is opened once for all that follow each other in it.
@@ -111,7 +106,7 @@ def contents_of(items: Iterable[Item]) -> Iterator[bytes | ItemError]:
         yield from found
 
 
-def _contents(items: Sequence[Item]) -> list[bytes | ItemError]:
+def _contents(items: Sequence[FoundTouch]) -> list[bytes | ItemError]:
     found: list[bytes | ItemError] = []
     try:
         with store.open_inside(store.DataFolder(items[0].home), items[0].path) as stream:
@@ -162,67 +157,3 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the columns with the options of `realtouch import`",
             )
-
-
-_JPEG = b"\xff\xd8"
-_JPEG_END = b"\xff\xd9"
-
-
-def require_intact(data: bytes | memoryview) -> tuple[int, int]:
-    """Return height and width of an image that begins and ends as an intact one does.
-
-    The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
-    mark of its end: cameras send whole buffers, and encoders of clips fill up to even lengths. Raises
-    ValueError.
-    """
-    size = image_size(data)
-    if data[:2] != _JPEG:
-        decode_image(data)
-    elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
-        try:
-            decode_image(data)
-        except ValueError as error:
-            raise ValueError(
-                f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
-            ) from error
-    return size
-
-
-def image_column(images: list[Any], names: list[str]) -> pa.Array:
-    """Return images as a column with file names, whose endings follow from their first bytes."""
-    endings = ("jpg" if each[:2] == _JPEG else "png" if each[:4] == b"\x89PNG" else "webp" for each in images)
-    paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
-    parts = [pa.array(images, pa.binary()), pa.array(paths, pa.string())]
-    return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
-
-
-def as_jpeg(image: bytes) -> bytes:
-    """Return an image for readers that know JPEG alone: as it is, or encoded again."""
-    return image if image[:2] == _JPEG else encode_image(decode_image(image))
-
-
-def decoded(image: bytes, name: str, out: UInt8 | None = None) -> UInt8:
-    """Return the pixels of an image; IntegrityError where it is damaged between its header and its end."""
-    try:
-        return decode_image(image, out)
-    except ValueError as error:
-        raise IntegrityError(
-            f"{name!r}: {error}",
-            next="run `realtouch verify` on the source, and leave the round out first (`realtouch select`)",
-        ) from error
-
-
-def background_of(images: Sequence[bytes], names: Sequence[str]) -> bytes:
-    """Return the median of some images as JPEG: the gel at rest; InputError where they differ in size.
-
-    Raises IntegrityError, with the name, for one that cannot be decoded.
-    """
-    sizes = {image_size(image) for image in images}
-    if len(sizes) > 1:
-        found = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
-        raise InputError(
-            f"images of {found} pixels have no common background; expected one size",
-            next="make them alike with `realtouch resize`",
-        )
-    pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]
-    return encode_image(median_in_memory(np.stack(pixels)))

@@ -13,8 +13,11 @@ from tactile_toolkit.units import PER_METRE, length_per_metre
 from tactile_toolkit.wording import listed
 
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
+
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
+
 FOTA_POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
+
 _LENGTHS = 3  # of these, the first so many are lengths
 
 

@@ -1,4 +1,4 @@
-"""What users of the touches do before training: backgrounds, differences, and contact by the picture."""
+"""What users of the touches do before training: backgrounds, and contact by the picture."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.contact import (
+from realtouch.contact_picture import (
     ContactRule,
     ContactScore,
     as_pictures,
@@ -18,14 +18,16 @@ from realtouch.contact import (
     median_in_memory,
     median_of,
 )
-from realtouch.dataset import Touches, with_no_contact
-from realtouch.media import SensorImages, TouchClip, in_parallel
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
+from realtouch.sensor_images import SensorImages, in_parallel
+from realtouch.touch_clips import TouchClip
+from realtouch.touches import Touches, with_no_contact
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20
+
 _MOST_SHARED = 256  # images whose median is the background of those that are alone in their rounds
 
 

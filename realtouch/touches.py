@@ -1,164 +1,32 @@
-"""Data sets and streams of rounds, and the flat view of their touches with random access and filters."""
+"""The touches of some rounds as one sequence with random access and filters."""
 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Collection, Iterable, Iterator
 from itertools import groupby
 from operator import itemgetter
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from realtouch.columns import TouchRow, rows_of, stored_rows
-from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
-from realtouch.integrity import class_names_of, stored_touch_counts
-from realtouch.media import SensorImages, room_for
-from realtouch.rounds import (
-    RowsWithoutMedia,
-    Touch,
-    TouchRound,
-    TouchSeqRound,
-    TouchSingleRound,
-    touch_id,
-)
-from realtouch.schema import POSE_COLUMN, flat_row, is_per_touch, media_kind
+from realtouch.rounds import TouchRound, TouchSingleRound
+from realtouch.schema import flat_row, is_per_touch
+from realtouch.sensor_images import SensorImages, room_for
+from realtouch.stored_round import StoredRound
+from realtouch.touch import Touch, touch_id
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.checked_fields import checked_integer
-from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import counted, is_integer, plain_number
+
+if TYPE_CHECKING:
+    from realtouch.touch_dataset import TouchDataset
 
 _INDEX = "touch_index"
 _POSITION = ("x_m", "y_m")
-
 R = TypeVar("R", bound=TouchRound)
-
-
-class TouchDataset(read.RecordDataset[R]):
-    """A lazy sequence of rounds; see :class:`tactile_toolkit.read.dataset.RecordDataset`.
-
-    Parameters
-    ----------
-    table, rows, label_names
-        As for :class:`tactile_toolkit.read.dataset.RecordDataset`.
-    """
-
-    things = "rounds"
-    kind: Kind
-
-    def touches(self) -> Touches[R]:
-        """Return the flat view: every touch of every round, in order, with random access."""
-        return Touches(self)
-
-    def _row(self, number: int) -> TouchRow:
-        return TouchRow(*self._table.locate(number))
-
-    @property
-    def touch_counts(self) -> Int64:
-        """T of each round, shape (len,), int64; reads at most the column of intended positions."""
-        return self._stored_counts[self._row_numbers]
-
-    @property
-    def _stored_counts(self) -> Int64:
-        return self._table.per_shard("touches", lambda source: [stored_touch_counts(source)])
-
-    @property
-    def touch_starts(self) -> Int64:
-        """Where the touches of each stored row begin among those of all, shape (stored rows + 1,), int64."""
-        return np.concatenate([[0], np.cumsum(self._stored_counts)])
-
-    def known_heights_m(self, recalibrate_z: bool = True) -> Float64:
-        """Read the height of every stored touch; see :func:`realtouch.contact.contact_heights_m`.
-
-        Shape (touches of all stored rows,), metres above the plate, NaN where it cannot be read. Where the
-        height of the plate is known, it is always taken.
-        """
-
-        def heights_m(row: TouchRow, rule: ContactHeight) -> Float64:
-            z_m = row.readable(partial(row.contact_z_m, self.kind))
-            plate_m = PRESS_DEPTH_M if rule.plate == "known" else row.stored_plate_z_m()
-            return contact_heights_m(z_m, recalibrate_z or rule.plate == "known", plate_m)
-
-        columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
-        return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
-
-    def known_positions_m(self) -> Float64:
-        """Read where every stored touch was meant to be, NaN where that cannot be read.
-
-        Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
-        """
-
-        def positions_m(row: TouchRow, _rule: ContactHeight) -> Float64:
-            return row.readable(row.intended_positions, (2,))
-
-        return self._per_touch("positions", ["pos_in_cell"], positions_m)
-
-    def _per_touch(
-        self,
-        key: str,
-        columns: Sequence[str],
-        known: Callable[[TouchRow, ContactHeight], Float64],
-    ) -> Float64:
-        """Join what is known of the touches of each stored row, of a few columns."""
-
-        def of_source(source: read.RowSource) -> list[Float64]:
-            rule = ContactHeight.of(read.column_types(source.schema))
-            return [known(row, rule) for row in stored_rows([source], columns)]
-
-        values = self._table.per_shard(key, of_source)
-        if len(values) != self.touch_starts[-1]:
-            raise IntegrityError(
-                f"{len(values):,} poses of touches for {self.touch_starts[-1]:,} touches; expected one each",
-                next="run `realtouch verify`, which names the rounds",
-            )
-        return values
-
-    def contact_rules(self) -> list[ContactHeight]:
-        """Return the rule by which touches of each round count as contact; joined sets may have several."""
-        rules = [(ContactHeight.of(read.column_types(each.schema)), len(each)) for each in self._table.shards]
-        of_rows = [rule for rule, count in rules for _ in range(count)]
-        return [of_rows[row] for row in self._row_numbers.tolist()]
-
-    def rounds_without_media(self) -> Iterator[tuple[int, R]]:
-        """Yield stored row number and round, row by row, without opening images or clips until asked for."""
-        number = 0
-        # Through the stored rows in their order: each block is read once, whatever the order of the view.
-        wanted = set(self._row_numbers.tolist())
-        media = MEDIA_COLUMN[self.kind]
-        for source in self._table.shards:
-            columns, start = [name for name in source.schema.names if name != media], number
-            for block in read.all_blocks([source], columns):
-                rows = RowsWithoutMedia(block, source, number - start)
-                for row in range(len(block.table)):
-                    if number + row in wanted:
-                        yield number + row, self.record_class(TouchRow(rows, row))
-                number += len(block.table)
-
-    def _each(self) -> Iterator[tuple[int, R]]:
-        places: dict[int, list[int]] = {}
-        for place, row in enumerate(self._row_numbers.tolist()):
-            places.setdefault(row, []).append(place)
-        # A view may hold a round several times, at several places.
-        for row, record in self.rounds_without_media():
-            for place in places[row]:
-                yield place, record
-
-
-class TouchSingleDataset(TouchDataset[TouchSingleRound]):
-    """Rounds with one image per touch."""
-
-    record_class: ClassVar[type[Any]] = TouchSingleRound
-    kind = "single"
-
-
-class TouchSeqDataset(TouchDataset[TouchSeqRound]):
-    """Rounds with one clip per touch."""
-
-    record_class: ClassVar[type[Any]] = TouchSeqRound
-    kind = "seq"
 
 
 class Touches(read.RecordDataset[Touch], Generic[R]):
@@ -319,10 +187,10 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     def heights_m(self, recalibrate_z: bool = True) -> Float64:
         """Return how high above the plate the gel stopped in each touch, shape (len,), metres.
 
-        Reads the poses only. See :func:`realtouch.contact.contact_heights_m`; all touches of a round take
-        part in finding its plate, whatever was selected here; where `realtouch select` took touches out of
-        the files, the plate that it stored is taken. Of touches that `tactile-sim generate` made, the height
-        of the plate is known and always taken.
+        Reads the poses only; see :func:`realtouch.contact.contact_heights_m`. All touches of a round take
+        part in finding its plate, whatever was selected here. Where `realtouch select` took touches out of
+        the files, the stored height of the plate is taken. The plate of touches made by `tactile-sim
+        generate` is known and always taken.
 
         Raises
         ------
@@ -525,7 +393,7 @@ def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed:
     return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
 
 
-def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
+def _row_of_each_touch(row: StoredRound, per_touch: Collection[str]) -> Any:
     """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
     import pyarrow as pa
 
@@ -539,51 +407,3 @@ def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
         else:
             columns[name] = array.take(pa.array(np.zeros(count, np.int64)))
     return pa.table({**columns, _INDEX: np.arange(count)})
-
-
-def dataset_of(shards: Sequence[read.RowSource]) -> TouchSeqDataset | TouchSingleDataset:
-    """Return the data set of some shards of one kind."""
-    dataset = _DATASETS[media_kind(shards[0].schema, shards[0].path)]
-    return dataset(read.ShardedTable(tuple(shards)), None, class_names_of(shards))
-
-
-_DATASETS: dict[Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
-    "seq": TouchSeqDataset,
-    "single": TouchSingleDataset,
-}
-
-
-class TouchStream(read.Stream[read.Shard]):
-    """Rounds one after another; see :class:`tactile_toolkit.read.stream.Stream`.
-
-    Parameters
-    ----------
-    shards : tuple of Shard
-        Shards to read in turn.
-    kind : "seq" or "single"
-        What they hold.
-    """
-
-    def __init__(self, shards: tuple[read.Shard, ...], kind: Kind) -> None:
-        super().__init__(shards)
-        self.kind = kind
-
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class."""
-        return class_names_of(self.shards)
-
-    def touches(self) -> Touches[Any]:
-        """Return the flat view: every touch of every round, in order, with random access.
-
-        A row group is read from its address when one of its rows is first asked for, and kept in the cache.
-        """
-        return dataset_of(self.shards).touches()
-
-    def __iter__(self) -> Iterator[TouchRound]:
-        """Yield rounds; a bounded block of rows is in memory at a time."""
-        blocks = (block for shard, index in self._row_groups() for block in shard.blocks(index))
-        return map(_DATASETS[self.kind].record_class, rows_of(blocks))
-
-    def __repr__(self) -> str:
-        return self._described(self.kind)
