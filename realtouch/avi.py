@@ -20,7 +20,6 @@ MAX_CLIP_FRAMES = 10_000
 _RIFF = struct.Struct("<4sI4s")
 _CHUNK = struct.Struct("<4sI")
 _CHUNK_BYTES = 8
-
 # Kind, codec, scale and rate, whose quotient are the frames per second.
 _STREAM_HEADER = struct.Struct("<4s4s12xII")
 _ENTRY_BYTES = 16  # name of the chunk, flags, offset, size

@@ -35,7 +35,6 @@ PLATE_COLUMN = "plate_z_m"
 
 # Only touches of `tactile-sim generate` have it; those lie on a plate at z = 0 and stop by geometry alone.
 _MADE_BY_US = "info.touched_object_pose.position"
-
 _PLATES = {
     "known": "the height of the plate is known",
     "stored": "the height of the plate is stored with each round",

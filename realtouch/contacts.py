@@ -27,7 +27,6 @@ from tactile_toolkit.errors import InputError
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20
-
 _MOST_SHARED = 256  # images whose median is the background of those that are alone in their rounds
 
 

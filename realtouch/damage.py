@@ -9,8 +9,6 @@ from tactile_toolkit import read
 from tactile_toolkit.errors import IntegrityError, ToolkitError
 
 _NEXT = "run `realtouch verify` to list everything that is wrong, then download or convert again"
-
-
 _FIELD = re.compile(r"field '([^']+)': (.*)")
 
 

@@ -27,11 +27,8 @@ CONTACT = pictures.ACCENTS[0]
 """Colour of the frame around touches in which the gel stopped on an object."""
 
 _COLUMNS = 8
-
 _TILE_PX = 160
-
 _PX_PER_MM = 7.0
-
 SENSING_AREA_M = (0.01888, 0.01416)
 """Width and height of what the sensor sees, metres (package tactile-mnist 0.13.0, GelSight Mini)."""
 
@@ -40,10 +37,8 @@ CELL_M = (0.12, 0.12)
 
 # Share of a side over which a picture fades: no edges show where touches overlap.
 _FEATHER = 0.06
-
 # A touch of bare plate counts a little, or nothing would be seen where only such are.
 _PLAIN_WEIGHT = 0.02
-
 _MOST_THREADS = 4
 
 

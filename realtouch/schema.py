@@ -21,15 +21,10 @@ Origin = Literal["real", "synthetic", "imported"]
 """Where touches are from; manifests of conversions state it as the option ``touches``."""
 
 _FLOAT = (pa.types.is_floating,)
-
 _WHOLE = (pa.types.is_integer, *_FLOAT)  # of floats, each value must be one
-
 _TEXT = (pa.types.is_string, *_WHOLE)
-
 _TIME = (pa.types.is_duration, *_FLOAT)
-
 _BYTES = (pa.types.is_binary,)
-
 KNOWN_COLUMNS: dict[str, read.Expected] = {
     "id": (0, _TEXT, "a string"),
     "label": (0, _WHOLE, "an integer"),

@@ -18,7 +18,6 @@ from tactile_toolkit.touch import decode_image, image_size
 
 # Long enough that taking a run costs nothing, short enough that threads end together.
 _LONGEST_RUN = 16
-
 MAX_BATCH_PIXELS = 1 << 31
 """Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
 

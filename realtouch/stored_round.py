@@ -19,11 +19,8 @@ from tactile_toolkit.read import Row, RowGroup, RowSource, all_blocks, column_ty
 from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 
 _NO_TIME = "no time is stored; expected a duration or float seconds"
-
 _SECOND = np.timedelta64(1, "s")
-
 _CONTACT_START, _CONTACT_END = "touch_start_time_rel", "touch_end_time_rel"
-
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 
 

@@ -19,11 +19,8 @@ from tactile_toolkit.errors import InputError
 
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
 _HALF_CELL_M = 0.06
-
 _ROUNDS = {"train": 500, "test": 100}
-
 _TOUCHES_OF_A_GEL = 76_800
-
 _SIZES = ((320, 240), (64, 64))
 
 

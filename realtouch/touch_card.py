@@ -30,7 +30,6 @@ WORDS = "touch_words.toml"
 T = TypeVar("T")
 _TILES = 16
 _TILE_WIDTH = 96
-
 # Each is a block to unpack: of a damaged set a card should not try them all.
 _ROUNDS_SEEN = 4
 _COMMANDS = {"to-single": "clips-to-images"}  # as manifests name it

@@ -13,11 +13,9 @@ from tactile_toolkit.units import PER_METRE, length_per_metre
 from tactile_toolkit.wording import listed
 
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
-
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
-
 FOTA_POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
-
+_OUR_IMAGES = "file"
 _LENGTHS = 3  # of these, the first so many are lengths
 
 
@@ -55,7 +53,7 @@ class ImportColumns:
     """
 
     image: str | None = text(
-        "file",
+        _OUR_IMAGES,
         name="--image-column",
         metavar="NAME",
         help="Column of the paths of the images; for tars, their file extension.",
@@ -112,6 +110,13 @@ class ImportColumns:
                 f"order {', '.join(self.order)}",
                 next="name them in that order, or add --quaternion-order wxyz",
             )
+
+    @property
+    def image_name(self) -> str:
+        """What was named as image, other than the column of our own exports; empty by default."""
+        if self.image == _OUR_IMAGES:
+            return ""
+        return self.image or ""
 
     @property
     def order(self) -> str:

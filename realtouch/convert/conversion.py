@@ -127,6 +127,10 @@ Choices = Mapping[str, Sequence[RowChoice]]
 """The rows of each split that a conversion takes, in order."""
 
 
+WriteFiles = Callable[[store.DataFolder, store.Manifest], Mapping[str, str]]
+"""Writes the files that follow from all rows, and returns their checksums by path."""
+
+
 class Step(Protocol):
     """What a conversion does to one row; small and picklable."""
 
@@ -159,9 +163,7 @@ class Conversion:
     rows_per_shard: int | None = None
     rows_per_group: int | None = None
     extra_dirs: tuple[str, ...] = ()
-    write_files: Callable[[store.DataFolder, store.Manifest], Mapping[str, str]] = field(
-        default=lambda _folder, _manifest: {}, repr=False
-    )
+    write_files: WriteFiles = field(default=lambda _folder, _manifest: {}, repr=False)
     pack: Pack | None = None
 
 

@@ -15,11 +15,8 @@ from tactile_toolkit import read, store
 
 # Of the columns ``file`` and ``sha256`` of an index, which name up to two files for each row.
 _PREFIXES = ("", "meta_")
-
 _NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
-
 _LONGEST = 100
-
 _KEPT = 60  # of a longer one, before its digest
 
 
@@ -71,12 +68,13 @@ def table_of(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
     return pa.table([pa.array(columns.get(each.name, unknown), each.type) for each in schema], schema=schema)
 
 
-def write_changed(folder: store.DataFolder, path: str, content: bytes) -> str:
-    """Write a file only where it differs: a run over a finished set changes nothing. Return its checksum."""
-    sha256 = store.sha256_hex(content)
-    if not store.is_unchanged(folder, path, sha256):
-        folder.write_bytes(path, content)
-    return sha256
+def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[str, str]:
+    """Write files where they differ: a run over a finished set changes nothing. Return their checksums."""
+    digests = {path: store.sha256_hex(content) for path, content in files.items()}
+    for path, content in files.items():
+        if not store.is_unchanged(folder, path, digests[path]):
+            folder.write_bytes(path, content)
+    return digests
 
 
 def file_stem(round_id: str) -> str:

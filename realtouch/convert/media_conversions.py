@@ -25,11 +25,8 @@ from tactile_toolkit.places import Name, Place
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
-
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
-
 _WIDTHS = {"position": 3, "quaternion": 4}
-
 _SEQ_ONLY = (
     "video_length_frames",
     "time_stamp_rel_seq",

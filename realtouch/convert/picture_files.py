@@ -31,13 +31,9 @@ from tactile_toolkit.places import Name, Place
 from tactile_toolkit.touch import CLASS_NAMES, IMAGE_SUFFIX, ImageFormat, encode_image
 
 IMAGE_FOLDER = "images"
-
 INDEX_FILE = "index.csv"
-
 _INDEX_ROWS = 16
-
 _JPEG_START = b"\xff\xd8"
-
 _INDEX_SCHEMA = pa.schema(
     [
         ("id", pa.string()),
@@ -237,4 +233,4 @@ def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str,
             writer.writerow(["split", *table.column_names])
         writer.writerows([record.shard.split, *line.values()] for line in table.to_pylist())
     content = stream.getvalue().encode()
-    return {INDEX_FILE: write_changed(folder, INDEX_FILE, content)}
+    return write_changed(folder, {INDEX_FILE: content})

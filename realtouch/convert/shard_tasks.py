@@ -27,12 +27,9 @@ from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, with_fe
 
 # What a worker may hold, unpacked.
 _SHARD_BYTES = 256 << 20
-
 # A touch read at random unpacks its whole row group.
 _GROUP_BYTES = 32 << 20
-
 _PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
-
 _MOST_ROWS_PER_SHARD = 64
 
 

@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from importlib import import_module
+from collections.abc import Mapping
 from os import PathLike
-from typing import Any, Literal, Unpack, get_args
+from typing import Literal, TypeVar, Unpack, get_args
 
 from realtouch.contact import require_method
 from realtouch.convert.conversion import Conversion, Source, first_rows
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
 from tactile_toolkit import places, store
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
 
-Layout = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
+T = TypeVar("T")
+ExportLayout = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
+EXPORTS = {layout: lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)}
 
-ImportLayout = Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"]
 
-
-def format_of(layout: str, known: Sequence[str]) -> Any:
-    """Return the module of a format; InputError where none of those known has that name."""
+def require_layout(layout: str, known: Mapping[str, T]) -> T:
+    """Return what stands for a format; InputError where none of those known has that name."""
     if layout not in known:
         raise InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
-    return import_module(f"realtouch.exchange.{layout}")
+    return known[layout]
 
 
 def export(
     source: places.Name | places.Place,
     out: str | PathLike[str],
-    layout: Layout,
+    layout: ExportLayout,
     *,
     frame: str = "contact_end",
     **job: Unpack[JobOptions],
@@ -69,7 +69,7 @@ def export(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    plan, method = format_of(layout, get_args(Layout)).plan, require_method(frame)
+    plan, method = require_layout(layout, EXPORTS), require_method(frame)
 
     def planned(opened: Source, limit: int | None) -> Conversion:
         options = {"layout": layout, "limit": limit}

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import groupby
+from operator import attrgetter
 from typing import IO, Any
 
 from realtouch.exchange.fields import NUMBERED
@@ -21,13 +22,8 @@ from tactile_toolkit.touch import MAX_IMAGE_BYTES
 from tactile_toolkit.wording import did_you_mean
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
-
 # Images of a store that are asked for at a time: each answer takes long, and they are small.
 _FAR_READERS = 16
-
-# Images that are looked at for the size of all, where they agree.
-_SIZES_SEEN = 32
-
 _HERE = re.compile(r"^(?:\./+)+")
 
 
@@ -50,10 +46,17 @@ class FoundTouch:
     fields: tuple[str, ...] = field(default=(), repr=False)
     part: str = ""
 
+    @property
+    def file(self) -> tuple[str, str]:
+        """Folder and path of the file that holds the image."""
+        return self.home, self.path
+
     def used(self, number: int, columns: ImportColumns) -> FoundTouch:
-        """Return the item with its number among all, the names of its fields, and the values in use."""
+        """Return the touch with its number among all, the names of its fields, and the values in use."""
         fields = tuple(name for name, value in self.values.items() if name and value not in (None, ""))
-        wanted = {*columns.found_in(fields).names(), *([] if columns.label else [NUMBERED])}
+        wanted = set(columns.found_in(fields).names())
+        if not columns.label:
+            wanted.add(NUMBERED)
         values = {name: self.values[name] for name in self.values if name in wanted}
         problem = self.problem
         for name, value in values.items():
@@ -67,22 +70,41 @@ class FoundTouch:
         return replace(self, number=number, values=values, problem=problem, fields=fields)
 
 
+def found_file(
+    home: store.DataFolder,
+    name: str,
+    values: Mapping[str, Any],
+    sizes: Callable[[str], Mapping[str, int]],
+    problem: ItemError | None = None,
+) -> FoundTouch:
+    """Return the touch whose image is a file; where there is no such file, with that as its problem."""
+    size = 0
+    try:
+        size = store.size_inside(home, name, sizes)
+    except ItemError as error:
+        problem = error
+    return FoundTouch(name, home.address(), name, 0, size, values, problem)
+
+
+def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
+    """Return the names of files directly in a folder that end so, in lower case, without hidden ones."""
+    return [name for name in home.sizes() if name.lower().endswith(endings) and not store.is_hidden(name)]
+
+
 ReadContents = Callable[[Iterable[FoundTouch]], Iterator[bytes | ItemError]]
 """Yields the bytes of the image of each item, in order, or why it cannot be read."""
 
 
-def common_size(items: Sequence[FoundTouch], read: ReadContents) -> tuple[int, int] | None:
+def common_size(items: Sequence[FoundTouch], read: ReadContents, sizes_seen: int) -> tuple[int, int] | None:
     """Return height and width of most images, the first of equals; None where none can be read.
 
     All are looked at only where some, spread over all, differ: to read each twice takes long.
     """
     usable = [item for item in items if item.problem is None]
-    # The pictures of one array are of one size.
-    few = usable[:: max(1, len(usable) // _SIZES_SEEN)] if read is contents_of else usable[:1]
-    sizes = _sizes(few, read)
-    if len(sizes) > 1 or not sizes:
+    sizes = _sizes(usable[:: max(1, len(usable) // sizes_seen)], read)
+    if len(sizes) != 1:
         sizes = _sizes(usable, read)
-    return sizes.most_common(1)[0][0] if sizes else None
+    return next((size for size, _ in sizes.most_common(1)), None)
 
 
 def _sizes(items: Iterable[FoundTouch], read: ReadContents) -> Counter[tuple[int, int]]:
@@ -100,25 +122,27 @@ def contents_of(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
 
     A tar is opened once for all that follow each other in it.
     """
-    groups = [tuple(group) for _, group in groupby(items, key=lambda item: (item.home, item.path))]
-    threads = _FAR_READERS if groups and store.is_remote(groups[0][0].home) else 1
+    groups = [tuple(group) for _, group in groupby(items, key=attrgetter("file"))]
+    threads = 1
+    if any(store.is_remote(group[0].home) for group in groups[:1]):
+        threads = _FAR_READERS
     for found in run.in_threads(_contents, groups, threads):
         yield from found
 
 
 def _contents(items: Sequence[FoundTouch]) -> list[bytes | ItemError]:
     found: list[bytes | ItemError] = []
+    unreadable = ItemError("image", "the file cannot be read")
     try:
         with store.open_inside(store.DataFolder(items[0].home), items[0].path) as stream:
             for item in items:
                 stream.seek(item.start)
                 found.append(stream.read(item.size))
     except ItemError as error:
-        return [*found, *[error] * (len(items) - len(found))]
+        unreadable = error
     except (OSError, InputError):  # what they say differs between systems
-        unreadable = ItemError("image", "the file cannot be read")
-        return [*found, *[unreadable] * (len(items) - len(found))]
-    return found
+        pass
+    return [*found, *[unreadable] * (len(items) - len(found))]
 
 
 def path_of(text: str) -> str:
@@ -128,7 +152,9 @@ def path_of(text: str) -> str:
 
 def source_of(place: str) -> tuple[store.DataFolder, str]:
     """Return the folder of a file that the user named, and its name there; it may be a link itself."""
-    return store.split_uri(place if store.is_remote(place) else os.path.realpath(place))
+    if not store.is_remote(place):
+        place = os.path.realpath(place)
+    return store.split_uri(place)
 
 
 def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
@@ -151,8 +177,9 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
     for name in wanted:
         count = known.count(name)
         if count != 1:
-            meant = did_you_mean(name, known)
-            found = f"{count} columns {name!r}; expected one" if count else f"no column {name!r}{meant}"
+            found = f"{count} columns {name!r}; expected one"
+            if not count:
+                found = f"no column {name!r}{did_you_mean(name, known)}"
             raise InputError(
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the columns with the options of `realtouch import`",

@@ -7,22 +7,23 @@ import io
 import struct
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import groupby
 from operator import itemgetter
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pyarrow as pa
+from PIL import Image
 
-from realtouch.exchange.exporting import ImportLayout, format_of
 from realtouch.exchange.fields import NUMBERED, label_of, object_of, pose_of, position_of
-from realtouch.exchange.found_touches import FoundTouch, ReadContents, contents_of
+from realtouch.exchange.found_touches import FoundTouch
+from realtouch.exchange.import_formats import IMPORTS
 from realtouch.exchange.stored_images import require_intact
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError, ItemError
-from tactile_toolkit.touch import MEDIA_TYPE, with_features
+from tactile_toolkit.touch import MEDIA_TYPE, is_jpeg, with_features
 from tactile_toolkit.wording import printable
 
 NOT_IMPORTED = "not_imported"
@@ -38,32 +39,23 @@ NamedTouch = tuple[str, FoundTouch]
 """The name of a round, and a touch of it."""
 
 
-def _reader(layout: str) -> ReadContents:
-    """Return what yields the bytes of the images of items, in order, or why one cannot be read."""
-    found: ReadContents = getattr(format_of(layout, get_args(ImportLayout)), "contents", contents_of)
-    return found
-
-
-def _schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
-    def vectors(width: int) -> pa.DataType:
-        return pa.list_(pa.list_(pa.float64(), width))
-
-    fields = [
-        ("id", pa.string()),
-        ("label", pa.int64()),
-        *([("object_id", pa.int64())] if columns.object_id else []),
-        *([("pos_in_cell", vectors(2))] if columns.position else []),
-        *([(f"{_POSE}.position", vectors(3)), (f"{_POSE}.quaternion", vectors(4))] if columns.pose else []),
-        ("sensor_image", pa.list_(MEDIA_TYPE)),
-    ]
+def touch_schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
+    """Return the schema of imported rounds, with what is known of their touches."""
+    position, pose = pa.list_(pa.list_(pa.float64(), 2)), pa.list_(pa.list_(pa.float64(), 3))
+    known = {
+        "id": (pa.string(), True),
+        "label": (pa.int64(), True),
+        "object_id": (pa.int64(), columns.object_id),
+        "pos_in_cell": (position, columns.position),
+        f"{_POSE}.position": (pose, columns.pose),
+        f"{_POSE}.quaternion": (pa.list_(pa.list_(pa.float64(), 4)), columns.pose),
+        "sensor_image": (pa.list_(MEDIA_TYPE), True),
+    }
+    fields = ((name, data_type) for name, (data_type, is_known) in known.items() if is_known)
     return with_features(pa.schema(fields), names)
 
 
-def _file_of(item: FoundTouch) -> tuple[str, str]:
-    return item.home, item.path
-
-
-def _version(file: tuple[str, str]) -> tuple[object, ...] | None:
+def version_of(file: tuple[str, str]) -> tuple[object, ...] | None:
     """Return what changes whenever a file, by folder and path, is replaced."""
     folder, path = file
     return store.DataFolder(folder).version(path)
@@ -81,7 +73,7 @@ def _noted(contents: Iterable[bytes | ItemError], digest: Any) -> Iterator[bytes
 
 
 @dataclass(frozen=True, eq=False)
-class _ImportTouches:
+class ImportTouches:
     """Picklable: reads the images of some rounds and checks what is said of them.
 
     ``versions`` are those of files that hold several images, when places of these in them were read.
@@ -95,7 +87,7 @@ class _ImportTouches:
     versions: Mapping[tuple[str, str], tuple[object, ...] | None]
 
     def _contents(self, touches: Sequence[NamedTouch]) -> Iterator[bytes | ItemError]:
-        return _reader(self.layout)(item for _, item in touches if item.problem is None)
+        return IMPORTS[self.layout].contents(item for _, item in touches if item.problem is None)
 
     def digest(self, touches: Sequence[NamedTouch]) -> str:
         """Read the images of touches and return the checksum of all."""
@@ -107,7 +99,8 @@ class _ImportTouches:
         """Read touches; those that cannot be used are left out and listed."""
         rows, skipped = [], []
         used = {*self.columns.names(), self.columns.image}
-        used |= {NUMBERED} if self.columns.label == f"{NUMBERED}_name" else set()
+        if self.columns.label == f"{NUMBERED}_name":
+            used.add(NUMBERED)
         others = Counter[str]()
         digest = hashlib.sha256()
         contents = _noted(self._contents(touches), digest)
@@ -127,18 +120,19 @@ class _ImportTouches:
             if made:
                 of_touch = {each: [touch[each] for touch in made] for each in made[0]}
                 rows.append({"id": name, **of_touch, **{each: made[0][each] for each in _OF_ROUND}})
-        for file in self.versions.keys() & {_file_of(item) for _, item in touches}:
-            if _version(file) != self.versions[file]:
+        for file in self.versions.keys() & {item.file for _, item in touches}:
+            if version_of(file) != self.versions[file]:
                 problem = "was replaced or changed while it was imported: images would be taken for others"
                 raise IntegrityError(
                     f"{'/'.join(file)!r} {problem}", next="run the same command with --overwrite"
                 )
-        counted = {printable(name): count for name, count in others.most_common(_MOST_FIELDS)}
-        statistics = {NOT_IMPORTED: dict(sorted(counted.items()))} if counted else None
-        table = pa.Table.from_pylist(rows, self.schema)
-        return store.ShardContent(
-            table, tuple(skipped), statistics=statistics, source_digest=digest.hexdigest()
+        content = store.ShardContent(
+            pa.Table.from_pylist(rows, self.schema), tuple(skipped), source_digest=digest.hexdigest()
         )
+        if not others:
+            return content
+        counted = {printable(name): count for name, count in others.most_common(_MOST_FIELDS)}
+        return replace(content, statistics={NOT_IMPORTED: dict(sorted(counted.items()))})
 
     def _touch(self, item: FoundTouch, contents: Iterator[bytes | ItemError]) -> dict[str, Any]:
         """Return what the columns hold of a touch; ItemError where it cannot be used."""
@@ -175,10 +169,8 @@ class _ImportTouches:
 
 def _is_turned(image: bytes) -> bool:
     """Return whether readers that obey what an image states of itself turn it; Pillow knows all places."""
-    if image[:2] == b"\xff\xd8" and b"\xff\xe1" not in image:
+    if is_jpeg(image) and b"\xff\xe1" not in image:
         return False  # both stand in such a segment of a JPEG, and to open an image takes a while
-    from PIL import Image
-
     try:
         with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:
             return opened.getexif().get(_ORIENTATION) in _TURNED

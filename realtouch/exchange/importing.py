@@ -7,13 +7,15 @@ import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import chain
 from os import PathLike, fspath
-from typing import Unpack, get_args
+from typing import Any, Unpack
 
-from realtouch.exchange.exporting import ImportLayout, format_of
+from realtouch.exchange.exporting import require_layout
 from realtouch.exchange.fields import NUMBERED, UNKNOWN, integer_text, shown, text_of
 from realtouch.exchange.found_touches import FoundTouch, common_size
-from realtouch.exchange.import_shards import NamedTouch, _file_of, _ImportTouches, _reader, _schema, _version
+from realtouch.exchange.import_formats import IMPORTS, ImportLayout
+from realtouch.exchange.import_shards import ImportTouches, NamedTouch, touch_schema, version_of
 from realtouch.kind import KIND
 from realtouch.touch_card import write_card
 from realtouch.touch_options import ImportColumns
@@ -26,25 +28,16 @@ CONVERSION = "images_were"
 """What the options of an import say of images that were not taken as they are."""
 
 _TOUCHES_PER_SHARD = 4096
-
 _TOUCHES_PER_GROUP = 1024
-
 _SHARD_BYTES = 256 << 20
-
 _GROUP_BYTES = 32 << 20
-
 _PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
-
 _SPLIT_FOLDERS = ("fota", "sparsh")  # formats of which a folder holds one split, and is named so
-
 _SPLIT = re.compile(r"\w+")
-
-_OUR_TAR = re.compile(r"(\w+)-[0-9]{6}\.tar")
-
+_OUR_TAR = re.compile(r"^(\w+)-[0-9]{6}\.tar\Z")
+_DECIMAL = re.compile(r"\d+")
 _INTEGER = re.compile(r"0|[1-9][0-9]{0,3}")
-
 _UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
-
 _LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
 
 
@@ -97,7 +90,7 @@ def import_images(
         A tar is damaged; or as :func:`realtouch.clips_to_images`.
     """
     home, folder = store.DataFolder(fspath(source)), store.DataFolder(fspath(out))
-    format_of(layout, get_args(ImportLayout))
+    require_layout(layout, IMPORTS)
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
     if not home.exists():
@@ -116,13 +109,14 @@ def _items(
     home: store.DataFolder, layout: str, columns: ImportColumns, table: str | None
 ) -> list[FoundTouch]:
     """Read what a folder holds: of an export of ours below the name of the format, and in all splits."""
-    folders = [store.DataFolder(home.address(layout)) if layout in home.entries() else home]
+    folders = [home]
+    if layout in home.entries():
+        folders = [store.DataFolder(home.address(layout))]
     found = {name: size for name, size in folders[0].entries().items() if not store.is_hidden(name)}
     splits = [name for name, size in found.items() if size is None]
     if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
         folders = [store.DataFolder(folders[0].address(split)) for split in splits]
-    read = format_of(layout, get_args(ImportLayout)).items
-    every = (item for folder in folders for item in read(folder, columns, table))
+    every = chain.from_iterable(IMPORTS[layout].find(folder, columns, table) for folder in folders)
     items = [item.used(number, columns) for number, item in enumerate(every)]
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected images")
@@ -141,24 +135,24 @@ def _plan(
     if len(set(map(integer_text, classes))) < len(classes):
         raise InputError(f"the classes are {', '.join(names)}; expected each once")
     rounds = _rounds(items, columns, split)
-    size = common_size(items, _reader(layout))
-    held = Counter(map(_file_of, items))
-    versions = {file: _version(file) for file, count in held.items() if count > 1}
-    work = _ImportTouches(layout, columns, names, size, _schema(columns, names), versions)
+    read = IMPORTS[layout]
+    size = common_size(items, read.contents, read.sizes_seen)
+    held = Counter(item.file for item in items)
+    versions = {file: version_of(file) for file, count in held.items() if count > 1}
+    work = ImportTouches(layout, columns, names, size, touch_schema(columns, names), versions)
     tasks: list[store.ShardTask[NamedTouch]] = []
     for each, found in rounds.items():
         parts = _divided(found)
-        for index, part in enumerate(parts):
-            tasks.append(store.ShardTask(store.ShardName(each, index, len(parts)), part, work, work.digest))
+        names_of = (store.ShardName(each, index, len(parts)) for index in range(len(parts)))
+        tasks += [store.ShardTask(*pair, work, work.digest) for pair in zip(names_of, parts, strict=True)]
     listing = [(item.name, item.start, item.size, item.values) for item in items]
-    spec = {
+    spec: dict[str, Any] = {
         "operation": "import",
         "options": {
             "layout": layout,
             "columns": {key: value for key, value in asdict(columns).items() if value},
             "classes": list(names),
-            "image_size": None if size is None else [size[1], size[0]],
-            **_conversion_of(items, layout),
+            "image_size": size and [size[1], size[0]],
         },
         "source": {
             each: [{"file": "images", "rows": sum(map(len, found.values()))}]
@@ -166,14 +160,16 @@ def _plan(
         },
         "listing_sha256": store.sha256_hex(json.dumps(listing, sort_keys=True, default=str).encode()),
     }
+    conversion = read.describe(items)
+    if conversion:
+        spec["options"][CONVERSION] = conversion
     image_bytes = sum(item.size for item in items) // len(items) + 1
     per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // image_bytes)
     per_round = max(1, len(items) // sum(map(len, rounds.values())))
-    encodings = (("sensor_image.list.element.bytes", "PLAIN"),)
     style = store.ParquetStyle(
         max(1, per_group // per_round),
         compression_level=3,
-        encodings=encodings,
+        encodings=(("sensor_image.list.element.bytes", "PLAIN"),),
         values_per_page=max(1, _PAGE_BYTES // image_bytes),
     )
 
@@ -198,27 +194,22 @@ def _divided(rounds: Mapping[str, Sequence[FoundTouch]]) -> list[list[NamedTouch
     return shards
 
 
-def _conversion_of(items: Sequence[FoundTouch], layout: str) -> dict[str, str]:
-    """Return, for the specification, what is done to the images before they are stored, if anything."""
-    describe = getattr(format_of(layout, get_args(ImportLayout)), "conversion", None)
-    words = "" if describe is None else describe(items)
-    return {CONVERSION: words} if words else {}
-
-
 def _class_names(items: Sequence[FoundTouch], column: str | None) -> tuple[str, ...]:
     """Return the classes in the data: numbers count from 0, ten at least; names stay as they are."""
     numbered: dict[str, str] = {}  # our exports have name and number, which keeps the order
     for item in items:
-        number = "" if column == NUMBERED else text_of(item.values, NUMBERED)
-        numbered.setdefault(text_of(item.values, column), number if number.isdecimal() else "")
+        number = _DECIMAL.fullmatch(text_of(item.values, NUMBERED))
+        if number is None or column == NUMBERED:
+            numbered.setdefault(text_of(item.values, column), "")
+        else:
+            numbered.setdefault(text_of(item.values, column), number[0])
     for unknown in ("", *UNKNOWN):
         numbered.pop(unknown, None)
     if not numbered:  # of a recording without classes
         return ()
     texts = list(map(integer_text, numbered))
-    numbers = [int(text) for text in texts if _INTEGER.fullmatch(text)]
-    if len(numbers) == len(numbered):
-        return tuple(map(str, range(max([len(CLASS_NAMES), *(number + 1 for number in numbers)]))))
+    if all(map(_INTEGER.fullmatch, texts)):
+        return tuple(map(str, range(max(len(CLASS_NAMES), 1 + max(map(int, texts))))))
     return tuple(sorted(numbered, key=lambda name: (len(numbered[name]), numbered[name], name)))
 
 
@@ -230,8 +221,8 @@ def _rounds(
     home: dict[str, str] = {}
     named = {text_of(item.values, columns.round) for item in items}
     for item in items:
-        tar = _OUR_TAR.fullmatch(item.path.rpartition("/")[2])
-        part = text_of(item.values, columns.split) or split or (tar[1] if tar is not None else "train")
+        of_tar = _OUR_TAR.findall(item.path.rpartition("/")[2])
+        part = next(filter(None, [text_of(item.values, columns.split), split, *of_tar, "train"]))
         if not _SPLIT.fullmatch(part):
             raise InputError(f"{item.name!r}: the split {shown(part)!r}; expected letters and digits")
         name = text_of(item.values, columns.round)

@@ -50,7 +50,9 @@ _CHUNK_BYTES = 2 << 20
 _IN_MEMORY_BYTES = 64 << 20
 
 
-def plan(source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]) -> Conversion:
+def plan_replay(
+    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]
+) -> Conversion:
     """Plan a replay buffer; reads footers and one header. InputError for several splits."""
     step = Episodes.of(source, only_split(source, choices, "replay buffer"))
     options = {**options, "image_size": [step.size[1], step.size[0]]}
@@ -71,7 +73,7 @@ class _WriteBuffer:
     names: tuple[str, ...]
 
     def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
-        """Return the checksum of the file by its path; one that is as it should be is left alone."""
+        """Return the checksum of the file by its path; an unchanged file is not written again."""
         shards = [
             read.Shard(folder.address(record.shard.data_path)) for record in manifest.shards if record.rows
         ]
@@ -88,7 +90,7 @@ class _WriteBuffer:
         more = [name for name in ("round_id", "touch", "frame_index") if name in shards[0].types]
         table = pa.concat_tables([shard.read(columns=[*names, *more]) for shard in shards])
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
-        arrays = {f"data/{_ARRAYS[name]}": _numbers(table[name]) for name in names}
+        arrays = {f"data/{_ARRAYS[name]}": _numbers(table[name].combine_chunks()) for name in names}
         arrays[_ENDS] = np.append(starts[1:], len(table)).astype("<i8")
         shape = (len(table), *self.size, 3)
         length = max(1, _CHUNK_BYTES // (3 * self.size[0] * self.size[1]))
@@ -114,7 +116,7 @@ def _episode_ids(firsts: pa.Table) -> list[str]:
     return [touch_id(*each) for each in zip(names, firsts["touch"].to_pylist(), strict=True)]
 
 
-def conversion(items: Sequence[FoundTouch]) -> str:
+def describe_conversion(items: Sequence[FoundTouch]) -> str:
     """Return what is done to the pictures of a buffer; empty where they are taken as they are."""
     return _pictures(items[0]).described()
 
@@ -130,16 +132,15 @@ def _images(shards: Sequence[read.Shard]) -> Any:
     yield from (row.group.table[IMAGE][row.index].as_py() for row in stored_rows(shards, [IMAGE]))
 
 
-def _numbers(column: pa.ChunkedArray) -> AnyArray:
-    """Return a column of numbers, or of lists of equal length, as an array, little end first."""
-    values = column.combine_chunks()
-    is_list = pa.types.is_fixed_size_list(values.type)
-    found: AnyArray = (values.flatten() if is_list else values).to_numpy()
-    found = found.astype(found.dtype.newbyteorder("<"))
-    return found.reshape(len(values), -1) if is_list else found
+def _numbers(values: pa.Array) -> AnyArray:
+    """Return numbers, or lists of equal length, as an array, little end first."""
+    if pa.types.is_fixed_size_list(values.type):
+        return _numbers(values.flatten()).reshape(len(values), -1)
+    found: AnyArray = values.to_numpy()
+    return found.astype(found.dtype.newbyteorder("<"))
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
+def find_replay(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each frame of the buffer; an episode is a round, other arrays are its fields.
 
     Only arrays that a column names are read. What an array of others means does not follow from its shape.
@@ -147,7 +148,7 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
     home, path = _group_in(home)
     group = ZarrGroup(home, path)
     names = group.arrays("data")
-    name = _PIXELS.rpartition("/")[2] if columns.image in (None, "file") else str(columns.image)
+    name = columns.image_name or _PIXELS.rpartition("/")[2]
     if name not in names:
         raise InputError(
             f"{group.place!r} has no array of pictures {name!r}; found {', '.join(names) or 'none'}",
@@ -157,21 +158,23 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
     ends, stated = _episode_ends(group.array(_ENDS), len(pictures)), group.json(_ATTRIBUTES)
     ids, class_names = ([str(each) for each in stated.get(key) or ()] for key in (_IDS, _CLASSES))
     is_ours = len(ids) == len(ends)
-    wanted = {*columns.found_in(names).names(), NUMBERED, *(_OUR_ARRAYS if is_ours else ())}
+    stems = [f"episode-{episode:06d}" for episode in range(len(ends))]
+    wanted = {*columns.found_in(names).names(), NUMBERED}
+    if is_ours:
+        wanted.update(_OUR_ARRAYS)
+    else:
+        ids = stems
     others = dict.fromkeys((each for each in names if each != name), "not read")
     fields = {each: _rows(group.array(f"data/{each}"), len(pictures)) for each in others if each in wanted}
     part, size = f"{pictures.divisor!r} data/{name}", math.prod(pictures.shape[1:])
-    start = 0
-    for episode, end in enumerate(ends):
-        stem = f"episode-{episode:06d}"
+    for stem, round_id, (start, end) in zip(stems, ids, pairwise([0, *ends]), strict=True):
         for number in range(start, end):
             values = {**others, **{field: array[number].tolist() for field, array in fields.items()}}
             if is_ours:
                 _name_ours(values, class_names)
-            values.setdefault("round_id", ids[episode] if is_ours else stem)
+            values.setdefault("round_id", round_id)
             frame = f"{stem}_{number - start:06d}.png"
             yield FoundTouch(frame, home.address(), path, number, size, values, part=part)
-        start = end
 
 
 def _name_ours(values: dict[str, Any], class_names: Sequence[str]) -> None:
@@ -185,9 +188,10 @@ def _name_ours(values: dict[str, Any], class_names: Sequence[str]) -> None:
 
 def _episode_ends(array: ZarrArray, frames: int) -> list[int]:
     """Return the number of the frame behind each episode; InputError unless they rise to all frames."""
-    is_list = len(array.shape) == 1 and array.dtype.kind in "iu" and 0 < array.shape[0] <= frames
-    ends = list(map(int, array.rows(0, array.shape[0]))) if is_list else []
-    if not is_list or ends[-1] != frames or any(end <= start for start, end in pairwise([0, *ends])):
+    ends: list[int] = []
+    if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
+        ends = array.rows(0, array.shape[0]).tolist()
+    if not ends or ends[-1] != frames or any(end <= start for start, end in pairwise([0, *ends])):
         found = f"{array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN]))}"
         expected = f"integers that rise to {frames:,}, the number of frames"
         raise array.group.refused(array.path, f"episodes end at {found}; expected {expected}")
@@ -200,10 +204,12 @@ def _rows(array: ZarrArray, frames: int) -> AnyArray:
         expected = f"{frames:,} rows of numbers, as frames"
         raise array.group.refused(array.path, f"an array {array.shape}; expected {expected}")
     rows = array.rows(0, frames)
-    return rows[:, 0] if rows.shape[1:] == (1,) else rows
+    if rows.shape[1:] == (1,):
+        return rows[:, 0]
+    return rows
 
 
-def contents(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
+def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
     """Yield the pixels of each frame as PNG, in order; a chunk of the array is unpacked once."""
     shown, last, chunk = ("", "", ""), -1, np.zeros(0, np.uint8)
     pictures: Any = None

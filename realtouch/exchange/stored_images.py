@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -11,10 +10,10 @@ import pyarrow as pa
 from realtouch.contact_picture import median_in_memory
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import MEDIA_TYPE, decode_image, encode_image, image_size
+from tactile_toolkit.touch import MEDIA_TYPE, decode_image, encode_image, image_size, is_jpeg
 
-_JPEG = b"\xff\xd8"
 _JPEG_END = b"\xff\xd9"
+_ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
 
 
 def require_intact(data: bytes | memoryview) -> tuple[int, int]:
@@ -25,7 +24,7 @@ def require_intact(data: bytes | memoryview) -> tuple[int, int]:
     ValueError.
     """
     size = image_size(data)
-    if data[:2] != _JPEG:
+    if not is_jpeg(data):
         decode_image(data)
     elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
         try:
@@ -37,9 +36,9 @@ def require_intact(data: bytes | memoryview) -> tuple[int, int]:
     return size
 
 
-def image_column(images: list[Any], names: list[str]) -> pa.Array:
+def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
     """Return images as a column with file names, whose endings follow from their first bytes."""
-    endings = ("jpg" if each[:2] == _JPEG else "png" if each[:4] == b"\x89PNG" else "webp" for each in images)
+    endings = (_ENDINGS.get(bytes(each[:2]), "webp") for each in images)
     paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
     parts = [pa.array(images, pa.binary()), pa.array(paths, pa.string())]
     return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
@@ -47,7 +46,9 @@ def image_column(images: list[Any], names: list[str]) -> pa.Array:
 
 def as_jpeg(image: bytes) -> bytes:
     """Return an image for readers that know JPEG alone: as it is, or encoded again."""
-    return image if image[:2] == _JPEG else encode_image(decode_image(image))
+    if is_jpeg(image):
+        return image
+    return encode_image(decode_image(image))
 
 
 def decoded(image: bytes, name: str, out: UInt8 | None = None) -> UInt8:
